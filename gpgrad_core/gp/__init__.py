@@ -1,0 +1,1 @@
+"""Gaussian-process regression of terrain: kernel, dense oracle, fast exact inference."""

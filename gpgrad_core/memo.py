@@ -1,0 +1,104 @@
+"""Results of stages, kept by what they were made from, within a number of bytes."""
+
+import threading
+import weakref
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import fields, is_dataclass
+from typing import Any, ParamSpec, TypeVar, cast
+
+import numpy as np
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class Memo:
+    """Remembers ``function(*arguments)`` by (function, params, keys of inputs).
+
+    No array is hashed: a root, such as a submap, brings its ``fingerprint``; whatever a stage
+    made is known by the key it was made under, while it lives; params are their own key. So
+    moving a late slider runs late stages only, and going back runs none. A stage that fails or
+    is cancelled stores nothing. The same key gives the same object: views skip by identity.
+
+    Safe to share between threads. Two threads that ask for the same new key at once may both
+    compute it; the first result is the one that both get.
+    """
+
+    def __init__(self, max_bytes: int = 2_000_000_000) -> None:
+        """Make an empty memo.
+
+        Args:
+            max_bytes: Bytes of arrays to keep; the least recently used results go first.
+        """
+        self._max_bytes = max_bytes
+        self._results: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
+        self._keys: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
+        self._bytes = 0
+        self._lock = threading.RLock()
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of arrays held now."""
+        return self._bytes
+
+    def __call__(
+        self, function: Callable[P, R], *arguments: P.args, **unkeyed: P.kwargs
+    ) -> R:
+        """Return ``function(*arguments, **unkeyed)``, computed at most once while it is kept.
+
+        Args:
+            function: A pure stage verb.
+            arguments: Its inputs and params; these make the key.
+            unkeyed: What does not change the result, such as ``progress``.
+        """
+        with self._lock:
+            name = f"{function.__module__}.{function.__qualname__}"
+            key = (name, *(self._key_of(argument) for argument in arguments))
+            kept = self._results.get(key)
+            if kept is not None:
+                self._results.move_to_end(key)
+                return cast("R", kept[0])
+        result = function(*arguments, **unkeyed)
+        with self._lock:
+            if key in self._results:
+                return cast("R", self._results[key][0])
+            size = array_bytes(result)
+            self._results[key] = (result, size)
+            self._bytes += size
+            if is_dataclass(result) and not _is_params(result):
+                self._keys[result] = key
+            while self._bytes > self._max_bytes and len(self._results) > 1:
+                _, (_, freed) = self._results.popitem(last=False)
+                self._bytes -= freed
+        return result
+
+    def _key_of(self, argument: Any) -> Hashable:
+        fingerprint = getattr(argument, "fingerprint", None)
+        if fingerprint is not None:
+            return fingerprint
+        if not is_dataclass(argument) or _is_params(argument):
+            return cast("Hashable", argument)  # a number, a name, frozen params: its own key
+        key = self._keys.get(argument)
+        if key is None:
+            # Made outside this memo: known by identity, through a token that dies with it.
+            key = self._keys[argument] = object()
+        return key
+
+
+def _is_params(value: Any) -> bool:
+    """Params compare by value; data (``eq=False``) by identity."""
+    return type(value).__eq__ is not object.__eq__
+
+
+def array_bytes(value: Any) -> int:
+    """Count the bytes of all arrays in a result: an array, a dataclass, a list, tuple or dict."""
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    if is_dataclass(value):
+        return sum(array_bytes(getattr(value, field.name)) for field in fields(value))
+    if isinstance(value, dict):
+        return sum(array_bytes(item) for item in value.values())
+    if isinstance(value, list | tuple):
+        return sum(array_bytes(item) for item in value)
+    return 0

@@ -1,0 +1,334 @@
+"""The vocabulary: frozen, arrays read-only, metres and radians; pixels only inside `Grid`."""
+
+import hashlib
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import NDArray
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.se2 import SE2
+
+Array = NDArray[np.float64]
+MAX_GRID_CELLS = 25_000_000
+"""More cells than this are refused: four float64 fields of it fill 1 GB."""
+
+
+def read_only(array: NDArray[np.generic]) -> None:
+    """Make an array of a frozen type as frozen as the type."""
+    array.flags.writeable = False
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A rigid motion in space, as a TUM row has it: ``p_world = R p_submap + t``."""
+
+    translation: Float[Array, "3"]  # [m]
+    quaternion: Float[Array, "4"]  # (x, y, z, w), of unit length
+
+    @property
+    def rotation(self) -> Float[Array, "3 3"]:
+        """Matrix of the turn."""
+        x, y, z, w = self.quaternion
+        return np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+
+    def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Map points of the submap's frame [m] into the world [m]."""
+        return points @ self.rotation.T + self.translation
+
+    @property
+    def planar(self) -> SE2:
+        """The pose seen from above: ``T_world_submap`` of a gravity-aligned frame."""
+        rotation = self.rotation
+        yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+        return SE2(float(self.translation[0]), float(self.translation[1]), yaw)
+
+
+@dataclass(frozen=True, eq=False)
+class Submap:
+    """A gravity-aligned point cloud of the robot's vicinity, in its own local frame.
+
+    Attributes:
+        id: Its name: the cloud's file name without the ending.
+        points: Positions [m], z up, finite.
+        fingerprint: Hash of the points: the root key of all that is made from them.
+        pose_true: Where it truly lies in the world, for evaluation and display only.
+        pose_odometry: Where the robot believed it lay.
+        num_dropped: Rows of the source that were not finite and were left out.
+    """
+
+    id: str
+    points: Float[Array, "n 3"]
+    fingerprint: str
+    pose_true: Pose | None = None
+    pose_odometry: Pose | None = None
+    num_dropped: int = 0
+
+    @classmethod
+    def from_points(
+        cls,
+        points: Float[NDArray[np.floating], "n 3"],
+        id: str = "cloud",  # noqa: A002 - the public name
+        *,
+        pose_true: Pose | None = None,
+        pose_odometry: Pose | None = None,
+    ) -> "Submap":
+        """Make a submap of points, dropping rows that are not finite.
+
+        Args:
+            points: Positions [m], z up.
+            id: Its name, which error messages use.
+            pose_true: See the class.
+            pose_odometry: See the class.
+
+        Raises:
+            InputError: If there are fewer than three finite points, or all lie on one line.
+        """
+        rows = np.asarray(points)
+        if rows.ndim != 2 or rows.shape[1] != 3:  # noqa: PLR2004
+            raise InputError(f"{id}: points must be an (n, 3) array, got shape {rows.shape}")
+        finite = np.isfinite(rows).all(axis=1)
+        kept = np.array(rows[finite], dtype=np.float64)
+        if len(kept) < 3:  # noqa: PLR2004
+            raise InputError(
+                f"{id}: a terrain needs 3 or more finite points, found {len(kept)} "
+                f"of {len(rows)}; give a fuller cloud"
+            )
+        centred = kept[:, :2] - kept[:, :2].mean(axis=0)
+        spread = np.linalg.eigvalsh(centred.T @ centred / len(kept))
+        if spread[0] <= 1e-12 * max(spread[1], 1e-12):
+            raise InputError(
+                f"{id}: all {len(kept)} points lie on one line seen from above; "
+                "a terrain needs points that span an area"
+            )
+        read_only(kept)
+        digest = hashlib.blake2b(kept.tobytes(), digest_size=16).hexdigest()
+        return cls(
+            id, kept, digest, pose_true, pose_odometry, num_dropped=int(np.sum(~finite))
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Submaps of one or more traverses.
+
+    Attributes:
+        name: As shown to people.
+        submaps: In the order of their numbers.
+        description: What the terrain is, if the dataset says.
+        preferred: Parameters that its `dataset.toml` recommends, as nested tables.
+        notes: What loading left out or repaired, a line each; show them, nothing is silent.
+    """
+
+    name: str
+    submaps: tuple[Submap, ...]
+    description: str = ""
+    preferred: dict[str, object] = field(default_factory=dict[str, object])
+    notes: tuple[str, ...] = ()
+
+    def submap(self, submap_id: str) -> Submap:
+        """Find a submap by its id.
+
+        Raises:
+            InputError: If there is none of that name.
+        """
+        for submap in self.submaps:
+            if submap.id == submap_id:
+                return submap
+        raise InputError(f"{self.name} has no submap {submap_id!r}")
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A regular grid of cells; the only place where rows and columns meet x and y.
+
+    Row 0 holds the lowest y, column 0 the lowest x.
+
+    Attributes:
+        origin: Centre (x, y) of cell (0, 0) [m].
+        resolution: Side of a cell [m].
+        shape: (rows, columns).
+    """
+
+    origin: tuple[float, float]
+    resolution: float
+    shape: tuple[int, int]
+
+    @classmethod
+    def covering(
+        cls, points: Float[Array, "n 2"], resolution: float, *, name: str = "the cloud"
+    ) -> "Grid":
+        """Make the grid over the points' bounding box, as the paper's Sec. VI-B.
+
+        Args:
+            points: Positions [m].
+            resolution: Side of a cell [m].
+            name: What the points are, for the error message.
+
+        Raises:
+            InputError: If it would have more than `MAX_GRID_CELLS` cells.
+        """
+        low, high = points.min(axis=0), points.max(axis=0)
+        columns, rows = (int(np.ceil(side / resolution)) + 1 for side in high - low)
+        if rows * columns > MAX_GRID_CELLS:
+            width, height = high - low
+            fitting = np.sqrt(width * height / MAX_GRID_CELLS)
+            raise InputError(
+                f"{name} spans {width:,.0f} m x {height:,.0f} m: {rows * columns:,} cells at "
+                f"{resolution:g} m, more than the {MAX_GRID_CELLS:,} allowed; raise the resolution "
+                f"to {np.ceil(fitting * 100) / 100:g} m or more, or cut the cloud into submaps"
+            )
+        return cls((float(low[0]), float(low[1])), resolution, (rows, columns))
+
+    @property
+    def x(self) -> Float[Array, "columns"]:
+        """Centres of the columns [m]."""
+        return self.origin[0] + self.resolution * np.arange(self.shape[1])
+
+    @property
+    def y(self) -> Float[Array, "rows"]:
+        """Centres of the rows [m]."""
+        return self.origin[1] + self.resolution * np.arange(self.shape[0])
+
+    @property
+    def positions(self) -> Float[Array, "cells 2"]:
+        """Centres of all cells [m], row by row."""
+        x, y = np.meshgrid(self.x, self.y)
+        return np.column_stack([x.ravel(), y.ravel()])
+
+    @property
+    def num_cells(self) -> int:
+        """Number of cells."""
+        return self.shape[0] * self.shape[1]
+
+    def to_position(self, pixels: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+        """Turn (column, row), as image libraries give it, into (x, y) [m]."""
+        return np.asarray(self.origin) + self.resolution * pixels
+
+    def to_pixel(self, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+        """Turn (x, y) [m] into fractional (column, row)."""
+        return (positions - np.asarray(self.origin)) / self.resolution
+
+
+@dataclass(frozen=True, eq=False)
+class GradientMap:
+    """Terrain of one submap on a regular grid; row 0 holds the lowest y."""
+
+    grid: Grid
+    elevation: Float[Array, "rows columns"]  # posterior mean [m], Eq. (2)
+    variance: Float[Array, "rows columns"]  # posterior variance of it [m²], Eq. (3)
+    slope: Float[Array, "rows columns 2"]  # (dz/dx, dz/dy) [m/m], Eqs. (4), (5)
+    signal_std: float  # standard deviation of the terrain before any point is seen [m]
+    gradient: Float[Array, "rows columns"] = field(init=False)  # steepness [m/m]
+    std: Float[Array, "rows columns"] = field(init=False)  # of the elevation [m]
+
+    def __post_init__(self) -> None:
+        """Derive the image that keypoints are drawn from, once."""
+        object.__setattr__(self, "gradient", np.hypot(self.slope[..., 0], self.slope[..., 1]))
+        object.__setattr__(self, "std", np.sqrt(self.variance))
+        for array in (self.elevation, self.variance, self.slope, self.gradient, self.std):
+            read_only(array)
+
+    def trusted(self, max_std_ratio: float) -> Bool[NDArray[np.bool_], "rows columns"]:
+        """Say which cells lie close enough to points: std / signal_std <= max_std_ratio.
+
+        The ratio is in (0, 1], so one value means the same on every dataset.
+        """
+        return self.std <= max_std_ratio * self.signal_std
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Keypoints of one gradient map."""
+
+    positions: Float[Array, "k 2"]  # [m]
+    scales: Float[Array, "k"]  # diameter of the neighbourhood described [m]
+    responses: Float[Array, "k"]  # strength, as the detector has it
+    std_ratios: Float[Array, "k"]  # std / signal_std of the map there
+    descriptors: Float[NDArray[np.float32], "k d"] | Int[NDArray[np.uint8], "k d"]
+    # uint8 descriptors are strings of bits (Hamming), float32 ones vectors (L2)
+
+    def __len__(self) -> int:
+        """Number of keypoints."""
+        return len(self.positions)
+
+    def select(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Features":
+        """Keep some keypoints, by mask or by index."""
+        return Features(
+            self.positions[chosen],
+            self.scales[chosen],
+            self.responses[chosen],
+            self.std_ratios[chosen],
+            self.descriptors[chosen],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Associations between the keypoints of two maps: the paper's set A."""
+
+    pairs: Int[NDArray[np.intp], "m 2"]  # indices (query, database)
+    distances: Float[Array, "m"]  # between descriptors
+    query_xy: Float[Array, "m 2"]  # [m], query frame
+    database_xy: Float[Array, "m 2"]  # [m], database frame
+
+    def __len__(self) -> int:
+        """Number of associations."""
+        return len(self.pairs)
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """What Algorithm 1 found for a pair of maps.
+
+    Attributes:
+        T_database_query: Maps the query's frame into the database's; None where no motion
+            was supported by two associations.
+        inliers: Which associations agree with it, one to one.
+        dissimilarity: The paper's SSD metric h over the overlap.
+        overlap_area: Trusted area that both maps share under it [m²].
+        correlation: Of the two slope fields over that area, in [-1, 1].
+        score: How likely the pair is a loop closure; what ranking uses.
+    """
+
+    T_database_query: SE2 | None
+    inliers: Bool[NDArray[np.bool_], "m"]
+    dissimilarity: float
+    overlap_area: float
+    correlation: float
+    score: float
+
+    @property
+    def num_inliers(self) -> int:
+        """The paper's n."""
+        return int(np.sum(self.inliers))
+
+
+@dataclass(frozen=True, eq=False)
+class LoopClosure:
+    """The verdict on one pair of submaps, and why."""
+
+    query_id: str
+    database_id: str
+    registration: Registration
+    accepted: bool
+    reason: str
+
+
+class LoopDetector(Protocol):
+    """Any way of registering a pair of submaps: the pipeline, and every baseline."""
+
+    def __call__(self, query: Submap, database: Submap) -> Registration:
+        """Register the query to the database."""
+        ...
+
+
+FieldName = Literal["elevation", "std", "gradient", "slope_x", "slope_y"]
