@@ -126,6 +126,9 @@ class Dataset:
         description: What the terrain is, if the dataset says.
         preferred: Parameters that its `dataset.toml` recommends, as nested tables.
         notes: What loading left out or repaired, a line each; show them, nothing is silent.
+        licence: Under which others may use it, if the dataset says.
+        sensor_noise: Standard deviation of a point at range r [m], as far as the dataset says:
+            ``constant`` [m] + ``quadratic`` [1/m] * r².
     """
 
     name: str
@@ -133,6 +136,8 @@ class Dataset:
     description: str = ""
     preferred: dict[str, object] = field(default_factory=dict[str, object])
     notes: tuple[str, ...] = ()
+    licence: str = ""
+    sensor_noise: dict[str, float] = field(default_factory=dict[str, float])
 
     def submap(self, submap_id: str) -> Submap:
         """Find a submap by its id.

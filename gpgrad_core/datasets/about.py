@@ -1,0 +1,146 @@
+"""``dataset.toml``: what a dataset says about itself."""
+
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+from gpgrad_core.datasets.tables import read_text
+from gpgrad_core.errors import InputError
+
+TEXT_KEYS = ("name", "description", "licence")
+SENSOR_KEYS = ("constant", "quadratic")
+
+
+@dataclass(frozen=True, eq=False)
+class About:
+    """The contents of ``dataset.toml``; see `Dataset` for what each means."""
+
+    name: str = ""
+    description: str = ""
+    licence: str = ""
+    sensor_noise: dict[str, float] = field(default_factory=dict[str, float])
+    preferred: dict[str, object] = field(default_factory=dict[str, object])
+    notes: tuple[str, ...] = ()
+
+
+def read_about(path: Path, submap_ids: frozenset[str]) -> About:
+    """Read ``dataset.toml``.
+
+    Args:
+        path: The file.
+        submap_ids: The submaps there are, to check those that it prefers.
+
+    Raises:
+        InputError: If it is not TOML, a value has the wrong type, or a submap that it prefers
+            does not exist.
+    """
+    try:
+        table = tomllib.loads("\n".join(read_text(path)))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: is not TOML: {error}") from None
+    texts: dict[str, str] = {}
+    for key in TEXT_KEYS:
+        value = table.get(key, "")
+        if not isinstance(value, str):
+            raise InputError(f"{path}: {key} must be a text in quotes, got {value!r}")
+        texts[key] = value
+    known = {*TEXT_KEYS, "sensor_noise", "preferred"}
+    return About(
+        **texts,
+        sensor_noise=_check_sensor_noise(table.get("sensor_noise", {}), path),
+        preferred=_check_preferred(table.get("preferred", {}), path, submap_ids),
+        notes=tuple(
+            f"{path.name}: the unknown key {key!r} was ignored" for key in table if key not in known
+        ),
+    )
+
+
+def _check_sensor_noise(value: object, path: Path) -> dict[str, float]:
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: sensor_noise must be a table, got {value!r}")
+    noise: dict[str, float] = {}
+    for key, number in cast("dict[str, object]", value).items():
+        if key not in SENSOR_KEYS:
+            raise InputError(
+                f"{path}: sensor_noise has the keys {' and '.join(SENSOR_KEYS)}, got {key!r}"
+            )
+        if isinstance(number, bool) or not isinstance(number, int | float) or not 0 <= number < 1e6:
+            raise InputError(
+                f"{path}: sensor_noise.{key} must be a number, 0 or more, got {number!r}"
+            )
+        noise[key] = float(number)
+    return noise
+
+
+def _check_preferred(value: object, path: Path, submap_ids: frozenset[str]) -> dict[str, object]:
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: preferred must be a table, got {value!r}")
+    preferred = cast("dict[str, object]", value)
+    for key, entry in preferred.items():
+        if key in ("query", "database"):
+            if not isinstance(entry, str):
+                raise InputError(
+                    f"{path}: preferred.{key} must be a submap's id in quotes, got {entry!r}"
+                )
+            if entry not in submap_ids:
+                raise InputError(
+                    f"{path}: preferred.{key} names submap {entry!r}, "
+                    "which the dataset does not have"
+                )
+        elif not isinstance(entry, dict):
+            # The groups and names within are the pipeline's; it checks them when it takes them.
+            raise InputError(
+                f"{path}: preferred.{key} must be a table of parameters, got {entry!r}"
+            )
+    return preferred
+
+
+def write_about(path: Path, about: About) -> None:
+    """Write ``dataset.toml``.
+
+    Args:
+        path: The file; overwritten if it exists.
+        about: What it should say; its notes are not written.
+    """
+    lines = [f"{key} = {_toml(getattr(about, key))}" for key in TEXT_KEYS if getattr(about, key)]
+    if about.sensor_noise:
+        lines += [
+            "",
+            "[sensor_noise]  # of a point at range r: constant + quadratic r^2 [m]",
+            *(f"{key} = {_toml(value)}" for key, value in about.sensor_noise.items()),
+        ]
+    if about.preferred:
+        lines += ["", "[preferred]", *_toml_table("preferred", about.preferred)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+
+def _toml_table(name: str, table: dict[str, object]) -> list[str]:
+    lines = [f"{key} = {_toml(v)}" for key, v in table.items() if not isinstance(v, dict)]
+    for key, value in table.items():
+        if isinstance(value, dict):
+            inner = f"{name}.{key}"
+            lines += ["", f"[{inner}]", *_toml_table(inner, cast("dict[str, object]", value))]
+    return lines
+
+
+def _toml(value: object) -> str:
+    match value:
+        case bool():
+            return str(value).lower()
+        case int():
+            return str(int(value))
+        case float():
+            return repr(float(value))  # NumPy's own repr names its type
+        case str():
+            return '"' + "".join(_escape(letter) for letter in value) + '"'
+        case list() | tuple():
+            return f"[{', '.join(_toml(item) for item in cast('list[object]', value))}]"
+        case _:
+            raise InputError(f"dataset.toml cannot hold {value!r}")
+
+
+def _escape(letter: str) -> str:
+    if letter in '"\\':
+        return f"\\{letter}"
+    return letter if letter.isprintable() else f"\\U{ord(letter):08x}"

@@ -1,0 +1,152 @@
+"""One cloud file -> one submap."""
+
+import importlib
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from gpgrad_core.datasets.pcd import read_pcd
+from gpgrad_core.datasets.ply import read_ply
+from gpgrad_core.datasets.tables import read_table
+from gpgrad_core.errors import InputError
+from gpgrad_core.types import Submap
+
+Points: TypeAlias = Float[NDArray[np.floating], "n 3"]
+COARSE_STEP = 1e-3
+"""A step between neighbouring coordinates [m] above which a cloud is worth a warning."""
+
+
+def load_cloud(path: Path | str) -> Submap:
+    """Load one gravity-aligned cloud: .ply .pcd .npz .npy .xyz .csv .las .laz.
+
+    float64 files keep their precision. Rows that are not finite are dropped and counted in
+    ``Submap.num_dropped``.
+
+    Args:
+        path: The file; its name without the ending becomes the submap's id.
+
+    Raises:
+        InputError: If it is missing, of an unknown ending, broken, or holds no terrain; one
+            line that names the file.
+    """
+    return load_cloud_with_notes(Path(path))[0]
+
+
+def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
+    """Load one cloud, and say what was left out or is doubtful, a line each.
+
+    Raises:
+        InputError: See `load_cloud`.
+    """
+    points = _read_points(path)
+    if len(points) == 0:
+        raise InputError(f"{path}: is an empty cloud: it holds no points")
+    try:
+        submap = Submap.from_points(points, path.stem)
+    except InputError as error:
+        # The submap knows only its name; the user needs the file.
+        raise InputError(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
+    notes: list[str] = []
+    if submap.num_dropped:
+        verb = "is not finite and was" if submap.num_dropped == 1 else "are not finite and were"
+        notes.append(f"{path.name}: {submap.num_dropped:,} of {len(points):,} rows {verb} dropped")
+    furthest = float(np.abs(submap.points).max())
+    if points.dtype.itemsize < 8 and np.spacing(np.float32(furthest)) > COARSE_STEP:
+        notes.append(
+            f"{path.name}: its 32-bit coordinates of up to {furthest:,.0f} m have steps of "
+            f"{np.spacing(np.float32(furthest)):.2g} m; save it as double or in its own local frame"
+        )
+    return submap, tuple(notes)
+
+
+def _read_points(path: Path) -> Points:
+    """Read a cloud's rows as they are, NaN and all, in the precision of the file."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(
+            f"{path}: unknown ending {path.suffix!r}; the known ones are {' '.join(READERS)}"
+        )
+    try:
+        return reader(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _read_npy(path: Path) -> Points:
+    try:
+        array = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise InputError(f"{path}: is not a whole NPY file: {_first_line(error)}") from None
+    if not isinstance(array, np.ndarray):  # np.load goes by content: this is a renamed NPZ
+        array.close()
+        raise InputError(f"{path}: is an NPZ archive; rename it to .npz")
+    return _check_points(array, str(path))
+
+
+def _read_npz(path: Path) -> Points:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except (ValueError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: is not a whole NPZ file: {_first_line(error)}") from None
+    if "points" in arrays:
+        return _check_points(arrays["points"], f"{path}, array 'points'")
+    clouds = [name for name, array in arrays.items() if _has_points_shape(array)]
+    if len(clouds) != 1:
+        held = ", ".join(f"{name} {array.shape}" for name, array in arrays.items()) or "nothing"
+        raise InputError(
+            f"{path}: needs an array 'points', or just one of shape (n, 3); it holds {held}"
+        )
+    return arrays[clouds[0]]
+
+
+def _has_points_shape(array: NDArray[Any]) -> bool:
+    return array.ndim == 2 and array.shape[1] == 3 and array.dtype.kind in "fiu"
+
+
+def _check_points(array: NDArray[Any], where: str) -> Points:
+    if not _has_points_shape(array):
+        raise InputError(
+            f"{where}: points must be numbers of shape (n, 3), got {array.dtype} {array.shape}"
+        )
+    return array
+
+
+def _read_las(path: Path) -> Points:
+    try:
+        # By name, because it is an extra: the default install does without.
+        laspy: Any = importlib.import_module("laspy")
+    except ModuleNotFoundError:
+        raise InputError(
+            f"{path}: reading {path.suffix} needs the package laspy: pip install 'laspy[lazrs]'"
+        ) from None
+    try:
+        return np.asarray(laspy.read(path).xyz, dtype=np.float64)
+    except OSError:
+        raise
+    except Exception as error:  # laspy, lazrs and NumPy each raise their own on broken files
+        raise InputError(f"{path}: is not a whole LAS file: {_first_line(error)}") from None
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]
+
+
+READERS: dict[str, Callable[[Path], Points]] = {
+    ".ply": read_ply,
+    ".pcd": read_pcd,
+    ".npz": _read_npz,
+    ".npy": _read_npy,
+    ".xyz": read_table,
+    ".csv": read_table,
+    ".las": _read_las,
+    ".laz": _read_las,
+}
+"""What reads a file, by its ending."""

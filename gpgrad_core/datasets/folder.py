@@ -1,0 +1,211 @@
+"""A folder of clouds with poses -> a dataset, and back."""
+
+import re
+import shutil
+import uuid
+from dataclasses import replace
+from pathlib import Path
+
+from gpgrad_core.datasets.about import About, read_about, write_about
+from gpgrad_core.datasets.clouds import READERS, load_cloud_with_notes
+from gpgrad_core.datasets.ply import write_ply
+from gpgrad_core.datasets.poses import read_poses, write_poses
+from gpgrad_core.errors import InputError
+from gpgrad_core.progress import Progress, silent
+from gpgrad_core.types import Dataset, Pose
+
+TRUTH_FILE = "poses_gt.txt"
+ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first that is there is read
+ABOUT_FILE = "dataset.toml"
+
+
+def load_dataset(path: Path | str, progress: Progress = silent) -> Dataset:
+    """Load a dataset folder, a bare folder of clouds, or a single cloud.
+
+    A dataset folder has ``submaps/``, and optionally ``poses_gt.txt``, ``poses_odom.txt`` (or
+    ``poses.txt``) and ``dataset.toml``. A submap's index is the last number in its file's name.
+    Gaps in the numbering, missing poses and extra files are fine.
+
+    Args:
+        path: Folder or file.
+        progress: Called once a cloud.
+
+    Returns:
+        The submaps in the order of their numbers, those without a number last, by name. What
+        was left out or ignored is in ``notes``.
+
+    Raises:
+        InputError: If anything there is missing, broken or contradicts itself; one line that
+            names the file, and the line where it is text.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    if path.is_file():
+        submap, notes = load_cloud_with_notes(path)
+        progress(1.0)
+        return Dataset(path.stem, (submap,), notes=notes)
+    try:
+        return _load_folder(path, progress)
+    except OSError as error:
+        place = error.filename or path
+        raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
+
+
+def _load_folder(path: Path, progress: Progress) -> Dataset:
+    has_submaps = (path / "submaps").is_dir()
+    clouds, ignored = _find_clouds(path / "submaps" if has_submaps else path)
+    if not clouds:
+        raise InputError(_no_clouds(path, has_submaps=has_submaps))
+    # Beside loose clouds there may lie anything; in submaps/ a stranger is worth a word.
+    notes = [f"submaps/{name}: is no cloud and was ignored" for name in ignored if has_submaps]
+    known = {index: cloud.stem for cloud in clouds if (index := index_of(cloud.stem)) is not None}
+    about = About()
+    if (path / ABOUT_FILE).exists():
+        about = read_about(path / ABOUT_FILE, frozenset(cloud.stem for cloud in clouds))
+    # Text before clouds: a wrong pose file is told at once, not after a minute of loading.
+    truth = read_poses(path / TRUTH_FILE, known) if (path / TRUTH_FILE).exists() else {}
+    odometry: dict[int, Pose] = {}
+    present = [path / name for name in ODOMETRY_FILES if (path / name).exists()]
+    if present:
+        odometry = read_poses(present[0], known)
+        notes += [f"{file.name}: was ignored for {present[0].name}" for file in present[1:]]
+    submaps = []
+    for count, cloud in enumerate(clouds, start=1):
+        submap, cloud_notes = load_cloud_with_notes(cloud)
+        notes += cloud_notes
+        index = index_of(cloud.stem)
+        if index is not None:
+            submap = replace(submap, pose_true=truth.get(index), pose_odometry=odometry.get(index))
+        submaps.append(submap)
+        progress(count / len(clouds))
+    return Dataset(
+        name=about.name or path.resolve().name,
+        submaps=tuple(submaps),
+        description=about.description,
+        preferred=about.preferred,
+        notes=(*about.notes, *notes),
+        licence=about.licence,
+        sensor_noise=about.sensor_noise,
+    )
+
+
+def index_of(submap_id: str) -> int | None:
+    """Find a submap's index: the last number in its name.
+
+    >>> index_of("submap_007"), index_of("crater")
+    (7, None)
+    """
+    numbers = re.findall(r"[0-9]+", submap_id)
+    return int(numbers[-1]) if numbers else None
+
+
+def _find_clouds(folder: Path) -> tuple[list[Path], list[str]]:
+    """Return the clouds in order, and the names of all else."""
+    # Names that start with a dot are the system's (.DS_Store, ._000.ply), not the user's.
+    entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
+    clouds = [e for e in entries if e.is_file() and e.suffix.lower() in READERS]
+    ignored = [entry.name for entry in entries if entry not in clouds]
+    owners: dict[int | str, Path] = {}
+    for cloud in clouds:
+        index = index_of(cloud.stem)
+        key = cloud.stem if index is None else index
+        if key in owners:
+            what = f"the name {key}" if index is None else f"the number {index}"
+            raise InputError(
+                f"{folder}: {owners[key].name} and {cloud.name} have both {what}; "
+                "rename or remove one"
+            )
+        owners[key] = cloud
+
+    def order(cloud: Path) -> tuple[bool, int, str]:
+        index = index_of(cloud.stem)
+        return index is None, index or 0, cloud.name
+
+    return sorted(clouds, key=order), ignored
+
+
+def _no_clouds(path: Path, *, has_submaps: bool) -> str:
+    message = f"{path / 'submaps' if has_submaps else path}: holds no clouds ({' '.join(READERS)})"
+    inner = sorted(e.name for e in path.iterdir() if (e / "submaps").is_dir())
+    if inner and not has_submaps:
+        message += f"; it holds the datasets {', '.join(inner[:5])}: give one of them"
+    return message
+
+
+def write_dataset(dataset: Dataset, directory: Path | str, progress: Progress = silent) -> None:
+    """Write a dataset folder; a reader never sees it half-written.
+
+    Args:
+        dataset: Its submaps' ids become the file names.
+        directory: Where; made with its parents if it does not exist.
+        progress: Called once a cloud.
+
+    Raises:
+        InputError: If the directory exists and is not empty, cannot be made, or an id cannot be
+            a file name, or a submap has a pose but no number of its own to file it under.
+    """
+    directory = Path(directory)
+    _check_ids(dataset)
+    try:
+        if directory.exists() and not directory.is_dir():
+            raise InputError(f"{directory}: is a file; name a new or empty folder")
+        if directory.exists() and any(directory.iterdir()):
+            raise InputError(f"{directory}: is not empty; name a new or empty folder")
+        directory.parent.mkdir(parents=True, exist_ok=True)
+        # Written beside its place and renamed: a run that is stopped leaves no half dataset.
+        unfinished = directory.resolve().with_name(f".{directory.name}.{uuid.uuid4().hex[:8]}")
+        try:
+            _write_folder(dataset, unfinished, progress)
+            if directory.exists():
+                directory.rmdir()
+            unfinished.rename(directory)
+        finally:
+            shutil.rmtree(unfinished, ignore_errors=True)
+    except OSError as error:
+        raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from None
+
+
+def _check_ids(dataset: Dataset) -> None:
+    owners: dict[int | str, str] = {}
+    for submap in dataset.submaps:
+        if Path(submap.id).name != submap.id or submap.id.startswith("."):
+            raise InputError(f"{dataset.name}: the id {submap.id!r} cannot be a file name")
+        index = index_of(submap.id)
+        if index is None and (submap.pose_true or submap.pose_odometry):
+            raise InputError(
+                f"{dataset.name}: submap {submap.id!r} has a pose, and no number to file it under"
+            )
+        key = submap.id if index is None else index
+        if key in owners:
+            raise InputError(
+                f"{dataset.name}: the ids {owners[key]!r} and {submap.id!r} have both the "
+                f"{'name' if index is None else 'number'} {key}"
+            )
+        owners[key] = submap.id
+
+
+def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
+    (folder / "submaps").mkdir(parents=True)
+    truth: dict[int, Pose] = {}
+    odometry: dict[int, Pose] = {}
+    for count, submap in enumerate(dataset.submaps, start=1):
+        write_ply(folder / "submaps" / f"{submap.id}.ply", submap.points)
+        index = index_of(submap.id)
+        if index is not None and submap.pose_true is not None:
+            truth[index] = submap.pose_true
+        if index is not None and submap.pose_odometry is not None:
+            odometry[index] = submap.pose_odometry
+        progress(count / len(dataset.submaps))
+    if truth:
+        write_poses(folder / TRUTH_FILE, truth)
+    if odometry:
+        write_poses(folder / ODOMETRY_FILES[0], odometry)
+    about = About(
+        name=dataset.name,
+        description=dataset.description,
+        licence=dataset.licence,
+        sensor_noise=dataset.sensor_noise,
+        preferred=dataset.preferred,
+    )
+    write_about(folder / ABOUT_FILE, about)

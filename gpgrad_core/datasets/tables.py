@@ -1,0 +1,180 @@
+"""Rows of numbers in text: XYZ, CSV, and the ascii bodies of PLY and PCD."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from gpgrad_core.errors import InputError
+
+Array = NDArray[np.float64]
+COMMENT_MARKS = ("#", "//")
+
+
+def read_text(path: Path) -> list[str]:
+    """Read a text file as lines without their ends.
+
+    Raises:
+        InputError: If it is not text.
+    """
+    try:
+        # Spreadsheets put a byte-order mark in front; utf-8-sig takes it off.
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not text; is its ending right?") from None
+
+
+def read_table(path: Path) -> Float[Array, "n 3"]:
+    """Read an XYZ or CSV file.
+
+    Columns are parted by commas, semicolons, tabs or spaces. A first row of words must name the
+    columns x, y and z, in any case and order; without it they are the first three. Further
+    columns are ignored, and so are empty lines and lines that start with ``#`` or ``//``.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Positions [m]; none where the file has no rows. An empty field reads as NaN.
+
+    Raises:
+        InputError: If a row lacks a column, or a field is not a number; names the line.
+    """
+    lines = read_text(path)
+    first = next((k for k, line in enumerate(lines) if _is_data(line)), None)
+    if first is None:
+        return np.empty((0, 3))
+    separator = next((mark for mark in ",;\t" if mark in lines[first]), None)
+    fields = _fields(lines[first], separator)
+    columns = _named_columns(fields)
+    if columns is not None:
+        return parse_rows(lines[first + 1 :], columns, separator, path, first_line=first + 2)
+    # CloudCompare comments its header out; a comment of another width is only a comment.
+    for line in lines[:first]:
+        words = _fields(re.sub(r"^\s*(#|//)+", "", line), separator)
+        columns = columns or (_named_columns(words) if len(words) == len(fields) else None)
+    return parse_rows(lines[first:], columns or (0, 1, 2), separator, path, first_line=first + 1)
+
+
+def _named_columns(words: list[str]) -> tuple[int, int, int] | None:
+    names = [word.lower() for word in words]
+    if not all(name in names for name in "xyz"):
+        return None
+    return names.index("x"), names.index("y"), names.index("z")
+
+
+def read_body(
+    text: str,
+    count: int,
+    columns: tuple[int, int, int],
+    path: Path,
+    *,
+    skipped: int = 0,
+    first_line: int,
+) -> Float[Array, "n 3"]:
+    """Read the rows of an ascii body whose header promised how many there are.
+
+    Args:
+        text: All that follows the header.
+        count: Rows promised.
+        columns: Which columns are x, y and z.
+        path: The file, for the error message.
+        skipped: Lines before the rows that belong to something else.
+        first_line: Number of the body's first line in the file.
+
+    Raises:
+        InputError: If there are fewer rows, or a row is not what it should be.
+    """
+    rows = text.splitlines()[skipped : skipped + count]
+    whole = len(rows)
+    if rows and not text.endswith("\n") and skipped + whole == len(text.splitlines()):
+        # The last line has no end: where something is missing it may itself have lost digits.
+        whole -= whole < count or len(rows[-1].split()) <= max(columns)
+    if whole < count:
+        raise cut_short(path, count, whole)
+    return parse_rows(rows, columns, None, path, first_line=first_line + skipped)
+
+
+def cut_short(path: Path, promised: int, found: int) -> InputError:
+    """Make the error for a file that ends before its header's promise is kept."""
+    return InputError(
+        f"{path}: is cut short: its header promises {promised:,} points, the file ends after "
+        f"{found:,}; copy or save it again"
+    )
+
+
+def parse_rows(
+    lines: Sequence[str],
+    columns: tuple[int, int, int],
+    separator: str | None,
+    path: Path,
+    *,
+    first_line: int,
+) -> Float[Array, "n 3"]:
+    """Parse three columns out of rows of numbers, at full precision.
+
+    Args:
+        lines: Text, a row a line; empty lines and comments are skipped.
+        columns: Which columns are x, y and z, counted from 0.
+        separator: What parts the columns; None means spaces.
+        path: The file, for the error message.
+        first_line: Number of the first of these lines in the file, for the error message.
+
+    Raises:
+        InputError: If a row lacks a column, or a field is not a number.
+    """
+    rows = [line for line in lines if _is_data(line)]
+    if not rows:
+        return np.empty((0, 3))
+    try:
+        return np.loadtxt(rows, delimiter=separator, usecols=columns, comments=None, ndmin=2)
+    except ValueError:
+        # The quick reader counts lines its own way and knows no empty fields; say it exactly.
+        return _parse_slowly(lines, columns, separator, path, first_line)
+
+
+def _parse_slowly(
+    lines: Sequence[str],
+    columns: tuple[int, int, int],
+    separator: str | None,
+    path: Path,
+    first_line: int,
+) -> Float[Array, "n 3"]:
+    points: list[list[float]] = []
+    for number, line in enumerate(lines, start=first_line):
+        if not _is_data(line):
+            continue
+        fields = _fields(line, separator)
+        if len(fields) <= max(columns):
+            raise InputError(
+                f"{path}, line {number}: has {len(fields)} column{'s' * (len(fields) != 1)}, "
+                f"x, y and z need {max(columns) + 1}: {_shorten(line)!r}"
+            )
+        point: list[float] = []
+        for column in columns:
+            try:
+                point.append(float(fields[column]) if fields[column] else float("nan"))
+            except ValueError:
+                hint = "; a header must name the columns x, y and z" if not points else ""
+                raise InputError(
+                    f"{path}, line {number}: {_shorten(fields[column])!r} is not a number{hint}"
+                ) from None
+        points.append(point)
+    return np.array(points, dtype=np.float64).reshape(-1, 3)
+
+
+def _is_data(line: str) -> bool:
+    stripped = line.strip()
+    return bool(stripped) and not stripped.startswith(COMMENT_MARKS)
+
+
+def _fields(line: str, separator: str | None) -> list[str]:
+    return [field.strip().strip('"') for field in line.split(separator)]
+
+
+def _shorten(text: str) -> str:
+    text = text.strip()
+    return text if len(text) <= 40 else text[:39] + "…"
