@@ -1,0 +1,371 @@
+"""The command line: a dataclass a verb, whose fields are its arguments."""
+
+import contextlib
+import io
+import re
+import sys
+import webbrowser
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import (
+    Annotated,
+    Any,
+    TextIO,
+    TypeAlias,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import tyro
+from tqdm import tqdm
+from typing_extensions import Doc
+from tyro.constructors import (
+    ConstructorRegistry,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
+
+from gpgrad_core.bounds import Bounds
+from gpgrad_core.datasets import (
+    SimulationParams,
+    demo_path,
+    load_dataset,
+    simulate_dataset,
+    write_dataset,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.gradient_map import MapParams, infer_gradient_map
+from gpgrad_core.outputs import (
+    MAP_ENDINGS,
+    check_graph,
+    check_output,
+    report_closures,
+    write_closures,
+    write_graph,
+    write_map,
+)
+from gpgrad_core.parameters import preferred_parameters, read_parameters
+from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
+from gpgrad_core.progress import Progress, silent
+from gpgrad_core.types import Dataset
+from gpgrad_core.version import VERSION
+
+V = TypeVar("V")
+Detector: TypeAlias = Callable[[Dataset, PipelineParams, Progress], DetectionResult]
+
+DETECTORS: dict[str, Detector] = {
+    "gradient": lambda dataset, params, progress: detect_loop_closures(
+        dataset, params, progress=progress
+    ),
+}
+"""What ``--method`` may name."""
+
+FAILED, INTERRUPTED = 2, 130
+DESCRIPTION = (
+    "Loop closures from Gaussian-process gradient maps of bare terrain. "
+    "`gpgrad VERB --help` tells all of a verb; `gpgrad --version` prints the version."
+)
+
+ParamsFile: TypeAlias = Annotated[
+    Path | None,
+    Doc("TOML file of parameters, a table a group: [map] length_scale = 0.3. A flag outweighs it."),
+]
+AllParams: TypeAlias = Annotated[PipelineParams, tyro.conf.arg(name="")]
+
+
+@dataclass(frozen=True)
+class View:
+    """Open the viewer in a browser: surfaces, matches and verdict of two submaps, live."""
+
+    dataset: Annotated[
+        tyro.conf.Positional[Path | None],
+        Doc("Dataset folder, folder of clouds, or one cloud; without it the built-in demo."),
+    ] = None
+    host: Annotated[str, Doc("Address to serve on; 0.0.0.0 lets other machines in.")] = "127.0.0.1"
+    port: Annotated[int, Doc("Port to serve on.")] = 8080
+    open: Annotated[bool, Doc("Open the browser by itself.")] = True
+    params: ParamsFile = None
+    pipeline: AllParams = field(default_factory=PipelineParams)
+
+    def run(self, given: Sequence[str]) -> None:
+        """Serve until interrupted."""
+        from app.server import Viewer  # noqa: PLC0415 - viser is heavy, and for this verb only
+
+        dataset = _load(self.dataset or demo_path())
+        base = _base(dataset, self.params)
+        viewer = Viewer(dataset, _again(self, given, pipeline=base).pipeline, self.host, self.port)
+        try:
+            _say(f"{dataset.name} is at {viewer.url} (Ctrl-C ends)", sys.stdout)
+            if self.open:
+                webbrowser.open(viewer.url)
+            viewer.run_forever()
+        finally:
+            viewer.close()
+
+
+@dataclass(frozen=True)
+class Detect:
+    """Register, score and judge every pair of submaps of a dataset."""
+
+    dataset: Annotated[tyro.conf.Positional[Path], Doc("Dataset folder or folder of clouds.")]
+    out: Annotated[Path, Doc("File to write: closures.json.")]
+    method: Annotated[str, Doc(f"How to detect: {', '.join(DETECTORS)}.")] = "gradient"
+    g2o: Annotated[Path | None, Doc("Also write the pose graph to this .g2o file.")] = None
+    params: ParamsFile = None
+    pipeline: AllParams = field(default_factory=PipelineParams)
+
+    def run(self, given: Sequence[str]) -> None:
+        """Detect and write."""
+        if self.method not in DETECTORS:
+            raise InputError(f"unknown --method {self.method!r}; known: {', '.join(DETECTORS)}")
+        check_output(self.out, (".json",))
+        if self.g2o:
+            check_output(self.g2o, (".g2o",))
+        dataset = _load(self.dataset)
+        params = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
+        if self.g2o:
+            check_graph(dataset)
+        with _progress("pairs") as progress:
+            result = DETECTORS[self.method](dataset, params, progress)
+        report = report_closures(dataset, result, params, method=self.method)
+        write_closures(self.out, report)
+        if self.g2o:
+            write_graph(self.g2o, dataset, result.closures)
+        _say(
+            f"{len(report.accepted)} loop closures in {len(report.pairs)} pairs of "
+            f"{len(report.submaps)} submaps, {report.seconds['total']:.1f} s: {self.out}",
+            sys.stdout,
+        )
+
+
+@dataclass(frozen=True)
+class Map:
+    """Infer one cloud's elevation, its variance, and both slopes."""
+
+    cloud: Annotated[tyro.conf.Positional[Path], Doc("A gravity-aligned point cloud.")]
+    out: Annotated[Path, Doc(f"File to write, one of {', '.join(MAP_ENDINGS)}.")]
+    params: ParamsFile = None
+    map: MapParams = field(default_factory=MapParams)
+
+    def run(self, given: Sequence[str]) -> None:
+        """Infer and write."""
+        check_output(self.out, MAP_ENDINGS)
+        if self.cloud.is_dir():
+            raise InputError(f"{self.cloud}: is a folder; give one cloud")
+        dataset = _load(self.cloud)
+        base = _base(dataset, self.params)
+        params = _again(self, given, map=base.map).map
+        (cloud,) = dataset.submaps
+        with _progress("map") as progress:
+            gradient_map = infer_gradient_map(cloud, params, progress)
+        write_map(
+            self.out,
+            gradient_map,
+            name=cloud.id,
+            max_std_ratio=base.features.max_std_ratio,
+        )
+        rows, columns = gradient_map.grid.shape
+        _say(
+            f"{columns} x {rows} cells of {params.resolution:g} m "
+            f"from {len(cloud.points):,} points: {self.out}",
+            sys.stdout,
+        )
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Make a synthetic dataset with known truth."""
+
+    directory: Annotated[tyro.conf.Positional[Path], Doc("Folder to make; must not exist yet.")]
+    simulation: Annotated[SimulationParams, tyro.conf.arg(name="")] = field(
+        default_factory=SimulationParams
+    )
+
+    def run(self, given: Sequence[str]) -> None:  # noqa: ARG002 - as the other verbs
+        """Simulate and write."""
+        with _progress("simulate") as progress:
+            dataset = simulate_dataset(self.simulation, progress)
+        write_dataset(dataset, self.directory)
+        _say(f"{len(dataset.submaps)} submaps: {self.directory}", sys.stdout)
+
+
+Verb: TypeAlias = View | Detect | Map | Simulate
+VERBS: dict[str, type[Verb]] = {
+    "view": View,
+    "detect": Detect,
+    "map": Map,
+    "simulate": Simulate,
+}
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one verb.
+
+    Args:
+        arguments: The command line without the program's name.
+
+    Returns:
+        The exit code: 0, or 2 after one line on standard error that says what was wrong, or 130
+        if interrupted.
+    """
+    try:
+        if list(arguments) == ["--version"]:
+            _say(VERSION, sys.stdout)
+            return 0
+        verb = _parsed(arguments)
+        verb.run(arguments[1:])
+    except InputError as error:
+        _say(_one_line(str(error)))
+        return FAILED
+    except OSError as error:
+        what = error.strerror or str(error)
+        _say(_one_line(f"{error.filename}: {what}" if error.filename else what))
+        return FAILED
+    except KeyboardInterrupt:
+        _say("interrupted")
+        return INTERRUPTED
+    return 0
+
+
+def _parsed(arguments: Sequence[str]) -> Verb:
+    """Turn the command line into a verb's arguments.
+
+    Raises:
+        InputError: If the usage is wrong.
+        SystemExit: After help was printed.
+    """
+    verb = arguments[0] if arguments else ""
+    if verb in VERBS:
+        return _flags(VERBS[verb], arguments[1:])
+    if verb and not verb.startswith("-"):
+        raise InputError(f"unknown verb {verb!r}; known: {', '.join(VERBS)}")
+    with _one_line_usage():
+        return tyro.extras.subcommand_cli_from_dict(
+            VERBS, prog="gpgrad", description=DESCRIPTION, args=arguments, registry=REGISTRY
+        )
+
+
+def _flags(verb: type[V], given: Sequence[str], default: V | None = None) -> V:
+    with _one_line_usage():
+        return tyro.cli(
+            verb,
+            prog=f"gpgrad {verb.__name__.lower()}",
+            args=given,
+            default=tyro.MISSING_NONPROP if default is None else default,
+            registry=REGISTRY,
+        )
+
+
+def _again(verb: V, given: Sequence[str], **bases: object) -> V:
+    """Read the same command line over other defaults, so that a flag outweighs a file."""
+    return _flags(type(verb), given, replace(cast("Any", verb), **bases))
+
+
+def _base(dataset: Dataset, path: Path | None) -> PipelineParams:
+    """Parameters before any flag: built-in, then what the dataset prefers, then the file."""
+    params = preferred_parameters(dataset, PipelineParams())
+    return params if path is None else read_parameters(path, params)
+
+
+def _load(path: Path) -> Dataset:
+    """Load a dataset, saying aloud what loading left out."""
+    with _progress("load") as progress:
+        dataset = load_dataset(path, progress)
+    for note in dataset.notes:
+        _say(note)
+    return dataset
+
+
+def _say(line: str, stream: TextIO | None = None) -> None:
+    """Print a line: what was done to standard output, anything else to standard error."""
+    if stream is None:
+        print(f"gpgrad: {line}", file=sys.stderr, flush=True)  # noqa: T201
+    else:
+        print(line, file=stream, flush=True)
+
+
+@contextlib.contextmanager
+def _progress(what: str) -> Generator[Progress]:
+    """Draw a bar on a terminal, and nothing into a file or a pipe."""
+    if not sys.stderr.isatty():
+        yield silent
+        return
+    layout = "{desc:>9} {percentage:3.0f} %|{bar}| {elapsed}<{remaining}"
+    with tqdm(total=1.0, desc=what, bar_format=layout, leave=False) as bar:
+
+        def progress(fraction: float) -> None:
+            bar.n = fraction
+            bar.refresh()
+
+        yield progress
+
+
+@contextlib.contextmanager
+def _one_line_usage() -> Generator[None]:
+    """Turn tyro's box of several lines about a wrong usage into an error of one line."""
+    box = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(box):
+            yield
+    except SystemExit as leaving:
+        if leaving.code:
+            raise InputError(_unboxed(box.getvalue())) from leaving
+        raise
+
+
+def _unboxed(text: str) -> str:
+    r"""What a box drawn with lines says, in one line, without the pointer to the help.
+
+    >>> _unboxed("╭─ Parsing error ────╮\n│ --port: not a number │\n╰──────────────────────╯")
+    '--port: not a number'
+    """
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", text)
+    _, *rows = [re.sub(r"[\u2500-\u257f]+", "", row) for row in plain.splitlines()]
+    said = re.split(r"Argument helptext:|For full helptext", _one_line(" ".join(rows)))[0]
+    return re.sub(r"Error parsing (pipeline\.)?", "", said).strip()
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _help_of_params(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """Tell tyro about a params dataclass: its texts, with the unit and the range of its bounds."""
+    params = info.type
+    if not is_dataclass(params) or not any(_bounds(hint) for hint in _hints(params).values()):
+        return None
+    default = info.default if isinstance(info.default, params) else params()
+    specs: list[StructFieldSpec] = []
+    for one in fields(params):
+        hint = _hints(params)[one.name]
+        value = getattr(default, one.name)
+        bounds = _bounds(hint)
+        if bounds is None:
+            specs.append(StructFieldSpec(one.name, hint, value))
+            continue
+        doc = next(
+            (extra.documentation for extra in hint.__metadata__ if isinstance(extra, Doc)), ""
+        )
+        unit = f" {bounds.unit}" if bounds.unit else ""
+        text = f"{doc} From {bounds.low:,.10g} to {bounds.high:,.10g}{unit}."
+        specs.append(StructFieldSpec(one.name, get_args(hint)[0], value, text))
+    return StructConstructorSpec(params, tuple(specs))
+
+
+def _hints(params: type) -> dict[str, Any]:
+    return get_type_hints(params, include_extras=True)
+
+
+def _bounds(hint: object) -> Bounds | None:
+    if get_origin(hint) is not Annotated:
+        return None
+    return next((extra for extra in get_args(hint)[1:] if isinstance(extra, Bounds)), None)
+
+
+REGISTRY = ConstructorRegistry()
+REGISTRY.struct_rule(_help_of_params)

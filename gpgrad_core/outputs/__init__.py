@@ -1,0 +1,27 @@
+"""Files that others read: loop closures, maps, pose graphs."""
+
+from gpgrad_core.outputs.closures import (
+    ClosureReport,
+    PairRecord,
+    read_closures,
+    report_closures,
+    write_closures,
+)
+from gpgrad_core.outputs.files import check_output, replacing
+from gpgrad_core.outputs.graph import GraphParams, check_graph, write_graph
+from gpgrad_core.outputs.maps import MAP_ENDINGS, write_map
+
+__all__ = [
+    "MAP_ENDINGS",
+    "ClosureReport",
+    "GraphParams",
+    "PairRecord",
+    "check_graph",
+    "check_output",
+    "read_closures",
+    "replacing",
+    "report_closures",
+    "write_closures",
+    "write_graph",
+    "write_map",
+]

@@ -1,0 +1,192 @@
+"""``closures.json``: the verdict on every pair of submaps, and what it was made with."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.outputs.files import replacing
+from gpgrad_core.pipeline import DetectionResult, PipelineParams
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Dataset, LoopClosure
+from gpgrad_core.version import VERSION
+
+
+@dataclass(frozen=True)
+class PairRecord:
+    """One pair of submaps, as the file has it.
+
+    Attributes:
+        query: Id of the later submap.
+        database: Id of the earlier one.
+        num_inliers: Associations that agree with the motion.
+        score: Higher is more likely a closure.
+        dissimilarity: The paper's SSD metric h; infinite where nothing was compared.
+        overlap_area: Trusted area that both maps share [m²].
+        accepted: Whether the pair is a loop closure.
+        reason: Why, or why not.
+        T_database_query: Maps points of the query's frame into the database's; None where nothing
+            was estimated.
+    """
+
+    query: str
+    database: str
+    num_inliers: int
+    score: float
+    dissimilarity: float
+    overlap_area: float
+    accepted: bool
+    reason: str
+    T_database_query: SE2 | None
+
+
+@dataclass(frozen=True)
+class ClosureReport:
+    """All that ``closures.json`` holds.
+
+    Attributes:
+        dataset: Its name.
+        method: What detected the closures.
+        seed: Of the random choices.
+        params: All parameters, as nested tables.
+        versions: Of gpgrad and of what the numbers depend on.
+        seconds: Time of each stage [s]; all that may differ between two runs of one seed.
+        submaps: Number of points by id, in the dataset's order.
+        pairs: Every unordered pair once.
+    """
+
+    dataset: str
+    method: str
+    seed: int
+    params: Mapping[str, Any]
+    versions: Mapping[str, str]
+    seconds: Mapping[str, float]
+    submaps: Mapping[str, int]
+    pairs: tuple[PairRecord, ...]
+
+    @property
+    def accepted(self) -> tuple[PairRecord, ...]:
+        """The loop closures."""
+        return tuple(pair for pair in self.pairs if pair.accepted)
+
+
+def report_closures(
+    dataset: Dataset, result: DetectionResult, params: PipelineParams, *, method: str = "gradient"
+) -> ClosureReport:
+    """Gather what the file tells about a detection.
+
+    Args:
+        dataset: What was searched.
+        result: What was found.
+        params: What it was found with.
+        method: Name of the detector.
+    """
+    return ClosureReport(
+        dataset=dataset.name,
+        method=method,
+        seed=params.registration.seed,
+        params=asdict(params),
+        versions={"gpgrad": VERSION, "numpy": np.__version__, "opencv": cv2.__version__},
+        seconds={stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
+        submaps={submap.id: len(submap.points) for submap in dataset.submaps},
+        pairs=tuple(_record(closure) for closure in result.closures),
+    )
+
+
+def write_closures(path: Path | str, report: ClosureReport) -> None:
+    """Write a report as JSON, whole or not at all.
+
+    Raises:
+        InputError: If the file cannot be written there.
+        OSError: If writing fails.
+    """
+    content = {
+        "dataset": report.dataset,
+        "method": report.method,
+        "seed": report.seed,
+        "params": report.params,
+        "versions": report.versions,
+        "seconds": report.seconds,
+        "submaps": [{"id": name, "num_points": count} for name, count in report.submaps.items()],
+        "pairs": [
+            asdict(pair)
+            | {"dissimilarity": pair.dissimilarity if math.isfinite(pair.dissimilarity) else None}
+            for pair in report.pairs
+        ],
+    }
+    with replacing(path) as unfinished:
+        # NaN and Infinity are not JSON; better to fail here than in the reader.
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        unfinished.write_text(text + "\n", encoding="utf-8")
+
+
+def read_closures(path: Path | str) -> ClosureReport:
+    """Read what `write_closures` wrote.
+
+    Raises:
+        InputError: If the file is not JSON, or lacks something; names the file and the key.
+        OSError: If the file cannot be read.
+    """
+    path = Path(path)
+    try:
+        content = cast("dict[str, Any]", json.loads(path.read_text(encoding="utf-8")))
+    except ValueError as error:
+        raise InputError(f"{path}: not a JSON file: {error}") from error
+    try:
+        return ClosureReport(
+            dataset=content["dataset"],
+            method=content["method"],
+            seed=content["seed"],
+            params=content["params"],
+            versions=content["versions"],
+            seconds=content["seconds"],
+            submaps={submap["id"]: submap["num_points"] for submap in content["submaps"]},
+            pairs=tuple(_read_pair(pair) for pair in content["pairs"]),
+        )
+    except KeyError as error:
+        raise InputError(f"{path}: not a file of loop closures: {error} is missing") from error
+    except (TypeError, AttributeError) as error:
+        raise InputError(f"{path}: not a file of loop closures: {error}") from error
+
+
+def _record(closure: LoopClosure) -> PairRecord:
+    registration = closure.registration
+    motion = registration.T_database_query
+    return PairRecord(
+        query=closure.query_id,
+        database=closure.database_id,
+        num_inliers=registration.num_inliers,
+        score=_rounded(registration.score),
+        dissimilarity=_rounded(registration.dissimilarity),
+        overlap_area=_rounded(registration.overlap_area),
+        accepted=closure.accepted,
+        reason=closure.reason,
+        T_database_query=motion
+        and SE2(_rounded(motion.x), _rounded(motion.y), _rounded(motion.yaw)),
+    )
+
+
+def _read_pair(pair: Mapping[str, Any]) -> PairRecord:
+    h, motion = pair["dissimilarity"], pair["T_database_query"]
+    return PairRecord(
+        query=pair["query"],
+        database=pair["database"],
+        num_inliers=pair["num_inliers"],
+        score=pair["score"],
+        dissimilarity=math.inf if h is None else h,
+        overlap_area=pair["overlap_area"],
+        accepted=pair["accepted"],
+        reason=pair["reason"],
+        T_database_query=motion and SE2(motion["x"], motion["y"], motion["yaw"]),
+    )
+
+
+def _rounded(value: float) -> float:
+    """Nine digits: a nanometre in a metre; the rest is the noise of the arithmetic."""
+    return float(f"{value:.9g}")

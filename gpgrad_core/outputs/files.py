@@ -1,0 +1,56 @@
+"""Writing a file whole or not at all."""
+
+import os
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gpgrad_core.errors import InputError
+
+
+def check_output(path: Path | str, endings: tuple[str, ...] = ()) -> Path:
+    """Check that a file can be written there, before the long work that fills it.
+
+    Args:
+        path: Where the file will be.
+        endings: File endings allowed, such as ``(".npz", ".tif")``; empty allows all.
+
+    Returns:
+        The same path.
+
+    Raises:
+        InputError: If the folder does not exist or cannot be written to, if the path is a folder,
+            or if its ending is none of those allowed.
+    """
+    path = Path(path)
+    if endings and path.suffix.lower() not in endings:
+        raise InputError(f"{path}: the ending must be one of {', '.join(endings)}")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give the name of a file to write")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: cannot write: there is no folder {path.parent}; make it first")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path}: cannot write: no permission to write to {path.parent}")
+    return path
+
+
+@contextmanager
+def replacing(path: Path | str) -> Generator[Path]:
+    """Give a neighbouring path to write to, and put it in place once the block has succeeded.
+
+    A reader so never sees half a file, and a failure leaves what was there before.
+
+    Args:
+        path: Where the file is to be.
+
+    Raises:
+        InputError: As `check_output`.
+    """
+    path = check_output(path)
+    # The ending stays: writers choose the format by it.
+    unfinished = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        yield unfinished
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
