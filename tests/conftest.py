@@ -1,0 +1,27 @@
+"""What every test has: checked array shapes, small data, and the real sets where they are.
+
+Importing this file switches the shape checks on; pytest does so before any test module.
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+from jaxtyping import install_import_hook
+
+# An int where a float is annotated is what Python means by it (PEP 484), and beartype does not.
+install_import_hook(
+    ["gpgrad_core", "app"],
+    "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))",
+)
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """Folder of the real datasets, which are not part of the project."""
+    folder = Path(os.environ.get("GPGRAD_DATA", ROOT.parent / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"no real datasets at {folder}: set GPGRAD_DATA to a folder that holds them")
+    return folder

@@ -1,0 +1,103 @@
+"""closures.json holds what the contract promises, and comes back as it went."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.outputs import read_closures, report_closures, write_closures
+from gpgrad_core.pipeline import DetectionResult, PipelineParams
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Dataset
+from gpgrad_core.version import VERSION
+
+
+def test_the_file_has_what_the_contract_promises(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    path = tmp_path / "closures.json"
+    write_closures(path, report_closures(dataset, result, PipelineParams()))
+    content = json.loads(path.read_text())
+    assert list(content) == [
+        "dataset",
+        "method",
+        "seed",
+        "params",
+        "versions",
+        "seconds",
+        "submaps",
+        "pairs",
+    ]
+    assert content["dataset"] == "crater"
+    assert content["method"] == "gradient"
+    assert content["seed"] == 0
+    assert content["params"]["map"]["length_scale"] == PipelineParams().map.length_scale
+    assert content["params"]["features"]["detector"]["name"] == "akaze"
+    assert content["versions"]["gpgrad"] == VERSION
+    assert content["versions"].keys() == {"gpgrad", "numpy", "opencv"}
+    assert content["seconds"] == {"maps": 0.123, "features": 0.0, "pairs": 0.5, "total": 0.62}
+    assert content["submaps"] == [{"id": f"00{i}", "num_points": 10} for i in (0, 2, 4)]
+    assert content["pairs"][1] == {
+        "query": "004",
+        "database": "000",
+        "num_inliers": 9,
+        "score": 44.0,
+        "dissimilarity": 0.123456789,
+        "overlap_area": 20.0,
+        "accepted": True,
+        "reason": "9 inliers >= 8",
+        "T_database_query": {"x": 5.1, "y": 4.9, "yaw": 3.13159265},
+    }
+    # Nothing was compared: null, for JSON has no infinity.
+    assert content["pairs"][0]["dissimilarity"] is None
+    assert content["pairs"][0]["T_database_query"] is None
+
+
+def test_what_is_written_is_read(dataset: Dataset, result: DetectionResult, tmp_path: Path) -> None:
+    report = report_closures(dataset, result, PipelineParams(), method="gradient")
+    write_closures(tmp_path / "a.json", report)
+    back = read_closures(tmp_path / "a.json")
+    assert back == report
+    assert back.accepted == (back.pairs[1],)
+    assert back.pairs[0].dissimilarity == math.inf
+    assert back.pairs[1].T_database_query == SE2(5.1, 4.9, 3.13159265)
+
+
+def test_the_same_result_is_the_same_file(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    for name in ("a.json", "b.json"):
+        write_closures(tmp_path / name, report_closures(dataset, result, PipelineParams()))
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+
+
+def test_a_score_that_is_not_a_number_is_never_written(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    report = report_closures(dataset, result, PipelineParams())
+    broken = replace(report, pairs=(replace(report.pairs[0], score=math.nan),))
+    with pytest.raises(ValueError, match="JSON compliant"):
+        write_closures(tmp_path / "a.json", broken)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "not a JSON file"),
+        ("[]", "not a file of loop closures"),
+        ("{}", "'dataset' is missing"),
+        ('{"dataset": "a", "method": 1, "seed": 0, "params": {}, "versions": {}, "seconds": {}, '
+         '"submaps": [{"id": "000"}], "pairs": []}', "'num_points' is missing"),
+    ],
+)  # fmt: skip
+def test_a_file_of_something_else_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(InputError) as refusal:
+        read_closures(path)
+    assert str(refusal.value).startswith(f"{path}: ")
+    assert said in str(refusal.value)
