@@ -1,0 +1,32 @@
+"""Small pieces of HTML; everything that came from a user is escaped here."""
+
+from html import escape
+
+GOOD = "#1a8f3c"
+BAD = "#c23b36"
+BUSY = "#b06a00"
+FAINT = "opacity:.7"
+
+
+def paragraph(text: str, style: str = "") -> str:
+    """Write plain text as a paragraph of a panel."""
+    look = f"padding:0 .75em;font-size:.85em;line-height:1.45;{style}"
+    return f'<div style="{look}">{escape(text)}</div>'
+
+
+def badge(text: str, color: str, test_id: str) -> str:
+    """Write a short headline on a coloured ground."""
+    return (
+        f'<div data-testid="{test_id}" style="background:{color};color:#fff;border-radius:.4em;'
+        f'padding:.35em .7em;font-weight:600;font-size:1em">{escape(text)}</div>'
+    )
+
+
+def table(rows: tuple[tuple[str, str], ...]) -> str:
+    """Write rows of a name and a value."""
+    cells = "".join(
+        f'<tr><td style="{FAINT};padding:.05em .8em .05em 0;white-space:nowrap">{escape(name)}</td>'
+        f'<td style="font-variant-numeric:tabular-nums">{escape(value)}</td></tr>'
+        for name, value in rows
+    )
+    return f'<table style="border-collapse:collapse;font-size:.85em">{cells}</table>'

@@ -1,0 +1,61 @@
+"""The verdict on the pair: loop closure or not, why, and the numbers behind it."""
+
+from html import escape
+from math import degrees
+
+import viser
+
+from app.panels.text import BAD, GOOD, badge, table
+from app.state import ViewState
+from gpgrad_core.pipeline import PairResult
+
+
+class VerdictCard:
+    """A card that is rewritten with each result."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        """Make it in the current container, empty."""
+        self._handle = server.gui.add_html(frame('<div style="opacity:.7">No result yet.</div>'))
+
+    def show(self, state: ViewState, result: PairResult) -> None:
+        """Show a result."""
+        self._handle.content = verdict_html(state, result)
+
+
+def verdict_html(state: ViewState, result: PairResult) -> str:
+    """Write the card."""
+    closure, registration = result.closure, result.registration
+    needed = state.params.closure.min_inliers
+    motion = registration.T_database_query
+    rows = [
+        ("inliers", f"{registration.num_inliers} of {needed} needed"),
+        ("associations", f"{len(result.matches):,}"),
+        ("score", f"{registration.score:.2f}"),
+    ]
+    if motion is not None:
+        rows += [
+            ("yaw", f"{degrees(motion.yaw):+.1f}°"),
+            ("offset", f"{motion.x:+.2f} m, {motion.y:+.2f} m"),
+            ("overlap", f"{registration.overlap_area:.1f} m²"),
+            ("correlation", f"{registration.correlation:.2f}"),
+        ]
+    else:
+        rows.append(("motion", "none found"))
+    headline = (
+        badge("Loop closure", GOOD, "verdict")
+        if closure.accepted
+        else badge("No loop closure", BAD, "verdict")
+    )
+    pair = f"query {closure.query_id} → database {closure.database_id}"
+    if closure.query_id == closure.database_id:
+        pair += " (the same submap twice)"
+    return frame(
+        f"{headline}"
+        f'<div style="font-size:.85em;margin:.4em 0 .3em"><b>{escape(pair)}</b><br>'
+        f"{escape(closure.reason)}</div>{table(tuple(rows))}"
+    )
+
+
+def frame(content: str) -> str:
+    """Give a card its margin."""
+    return f'<div style="padding:.2em .75em .4em">{content}</div>'

@@ -1,0 +1,147 @@
+"""One worker that always ends on the newest job: sliders move faster than terrain is inferred."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from gpgrad_core.progress import Cancelled, Progress
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+_log = logging.getLogger(__name__)
+
+PATIENCE = 0.15
+"""A run younger than this is let finish though a newer job waits [s].
+
+Cancelling at every tick of a slider would starve the picture: each run would be given up a
+moment before it is done.
+"""
+
+LONGEST_BLIND = 0.5
+"""Superseded runs may leave the picture unchanged for this long; then one is let finish [s].
+
+Patience alone shows nothing during a long drag over work that takes longer than patience.
+"""
+
+
+class Runner(Generic[Job, Result]):
+    """One thread, one slot: the newest job replaces a waiting one and supersedes a running one.
+
+    Jobs are run in the order they were submitted and never two at once, so a result can never
+    be overtaken by an older one, and the last job submitted is always the last one shown.
+
+    The callbacks are called from the worker's thread. What they or the work raise becomes a
+    value for ``on_error``; nothing but `close` ends the worker.
+    """
+
+    def __init__(
+        self,
+        work: Callable[[Job, Progress], Result],
+        on_result: Callable[[Job, Result, float], None],
+        on_error: Callable[[Job, Exception], None],
+        *,
+        on_start: Callable[[Job], None] | None = None,
+        patience: float = PATIENCE,
+        longest_blind: float = LONGEST_BLIND,
+        name: str = "runner",
+    ) -> None:
+        """Start the worker.
+
+        Args:
+            work: Turns a job into a result; should call its progress hook every few
+                hundredths of a second, for there it is stopped when it is no longer wanted.
+            on_result: Given the job, its result and the seconds it took.
+            on_error: Given the job and what was raised.
+            on_start: Told of a job that begins.
+            patience: See `PATIENCE` [s].
+            longest_blind: See `LONGEST_BLIND` [s].
+            name: Of the thread, for debuggers.
+        """
+        self._work = work
+        self._on_result = on_result
+        self._on_error = on_error
+        self._on_start = on_start
+        self._patience = patience
+        self._longest_blind = longest_blind
+        self._changed = threading.Condition()
+        self._waiting: list[Job] = []  # none or one
+        self._running = False
+        self._closing = False
+        self._last_shown = time.monotonic()
+        self._thread = threading.Thread(target=self._loop, name=name, daemon=True)
+        self._thread.start()
+
+    def submit(self, job: Job) -> None:
+        """Ask for a job; returns at once. A job still waiting is forgotten."""
+        with self._changed:
+            if self._closing:
+                return
+            if not self._running and not self._waiting:
+                # The picture was up to date until now: blindness begins here.
+                self._last_shown = time.monotonic()
+            self._waiting = [job]
+            self._changed.notify_all()
+
+    @property
+    def newer_waits(self) -> bool:
+        """Whether what runs now is already superseded."""
+        return bool(self._waiting)
+
+    def wait_idle(self, timeout: float) -> bool:
+        """Wait until nothing runs or waits; says whether that came true within the timeout [s]."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._running and not self._waiting, timeout)
+
+    def close(self) -> None:
+        """Stop: cancels what runs at its next progress call, and joins the thread."""
+        with self._changed:
+            self._closing = True
+            self._waiting = []
+            self._changed.notify_all()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _loop(self) -> None:
+        while True:
+            with self._changed:
+                self._running = False
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: bool(self._waiting) or self._closing)
+                if self._closing:
+                    return
+                job = self._waiting.pop()
+                self._running = True
+            try:
+                self._run(job)
+            except Exception as error:
+                self._report(job, error)
+
+    def _run(self, job: Job) -> None:
+        if self._on_start is not None:
+            self._on_start(job)
+        start = time.monotonic()
+        hopeless_after = start + self._patience
+        must_show = start - self._last_shown > self._longest_blind
+
+        def progress(fraction: float) -> None:  # noqa: ARG001
+            if self._closing:
+                raise Cancelled
+            if self._waiting and not must_show and time.monotonic() > hopeless_after:
+                raise Cancelled
+
+        try:
+            result = self._work(job, progress)
+        except Cancelled:
+            return
+        self._on_result(job, result, time.monotonic() - start)
+        self._last_shown = time.monotonic()
+
+    def _report(self, job: Job, error: Exception) -> None:
+        try:
+            self._on_error(job, error)
+        except Exception:
+            _log.exception("reporting an error failed")
+        self._last_shown = time.monotonic()

@@ -1,0 +1,164 @@
+"""The session: one immutable snapshot of what is open, what is set and what is shown."""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.types import Dataset, Pose, Submap
+
+Layer: TypeAlias = Literal["elevation", "std", "gradient", "slope_x", "slope_y", "mask"]
+ColorMap: TypeAlias = Literal[
+    "automatic", "viridis", "cividis", "magma", "turbo", "grey", "blue-white-red"
+]
+Layout: TypeAlias = Literal["side by side", "registered"]
+Untrusted: TypeAlias = Literal["hidden", "grey", "shown"]
+
+LAYERS: tuple[Layer, ...] = get_args(Layer)
+COLOR_MAPS: tuple[ColorMap, ...] = get_args(ColorMap)
+LAYOUTS: tuple[Layout, ...] = get_args(Layout)
+UNTRUSTED: tuple[Untrusted, ...] = get_args(Untrusted)
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """What is drawn and how; none of it changes what is computed.
+
+    Attributes:
+        layer: Field of the gradient map that colours the surfaces.
+        color_map: Colours of that field; "automatic" chooses by layer.
+        layout: Each submap by itself, or the query laid onto the database.
+        surfaces: Draw the Gaussian-process surfaces.
+        clouds: Draw the points they were inferred from.
+        untrusted: What becomes of cells that the variance mask rejects.
+        hillshade: Light the elevation and mask layers; the others keep the legend's colours.
+        keypoints: Draw the keypoints.
+        inlier_lines: Join the associations that agree with the registration.
+        outlier_lines: Join those that do not.
+        point_size: Side of a drawn cloud point [m].
+    """
+
+    layer: Layer = "elevation"
+    color_map: ColorMap = "automatic"
+    layout: Layout = "side by side"
+    surfaces: bool = True
+    clouds: bool = False
+    untrusted: Untrusted = "hidden"
+    hillshade: bool = True
+    keypoints: bool = True
+    inlier_lines: bool = True
+    outlier_lines: bool = True
+    point_size: float = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class ViewState:
+    """Everything a picture is made from; the functions below make a changed copy.
+
+    Attributes:
+        dataset: The open dataset.
+        query_id: Submap that is registered.
+        database_id: Submap that it is registered to.
+        params: Of the pipeline.
+        options: Of the view.
+    """
+
+    dataset: Dataset
+    query_id: str
+    database_id: str
+    params: PipelineParams = field(default_factory=PipelineParams)
+    options: ViewOptions = field(default_factory=ViewOptions)
+
+    @property
+    def query(self) -> Submap:
+        """The query submap."""
+        return self.dataset.submap(self.query_id)
+
+    @property
+    def database(self) -> Submap:
+        """The database submap."""
+        return self.dataset.submap(self.database_id)
+
+
+def open_dataset(
+    dataset: Dataset, params: PipelineParams, options: ViewOptions | None = None
+) -> ViewState:
+    """Start on a dataset, at the pair most worth looking at."""
+    query_id, database_id = promising_pair(dataset)
+    return ViewState(dataset, query_id, database_id, params, options or ViewOptions())
+
+
+def with_pair(
+    state: ViewState, *, query_id: str | None = None, database_id: str | None = None
+) -> ViewState:
+    """Choose the query, the database submap, or both.
+
+    Raises:
+        InputError: If the dataset has no such submap.
+    """
+    chosen = replace(
+        state,
+        query_id=state.query_id if query_id is None else query_id,
+        database_id=state.database_id if database_id is None else database_id,
+    )
+    _ = chosen.query, chosen.database
+    return chosen
+
+
+def with_params(state: ViewState, params: PipelineParams) -> ViewState:
+    """Set the pipeline's parameters."""
+    return replace(state, params=params)
+
+
+def with_options(state: ViewState, options: ViewOptions) -> ViewState:
+    """Set what is drawn."""
+    return replace(state, options=options)
+
+
+def neighbour(dataset: Dataset, submap_id: str, step: int, *, skip: str | None = None) -> str:
+    """Name the submap ``step`` places on, round the end.
+
+    Args:
+        dataset: Whose order counts.
+        submap_id: Where to start.
+        step: 1 for the next, -1 for the previous.
+        skip: A submap to pass over, so that a pair is not made of one submap twice.
+    """
+    ids = [submap.id for submap in dataset.submaps]
+    place = ids.index(submap_id)
+    for _ in ids:
+        place = (place + step) % len(ids)
+        if ids[place] != skip:
+            return ids[place]
+    return submap_id
+
+
+def promising_pair(dataset: Dataset) -> tuple[str, str]:
+    """Choose (query, database) to begin with: a revisit, as far as the robot itself knew.
+
+    What the dataset prefers comes first. Else, of the submaps that are not neighbours along the
+    way, take the two that odometry (or else the truth) has closest together. Without poses, take
+    the last and the first.
+    """
+    submaps = dataset.submaps
+    ids = [submap.id for submap in submaps]
+    preferred = dataset.preferred.get("query"), dataset.preferred.get("database")
+    if preferred[0] in ids and preferred[1] in ids:
+        return str(preferred[0]), str(preferred[1])
+    last, first = len(submaps) - 1, 0
+    best = np.inf
+    positions = [_position(submap) for submap in submaps]
+    for query in range(2, len(submaps)):
+        for database in range(query - 1):
+            a, b = positions[query], positions[database]
+            if a is None or b is None:
+                continue
+            distance = float(np.linalg.norm(a.translation[:2] - b.translation[:2]))
+            if distance < best:
+                best, last, first = distance, query, database
+    return submaps[last].id, submaps[first].id
+
+
+def _position(submap: Submap) -> Pose | None:
+    return submap.pose_odometry or submap.pose_true

@@ -1,0 +1,1 @@
+"""The picture: pure conversions to positions and colours, and the scene that shows them."""

@@ -1,0 +1,84 @@
+"""Keypoints and associations -> points and lines of the scene."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy.typing import NDArray
+
+from app.views.colors import INLIER, OUTLIER, UNMATCHED
+from app.views.placement import Placement
+from gpgrad_core.pipeline import PairResult
+from gpgrad_core.types import GradientMap
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Dots:
+    """Marked positions in a submap's frame."""
+
+    points: Float[NDArray[np.float32], "n 3"]  # [m]
+    colors: UInt8[NDArray[np.uint8], "n 3"]
+
+
+def on_surface(
+    gradient_map: GradientMap, positions: Float[Array, "n 2"], lift: float = 0.0
+) -> Float[Array, "n 3"]:
+    """Give positions [m] the height of the nearest cell, and a little more: not to sink in."""
+    grid = gradient_map.grid
+    rows, columns = grid.shape
+    pixels = np.rint(grid.to_pixel(positions)).astype(np.intp)
+    row = np.clip(pixels[:, 1], 0, rows - 1)
+    column = np.clip(pixels[:, 0], 0, columns - 1)
+    return np.column_stack([positions, gradient_map.elevation[row, column] + lift])
+
+
+def match_lines(
+    result: PairResult,
+    query: Placement,
+    database: Placement,
+    *,
+    inliers: bool,
+    lift: float,
+) -> Float[NDArray[np.float32], "n 2 3"]:
+    """Join associated keypoints across the scene.
+
+    Args:
+        result: The pair.
+        query: Where the query stands.
+        database: Where the database stands.
+        inliers: Those that agree with the registration, or else those that do not.
+        lift: Height above the ground [m].
+    """
+    agree = result.registration.inliers
+    chosen = agree if inliers else ~agree
+    matches = result.matches
+    start = query.apply(on_surface(result.query_map, matches.query_xy[chosen], lift))
+    end = database.apply(on_surface(result.database_map, matches.database_xy[chosen], lift))
+    return np.stack([start, end], axis=1).astype(np.float32)
+
+
+def keypoint_dots(result: PairResult, *, of_query: bool, lift: float) -> Dots:
+    """Mark all keypoints of one map: inlier, outlier, or without partner.
+
+    Args:
+        result: The pair.
+        of_query: The query's, or else the database's.
+        lift: Height above the ground [m].
+    """
+    features = result.query_features if of_query else result.database_features
+    gradient_map = result.query_map if of_query else result.database_map
+    colors = np.full((len(features), 3), UNMATCHED, dtype=np.uint8)
+    indices = result.matches.pairs[:, 0 if of_query else 1]
+    agree = result.registration.inliers
+    # Inliers last: without the mutual check a keypoint may have several partners.
+    colors[indices[~agree]] = OUTLIER
+    colors[indices[agree]] = INLIER
+    points = on_surface(gradient_map, features.positions, lift).astype(np.float32)
+    return Dots(points, colors)
+
+
+def outline(corners: Float[Array, "k 3"]) -> Float[NDArray[np.float32], "k 2 3"]:
+    """Close a polygon: each corner joined to the next."""
+    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1).astype(np.float32)

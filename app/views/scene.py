@@ -1,0 +1,409 @@
+"""The scene of a pair: the only file that talks to the browser's 3D nodes.
+
+Each node remembers what it was last made from and does nothing when asked for the same again;
+the memo of the pipeline gives the same object for the same key, so comparing costs nothing.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import viser
+from jaxtyping import Float, UInt8
+from numpy.typing import NDArray
+
+from app.state import ViewState
+from app.views.associations import keypoint_dots, match_lines, outline
+from app.views.colors import DATABASE, INLIER, OUTLIER, QUERY, Rgb, for_lines
+from app.views.layers import Scale, shared_scale
+from app.views.placement import (
+    FIELD_OF_VIEW,
+    Camera,
+    Extent,
+    Placement,
+    frame_camera,
+    height_offset,
+    place,
+)
+from app.views.surfels import make_surfels, stride_for
+from gpgrad_core.pipeline import PairResult
+from gpgrad_core.types import GradientMap, Submap
+
+LinePoints: TypeAlias = Float[NDArray[np.float32], "n 2 3"]
+
+BAR: Rgb = (60, 60, 60)
+MAX_SURFELS = 200_000
+"""Of one surface; a finer map is drawn at every second cell, or third, …"""
+MAX_CLOUD_POINTS = 200_000
+SCALE_BAR_SHARE = 0.4
+"""Longest length of the scale bar, as a share of the database's width."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a picture turned out to be, for the read-outs.
+
+    Attributes:
+        scale: Of the layer's colours; None while no surface is shown.
+        registered: Whether the query was laid onto the database.
+        num_surfels: Cells drawn.
+        num_points: Cloud points drawn.
+    """
+
+    scale: Scale | None
+    registered: bool
+    num_surfels: int
+    num_points: int
+
+
+class Cloud:
+    """One point cloud node, made when first needed and then changed in place."""
+
+    def __init__(self, server: viser.ViserServer, name: str, *, shape: str = "square") -> None:
+        """Prepare the node of that name."""
+        self._server = server
+        self._name = name
+        self._shape: Any = shape
+        self._handle: viser.PointCloudHandle | None = None
+        self._made_from: tuple[object, ...] = ()
+        self.num_points = 0
+
+    def show(
+        self,
+        made_from: tuple[object, ...],
+        make: Callable[[], tuple[Any, Any, float]],
+    ) -> None:
+        """Show what ``make`` returns: positions (n, 3), colours (n, 3) and a size [m].
+
+        Args:
+            made_from: All that the points depend on; equal to last time means nothing to do.
+            make: Called only if something changed.
+        """
+        if made_from == self._made_from and self._handle is not None:
+            self._handle.visible = self.num_points > 0
+            return
+        points, colors, size = make()
+        self._made_from = made_from
+        self.num_points = len(points)
+        if self.num_points == 0:
+            # The client cannot frame a cloud without points; the old ones stay, unseen.
+            self.hide()
+            return
+        if self._handle is None:
+            self._handle = self._server.scene.add_point_cloud(
+                self._name,
+                points,
+                colors,
+                point_size=size,
+                point_shape=self._shape,
+                precision="float32",
+                point_shading="flat",
+            )
+            return
+        self._handle.points = points
+        self._handle.colors = colors
+        self._handle.point_size = size
+        self._handle.visible = True
+
+    def hide(self) -> None:
+        """Take it out of sight."""
+        if self._handle is not None:
+            self._handle.visible = False
+
+
+class Segments:
+    """One node of line segments, made when first needed and then changed in place."""
+
+    def __init__(self, server: viser.ViserServer, name: str, color: Rgb, thickness: float) -> None:
+        """Prepare the node of that name, its colour as shown, its thickness in pixels."""
+        self._color = for_lines(color)
+        self._server = server
+        self._name = name
+        self._thickness = thickness
+        self._handle: viser.LineSegmentsHandle | None = None
+        self._made_from: tuple[object, ...] = ()
+        self._num_lines = 0
+
+    def show(self, made_from: tuple[object, ...], make: Callable[[], LinePoints]) -> None:
+        """Show the lines that ``make`` returns [m], unless nothing changed."""
+        if made_from == self._made_from and self._handle is not None:
+            self._handle.visible = self._num_lines > 0
+            return
+        points = make()
+        self._made_from = made_from
+        self._num_lines = len(points)
+        if self._num_lines == 0:
+            self.hide()
+            return
+        if self._handle is None:
+            self._handle = self._server.scene.add_line_segments(
+                self._name,
+                points,
+                self._color,
+                thickness=self._thickness,
+                thickness_units="screen",
+            )
+            return
+        self._handle.points = points
+        self._handle.visible = True
+
+    def hide(self) -> None:
+        """Take it out of sight."""
+        if self._handle is not None:
+            self._handle.visible = False
+
+
+class SubmapNode:
+    """One submap: a frame, and beneath it surface, cloud, keypoints, outline and label.
+
+    Registering moves the frame; what hangs on it follows without being sent again.
+    """
+
+    def __init__(self, server: viser.ViserServer, role: str, color: Rgb) -> None:
+        """Make the frame of the query or the database, in the colour of its outline."""
+        self.color = color
+        self._role = role
+        root = f"/{role}"
+        self._frame = server.scene.add_frame(root, show_axes=False)
+        self.surface = Cloud(server, f"{root}/surface")
+        self.cloud = Cloud(server, f"{root}/cloud", shape="circle")
+        self.keypoints = Cloud(server, f"{root}/keypoints", shape="circle")
+        self.outline = Segments(server, f"{root}/outline", color, thickness=2.0)
+        self._label = server.scene.add_label(
+            f"{root}/label", role, anchor="bottom-center", font_screen_scale=1.1
+        )
+
+    def move(self, placement: Placement) -> None:
+        """Place the frame in the scene."""
+        self._frame.position = placement.position
+        self._frame.wxyz = placement.wxyz
+
+    def name(self, submap: Submap, extent: Extent) -> None:
+        """Write beside it which submap this is and how large, and draw its outline."""
+        width, depth, _ = extent.size
+        self._label.text = (
+            f"{self._role} {submap.id} · {width:.1f} m x {depth:.1f} m "
+            f"· {len(submap.points):,} points"
+        )
+        # On the edge that a camera looking along y sees as the far one.
+        self._label.position = (float(extent.center[0]), extent.high[1], extent.high[2])
+        self.outline.show(
+            (submap,),
+            lambda: outline(extent.corners),
+        )
+
+
+class PairScene:
+    """The two submaps, what joins them, and a scale bar."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        """Make the nodes; nothing is shown until `show`."""
+        self._server = server
+        scene = server.scene
+        scene.set_up_direction("+z")
+        # Lit surfaces are not used, and an environment map would tint what is.
+        scene.configure_environment_map(None)
+        self._query = SubmapNode(server, "query", QUERY)
+        self._database = SubmapNode(server, "database", DATABASE)
+        self._outlier_lines = Segments(server, "/matches/outliers", OUTLIER, thickness=1.0)
+        self._inlier_lines = Segments(server, "/matches/inliers", INLIER, thickness=2.0)
+        self._bar = Segments(server, "/scale/bar", BAR, thickness=4.0)
+        self._bar_label = scene.add_label("/scale/label", "", anchor="top-center")
+
+    def show(self, state: ViewState, result: PairResult) -> Shown:
+        """Show a pair as the state asks; one consistent change in the browser."""
+        options, ratio = state.options, state.params.features.max_std_ratio
+        motion = result.registration.T_database_query
+        registered = options.layout == "registered" and motion is not None
+        dz = 0.0
+        if registered and motion is not None:
+            dz = height_offset(result.query_map, result.database_map, motion, ratio)
+        boxes = Extent.of(state.query), Extent.of(state.database)
+        at_query, at_database = place(*boxes, options.layout, motion, dz)
+        scale = shared_scale(
+            (result.query_map, result.database_map),
+            options.layer,
+            options.color_map,
+            ratio,
+            (dz, 0.0) if options.layer == "elevation" else (0.0, 0.0),
+        )
+        with self._server.atomic():
+            for node, submap, box, placement in (
+                (self._query, state.query, boxes[0], at_query),
+                (self._database, state.database, boxes[1], at_database),
+            ):
+                node.move(placement)
+                node.name(submap, box)
+                self._show_cloud(node, submap, state)
+            self._show_surface(
+                self._query,
+                result.query_map,
+                state,
+                scale,
+                yaw=at_query.yaw,
+                offset=dz if options.layer == "elevation" else 0.0,
+            )
+            self._show_surface(
+                self._database, result.database_map, state, scale, yaw=0.0, offset=0.0
+            )
+            self._show_associations(state, result, at_query, at_database)
+            self._show_bar(boxes[1], at_database)
+        self._server.flush()
+        nodes = (self._query, self._database)
+        return Shown(
+            scale if options.surfaces else None,
+            registered,
+            sum(node.surface.num_points for node in nodes) if options.surfaces else 0,
+            sum(node.cloud.num_points for node in nodes) if options.clouds else 0,
+        )
+
+    def camera(self, state: ViewState) -> Camera:
+        """Give the view that shows both submaps of a state side by side."""
+        boxes = Extent.of(state.query), Extent.of(state.database)
+        at_query, at_database = place(*boxes, "side by side", None, 0.0)
+        return frame_camera(((boxes[0], at_query), (boxes[1], at_database)))
+
+    def start_camera(self, camera: Camera) -> None:
+        """Set the view that new pages, and "reset view", begin with."""
+        initial = self._server.initial_camera
+        initial.fov = float(FIELD_OF_VIEW)
+        initial.position = camera.position
+        initial.look_at = camera.look_at
+
+    def move_cameras(self, camera: Camera) -> None:
+        """Bring every open page to a view."""
+        for client in self._server.get_clients().values():
+            with client.atomic():
+                client.camera.position = camera.position
+                client.camera.look_at = camera.look_at
+
+    def _show_surface(
+        self,
+        node: SubmapNode,
+        gradient_map: GradientMap,
+        state: ViewState,
+        scale: Scale,
+        *,
+        yaw: float,
+        offset: float,
+    ) -> None:
+        options, ratio = state.options, state.params.features.max_std_ratio
+        if not options.surfaces:
+            node.surface.hide()
+            return
+
+        def make() -> tuple[Any, Any, float]:
+            surfels = make_surfels(
+                gradient_map,
+                scale,
+                layer=options.layer,
+                max_std_ratio=ratio,
+                untrusted=options.untrusted,
+                hillshaded=options.hillshade,
+                yaw=yaw,
+                offset=offset,
+                stride=stride_for(gradient_map.grid.num_cells, MAX_SURFELS),
+            )
+            return surfels.positions, surfels.colors, surfels.size
+
+        needs = (
+            gradient_map,
+            scale,
+            options.layer,
+            ratio,
+            options.untrusted,
+            options.hillshade,
+            yaw,
+            offset,
+        )
+        node.surface.show(needs, make)
+
+    def _show_cloud(self, node: SubmapNode, submap: Submap, state: ViewState) -> None:
+        options = state.options
+        if not options.clouds:
+            node.cloud.hide()
+            return
+
+        def make() -> tuple[Any, Any, float]:
+            stride = int(np.ceil(len(submap.points) / MAX_CLOUD_POINTS))
+            points = submap.points[::stride].astype(np.float32)
+            colors: UInt8[NDArray[np.uint8], "n 3"] = np.broadcast_to(
+                np.array(node.color, dtype=np.uint8), points.shape
+            ).copy()
+            return points, colors, options.point_size
+
+        node.cloud.show((submap, options.point_size), make)
+
+    def _show_associations(
+        self, state: ViewState, result: PairResult, at_query: Placement, at_database: Placement
+    ) -> None:
+        options = state.options
+        size = float(np.clip(0.012 * Extent.of(state.database).size[:2].max(), 0.02, 5.0))
+        lift = size / 2
+        for node, of_query in ((self._query, True), (self._database, False)):
+            if not options.keypoints:
+                node.keypoints.hide()
+                continue
+
+            def make(of_query: bool = of_query) -> tuple[Any, Any, float]:
+                dots = keypoint_dots(result, of_query=of_query, lift=lift)
+                return dots.points, dots.colors, size
+
+            node.keypoints.show(
+                (
+                    result.query_features if of_query else result.database_features,
+                    result.query_map if of_query else result.database_map,
+                    result.matches,
+                    result.registration,
+                    lift,
+                ),
+                make,
+            )
+        for segments, inliers, wanted in (
+            (self._inlier_lines, True, options.inlier_lines),
+            (self._outlier_lines, False, options.outlier_lines),
+        ):
+            if not wanted:
+                segments.hide()
+                continue
+
+            def lines(inliers: bool = inliers) -> LinePoints:
+                return match_lines(result, at_query, at_database, inliers=inliers, lift=lift)
+
+            segments.show(
+                (
+                    result.matches,
+                    result.registration,
+                    result.query_map,
+                    result.database_map,
+                    at_query,
+                    at_database,
+                    lift,
+                ),
+                lines,
+            )
+
+    def _show_bar(self, box: Extent, placement: Placement) -> None:
+        length = round_length(SCALE_BAR_SHARE * float(box.size[0]))
+        corner = np.array([[box.low[0], box.low[1], box.center[2]]])
+        start = placement.apply(corner)[0] - np.array([0.0, 0.04 * box.size[1], 0.0])
+        end = start + np.array([length, 0.0, 0.0])
+
+        def make() -> LinePoints:
+            return np.stack([start, end])[None].astype(np.float32)
+
+        self._bar.show((length, *start), make)
+        self._bar_label.text = f"{length:g} m"
+        middle = (start + end) / 2
+        self._bar_label.position = (float(middle[0]), float(middle[1]), float(middle[2]))
+
+
+def round_length(longest: float) -> float:
+    """Give the longest of 1, 2, 5, 10, … [m] that is not longer.
+
+    >>> round_length(4.7), round_length(0.3)
+    (2.0, 0.2)
+    """
+    power = 10.0 ** np.floor(np.log10(longest))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= longest))

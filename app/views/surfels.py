@@ -1,0 +1,79 @@
+"""Gradient map -> coloured surfels: one little square a cell, which the browser updates fast.
+
+A mesh would need its faces rebuilt whenever the variance mask moves; surfels only become fewer.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy.typing import NDArray
+
+from app.state import Layer, Untrusted
+from app.views.colors import UNTRUSTED_GREY, colorize, hillshade, shade
+from app.views.layers import Scale, layer_values
+from gpgrad_core.types import GradientMap
+
+OVERLAP = 1.6
+"""Side of a surfel in cells: seen aslant, neighbours must still touch."""
+
+SHADED_LAYERS: tuple[Layer, ...] = ("elevation",)
+
+
+@dataclass(frozen=True, eq=False)
+class Surfels:
+    """Squares that face the camera, in the submap's frame."""
+
+    positions: Float[NDArray[np.float32], "n 3"]  # [m]
+    colors: UInt8[NDArray[np.uint8], "n 3"]
+    size: float  # side of a square [m]
+
+
+def stride_for(num_cells: int, max_surfels: int) -> int:
+    """Say how many rows and columns to step by, to draw at most so many surfels."""
+    return max(1, int(np.ceil(np.sqrt(num_cells / max_surfels))))
+
+
+def make_surfels(
+    gradient_map: GradientMap,
+    scale: Scale,
+    *,
+    layer: Layer,
+    max_std_ratio: float,
+    untrusted: Untrusted = "hidden",
+    hillshaded: bool = True,
+    yaw: float = 0.0,
+    offset: float = 0.0,
+    stride: int = 1,
+) -> Surfels:
+    """Turn a gradient map into coloured squares.
+
+    Args:
+        gradient_map: What to draw.
+        scale: What the colours mean.
+        layer: Field that gives the colours; the height is always the elevation.
+        max_std_ratio: The variance mask.
+        untrusted: What becomes of cells that the mask rejects.
+        hillshaded: Light the layers in `SHADED_LAYERS`.
+        yaw: Of the map in the scene [rad], for the light.
+        offset: Added to the values before they are coloured.
+        stride: Draw every so many rows and columns.
+    """
+    grid = gradient_map.grid
+    cells = (slice(None, None, stride), slice(None, None, stride))
+    elevation = gradient_map.elevation[cells]
+    trusted = gradient_map.trusted(max_std_ratio)[cells].ravel()
+    x, y = np.meshgrid(grid.x[::stride], grid.y[::stride])
+    positions = np.stack([x, y, elevation], axis=-1, dtype=np.float32, casting="same_kind")
+    positions = positions.reshape(-1, 3)
+    kept = trusted if untrusted == "hidden" else np.ones(len(positions), dtype=bool)
+    # Where nothing was seen for kilometres numbers may overflow; the browser must not see them.
+    kept = kept & np.isfinite(positions[:, 2])
+    values = layer_values(gradient_map, layer)[cells].ravel()[kept]
+    colors = colorize(values + offset, scale.low, scale.high, scale.color_map)
+    if untrusted == "grey":
+        colors[~trusted[kept]] = UNTRUSTED_GREY
+    if hillshaded and layer in SHADED_LAYERS:
+        slope = gradient_map.slope[cells].reshape(-1, 2)[kept]
+        colors = shade(colors, hillshade(slope, yaw))
+    return Surfels(positions[kept], colors, OVERLAP * stride * grid.resolution)
