@@ -3,14 +3,20 @@
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
 from typing_extensions import Doc
 
 from gpgrad_core.bounds import Bounds, check_bounds
+from gpgrad_core.gp.binning import bin_points
+from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.lattice import LatticePosterior, fit_lattice
+from gpgrad_core.progress import Progress, silent
+from gpgrad_core.types import GradientMap, Grid, Submap
 
 
 @dataclass(frozen=True)
-class MapParams:
-    """How a submap becomes a gradient map.
+class TerrainParams:
+    """The GP over a submap's elevation, Eqs. (1) and (6).
 
     The paper prints Eq. (6) with an unsquared length-scale; its 0.1 would be sqrt(0.1) = 0.316 m
     in the kernel used here, ``signal_std² exp(-d² / (2 length_scale²))``.
@@ -31,11 +37,6 @@ class MapParams:
         Bounds(0.001, 1000.0, 0.01, "m", slider=(0.05, 2.0)),
         Doc("Standard deviation of the terrain's height; None: that of the submap's points."),
     ] = None
-    resolution: Annotated[
-        float,
-        Bounds(0.005, 10.0, 0.005, "m", slider=(0.02, 0.2)),
-        Doc("Side of a map cell."),
-    ] = 0.03
     max_points: Annotated[
         int | None,
         Bounds(3, 10_000_000, 1, "points", slider=(500, 30_000)),
@@ -45,3 +46,77 @@ class MapParams:
     def __post_init__(self) -> None:
         """Check the bounds."""
         check_bounds(self)
+
+
+@dataclass(frozen=True)
+class MapParams(TerrainParams):
+    """How a submap becomes a gradient map: its GP, and the grid that it is sampled on."""
+
+    resolution: Annotated[
+        float,
+        Bounds(0.005, 10.0, 0.005, "m", slider=(0.02, 0.2)),
+        Doc("Side of a map cell."),
+    ] = 0.03
+
+    @property
+    def terrain(self) -> TerrainParams:
+        """The part that the GP depends on: a new grid needs no new fit."""
+        return TerrainParams(self.length_scale, self.noise_std, self.signal_std, self.max_points)
+
+
+def infer_gradient_map(
+    submap: Submap, params: MapParams = MapParams(), progress: Progress = silent
+) -> GradientMap:
+    """Infer elevation, variance and slopes over the submap's bounding box, Eqs. (2)-(5).
+
+    Args:
+        submap: Gravity-aligned points [m].
+        params: Of the GP and the grid.
+        progress: Called once a block of rows; may raise Cancelled.
+
+    Raises:
+        InputError: If the grid or the GP would be too large, or the GP cannot be solved.
+    """
+    map_grid(submap, params.resolution)  # refuse a cloud that is too wide before the long work
+    posterior = fit_terrain(submap, params.terrain, progress=progress)
+    return sample_map(submap, posterior, params.resolution)
+
+
+def map_grid(submap: Submap, resolution: float) -> Grid:
+    """Lay the grid over the submap's bounding box, as Sec. VI-B."""
+    return Grid.covering(submap.points[:, :2], resolution, name=f"submap {submap.id}")
+
+
+def fit_terrain(
+    submap: Submap, params: TerrainParams, progress: Progress = silent
+) -> LatticePosterior:
+    """Fit the GP of Eq. (1) to a submap's points.
+
+    Clouds so dense that it pays are binned to an eighth of a length-scale: means stand for
+    their points with the noise of a mean.
+
+    Raises:
+        InputError: If the GP would be too large or cannot be solved.
+    """
+    points = submap.points
+    if params.max_points is not None and len(points) > params.max_points:
+        chosen = np.random.default_rng(0).choice(len(points), params.max_points, replace=False)
+        points = points[np.sort(chosen)]
+    mean = float(points[:, 2].mean())
+    signal_std = params.signal_std
+    if signal_std is None:
+        # A perfectly flat cloud has none; then the noise is all there is.
+        signal_std = max(float(points[:, 2].std()), 0.01 * params.noise_std)
+    binned, counts = bin_points(points, params.length_scale / 8)
+    if len(binned) > len(points) / 2:
+        binned, counts = points, np.ones(len(points))
+    kernel = SquaredExponential(signal_std, params.length_scale)
+    noise_std = params.noise_std / np.sqrt(counts)
+    return fit_lattice(binned, kernel, noise_std, mean=mean, progress=progress)
+
+
+def sample_map(submap: Submap, posterior: LatticePosterior, resolution: float) -> GradientMap:
+    """Sample a fitted GP over its submap's bounding box."""
+    grid = map_grid(submap, resolution)
+    elevation, variance, slope = posterior.sample(grid)
+    return GradientMap(grid, elevation, variance, slope, posterior.kernel.signal_std)

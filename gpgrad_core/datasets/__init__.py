@@ -1,7 +1,18 @@
-"""Where submaps come from: cloud files, dataset folders, the built-in demo."""
+"""Where submaps come from: cloud files, dataset folders, the simulator, the built-in demo."""
 
 from gpgrad_core.datasets.clouds import load_cloud
-from gpgrad_core.datasets.demo import demo_path
+from gpgrad_core.datasets.demo import demo_params, demo_path, simulate_demo
 from gpgrad_core.datasets.folder import load_dataset, write_dataset
+from gpgrad_core.datasets.simulate import simulate_dataset
+from gpgrad_core.datasets.simulation_params import SimulationParams
 
-__all__ = ["demo_path", "load_cloud", "load_dataset", "write_dataset"]
+__all__ = [
+    "SimulationParams",
+    "demo_params",
+    "demo_path",
+    "load_cloud",
+    "load_dataset",
+    "simulate_dataset",
+    "simulate_demo",
+    "write_dataset",
+]

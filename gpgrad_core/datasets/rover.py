@@ -1,0 +1,185 @@
+"""A simulated rover: the route it drives, and what its stereo camera sees from one place."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from gpgrad_core.datasets.simulation_params import SimulationParams
+from gpgrad_core.datasets.terrain import HeightField
+from gpgrad_core.errors import InputError
+
+Array = NDArray[np.float64]
+STEP = 0.05  # between the points of a track [m]
+ANGULAR_STEP = 0.008  # between neighbouring rays [rad]
+RAY_STEP = 0.02  # along a ray, over the ground [m]
+LOWEST, HIGHEST = -1.2, 0.15  # elevation angles that the camera sees, level rover [rad]
+WHEELBASE = 0.8  # wheels stand half of it ahead, behind and to either side [m]
+PATCH = 8  # side of a patch in which stereo fails as one [rays]
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Where the rover stands: x, y [m] and heading [rad], as seen from above."""
+
+    x: float
+    y: float
+    yaw: float
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A drive out and back, as points `STEP` apart.
+
+    The rover turns on the spot at the far end, so that the heading jumps there.
+    """
+
+    xy: Float[Array, "n 2"]  # [m]
+    yaw: Float[Array, "n"]  # of the rover, along the drive [rad]
+
+    def at(self, distance: float) -> Stop:
+        """Find the rover after some driving [m]; at the end it stays."""
+        k = min(round(distance / STEP), len(self.xy) - 1)
+        return Stop(float(self.xy[k, 0]), float(self.xy[k, 1]), float(self.yaw[k]))
+
+
+def plan_track(params: SimulationParams) -> Track:
+    """Plan the drive: out along the route, then back beside it, crossing it now and then.
+
+    Raises:
+        InputError: If it does not fit into the extent with all that the camera sees.
+    """
+    num_out = (params.num_submaps + 1) // 2
+    length = num_out * params.spacing
+    distance = np.arange(0.0, length + 0.5 * STEP, STEP)
+    out = _way_out(params.route, distance)
+    swing = params.lateral_offset * np.sin(2.0 * np.pi * distance / max(17.0, length / 2.0))
+    along = np.gradient(out, axis=0)
+    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]
+    back = _resample((out[::-1] + swing[:, None] * normal[::-1]))
+    margin = params.max_range + 0.5
+    low, high = np.vstack([out, back]).min(axis=0), np.vstack([out, back]).max(axis=0)
+    needed = float(np.max(high - low)) + 2.0 * margin
+    if needed > params.extent:
+        raise InputError(
+            f"extent must be {np.ceil(needed):g} m or more for {params.num_submaps} submaps "
+            f"{params.spacing:g} m apart on the route {params.route!r}, got {params.extent:g} m"
+        )
+    shift = 0.5 * params.extent - 0.5 * (low + high)
+    xy = np.vstack([out[:-1], back]) + shift
+    yaw = np.concatenate([_headings(out)[:-1], _headings(back)])
+    return Track(xy, yaw)
+
+
+def _way_out(route: str, distance: Float[Array, "n"]) -> Float[Array, "n 2"]:
+    """Lay out the way out as points a `STEP` apart, from its headings."""
+    share = distance / distance[-1]
+    if route == "winding":
+        # Aslant, so that neither the ground's grid nor the bounding boxes favour it.
+        yaw = 0.6 + 0.5 * np.sin(2.0 * np.pi * distance / 28.0)
+    elif route == "loop":
+        yaw = 2.0 * np.pi * share + 0.35 * np.sin(6.0 * np.pi * share)
+    else:
+        # Headings of an eight: one ring to the left, one to the right, straight between.
+        yaw = 0.5 + 2.2 * np.sin(2.0 * np.pi * share)
+        yaw = np.where(share < 0.5, 4.0 * np.pi * share, 4.0 * np.pi * (1.0 - share))
+    steps = STEP * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    return np.vstack([[0.0, 0.0], np.cumsum(steps[:-1], axis=0)])
+
+
+def _resample(xy: Float[Array, "n 2"]) -> Float[Array, "m 2"]:
+    """Space the points of a line evenly again, a `STEP` apart."""
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    even = np.arange(0.0, travelled[-1], STEP)
+    return np.column_stack([np.interp(even, travelled, xy[:, axis]) for axis in range(2)])
+
+
+def _headings(xy: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    along = np.gradient(xy, axis=0)
+    return np.arctan2(along[:, 1], along[:, 0])
+
+
+def scan(
+    terrain: HeightField, stop: Stop, params: SimulationParams, rng: Generator
+) -> Float[Array, "n 3"]:
+    """Measure the ground from one stop, as a panned stereo camera would.
+
+    Rays go out over a fan of azimuths. Along each azimuth the ground's elevation angle is
+    sampled outwards; a ray meets the ground where that angle first reaches its own, so all rays
+    of one azimuth are marched at once, and what lies behind a crest is hidden by it.
+
+    Args:
+        terrain: The ground.
+        stop: Where the rover stands.
+        params: Camera and noise.
+        rng: Source of noise and drop-outs.
+
+    Returns:
+        Measured points in the world [m].
+    """
+    wheels = 0.5 * WHEELBASE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    c, s = np.cos(stop.yaw), np.sin(stop.yaw)
+    heights = terrain.height(wheels @ np.array([[c, s], [-s, c]]) + np.array([stop.x, stop.y]))
+    pitch = np.arctan2(heights[1] - heights[0], WHEELBASE)  # positive: nose down
+    roll = np.arctan2(heights[2] - heights[3], WHEELBASE)  # positive: left side up
+    eye = np.array([stop.x, stop.y, heights.mean() + params.camera_height])
+
+    # The fan is wider than the view, because a tilted rover sees a tilted part of it.
+    half = 0.5 * params.field_of_view + 0.3
+    azimuths = np.arange(-half, half, ANGULAR_STEP)
+    angles = np.arange(LOWEST - 0.5, min(HIGHEST + 0.5, 1.4), ANGULAR_STEP)
+    ranges, hit = _march(terrain, eye, stop.yaw + azimuths, np.tan(angles), params.max_range)
+
+    azimuth, angle = np.meshgrid(azimuths, angles, indexing="ij")
+    forward, left, up = (
+        np.cos(angle) * np.cos(azimuth),
+        np.cos(angle) * np.sin(azimuth),
+        np.sin(angle),
+    )
+    # Into the tilted rover: undo pitch about its left axis, then roll about its nose.
+    nose = np.cos(pitch) * forward - np.sin(pitch) * up
+    top = np.sin(pitch) * forward + np.cos(pitch) * up
+    side = np.cos(roll) * left + np.sin(roll) * top
+    top = np.cos(roll) * top - np.sin(roll) * left
+    elevation = np.arcsin(np.clip(top, -1.0, 1.0))
+    seen = (np.abs(np.arctan2(side, nose)) <= 0.5 * params.field_of_view) & (
+        (elevation >= LOWEST) & (elevation <= HIGHEST)
+    )
+    distance = ranges / np.cos(angle)
+    seen &= hit & (distance <= params.max_range) & _matched(ranges.shape, params.dropout_rate, rng)
+
+    std = params.noise_constant + params.noise_quadratic * distance**2
+    measured = (distance + std * rng.standard_normal(distance.shape))[seen]
+    forward, left, up = forward[seen], left[seen], up[seen]
+    rays = np.column_stack([c * forward - s * left, s * forward + c * left, up])
+    return eye + measured[:, None] * rays
+
+
+def _march(
+    terrain: HeightField, eye: Array, azimuths: Array, slopes: Array, max_range: float
+) -> tuple[Float[Array, "azimuths rays"], NDArray[np.bool_]]:
+    """March all rays outwards; returns the ground distance [m] of each hit, and which hit."""
+    steps = np.arange(RAY_STEP, max_range + RAY_STEP, RAY_STEP)
+    directions = np.column_stack([np.cos(azimuths), np.sin(azimuths)])
+    ground = terrain.height(eye[:2] + directions[:, None, :] * steps[None, :, None]) - eye[2]
+    horizon = np.maximum.accumulate(ground / steps, axis=1)
+    first = np.array([np.searchsorted(row, slopes) for row in horizon])
+    hit = (first > 0) & (first < len(steps))
+    after = np.clip(first, 1, len(steps) - 1)
+    before = after - 1
+    # Between the two samples the ground is a line, and so is the ray: they cross here.
+    above = slopes * steps[before] - np.take_along_axis(ground, before, axis=1)
+    below = slopes * steps[after] - np.take_along_axis(ground, after, axis=1)
+    share = above / np.where(hit, above - below, 1.0)
+    return steps[before] + RAY_STEP * np.where(hit, share, 0.0), hit
+
+
+def _matched(shape: tuple[int, ...], dropout_rate: float, rng: Generator) -> NDArray[np.bool_]:
+    """Draw where stereo finds a match: half of the failures are single, half whole patches."""
+    keep = np.sqrt(1.0 - dropout_rate)
+    single = rng.random(shape) < keep
+    coarse = rng.random((shape[0] // PATCH + 1, shape[1] // PATCH + 1)) < keep
+    patches = coarse.repeat(PATCH, axis=0).repeat(PATCH, axis=1)[: shape[0], : shape[1]]
+    return single & patches

@@ -1,0 +1,131 @@
+"""What a simulated dataset is made from."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from typing_extensions import Doc
+
+from gpgrad_core.bounds import Bounds, check_bounds
+
+
+@dataclass(frozen=True)
+class SimulationParams:
+    """Terrain, route, camera and odometry of a simulated rover.
+
+    The defaults imitate submaps of a small rover with a panned stereo camera: boxes of about
+    11 m x 13 m, 30,000 points, range noise of 4 cm at 3 m and 13 cm at 6 m.
+    """
+
+    seed: Annotated[
+        int,
+        Bounds(0, 2**32 - 1, 1),
+        Doc("Same seed, same dataset, to the bit."),
+    ] = 0
+    num_submaps: Annotated[
+        int,
+        Bounds(1, 200, 1, "submaps"),
+        Doc("How many submaps the rover makes, half of them on the way back."),
+    ] = 24
+    route: Annotated[
+        Literal["winding", "loop", "figure_eight"],
+        Doc("Shape of the way out; the way back follows it in the opposite direction."),
+    ] = "loop"
+    spacing: Annotated[
+        float,
+        Bounds(1.0, 20.0, 0.5, "m"),
+        Doc("Driven from the start of one submap to the start of the next."),
+    ] = 5.0
+    lateral_offset: Annotated[
+        float,
+        Bounds(0.0, 5.0, 0.1, "m"),
+        Doc("How far the way back swings to either side of the way out, crossing it."),
+    ] = 1.0
+    extent: Annotated[
+        float,
+        Bounds(10.0, 120.0, 1.0, "m"),
+        Doc("Side of the square of terrain; the route and all that is seen must fit."),
+    ] = 44.0
+    relief: Annotated[
+        float,
+        Bounds(0.0, 5.0, 0.05, "m"),
+        Doc("Standard deviation of the fractal ground's height."),
+    ] = 0.4
+    roughness: Annotated[
+        float,
+        Bounds(0.0, 1.0, 0.05),
+        Doc("Share of small bumps in the fractal ground: 0 is rolling, 1 is jagged."),
+    ] = 0.4
+    crater_density: Annotated[
+        float,
+        Bounds(0.0, 0.2, 0.005, "1/m²"),
+        Doc("Craters of 1 m to 8 m across per square metre."),
+    ] = 0.015
+    dune_height: Annotated[
+        float,
+        Bounds(0.0, 0.5, 0.01, "m"),
+        Doc("Height of the wind ripples, which lie in patches."),
+    ] = 0.08
+    rock_density: Annotated[
+        float,
+        Bounds(0.0, 5.0, 0.1, "1/m²"),
+        Doc("Rocks of 10 cm to 1.2 m across per square metre, small ones far more often."),
+    ] = 0.5
+    camera_height: Annotated[
+        float,
+        Bounds(0.2, 3.0, 0.1, "m"),
+        Doc("Of the camera above the ground under the rover."),
+    ] = 1.1
+    field_of_view: Annotated[
+        float,
+        Bounds(0.3, 3.1, 0.1, "rad"),
+        Doc("Width of what the panned camera sees at one stop."),
+    ] = 2.1
+    max_range: Annotated[
+        float,
+        Bounds(2.0, 20.0, 0.5, "m"),
+        Doc("Stereo finds nothing beyond this distance."),
+    ] = 7.0
+    noise_constant: Annotated[
+        float,
+        Bounds(0.0, 0.5, 0.001, "m"),
+        Doc("Standard deviation of a measured range at the camera."),
+    ] = 0.005
+    noise_quadratic: Annotated[
+        float,
+        Bounds(0.0, 0.1, 0.0005, "1/m"),
+        Doc("Growth of that standard deviation with the square of the range."),
+    ] = 0.0035
+    dropout_rate: Annotated[
+        float,
+        Bounds(0.0, 0.9, 0.05),
+        Doc("Share of the picture where stereo finds no match, in patches and single pixels."),
+    ] = 0.2
+    submap_drift: Annotated[
+        float,
+        Bounds(0.0, 0.1, 0.001, "m/√m"),
+        Doc("Drift within a submap, along each axis; the same number in radians of yaw."),
+    ] = 0.004
+    odometry_drift: Annotated[
+        float,
+        Bounds(0.0, 0.3, 0.005),
+        Doc("Standard deviation of the error in distance from submap to submap, as a share."),
+    ] = 0.02
+    heading_drift: Annotated[
+        float,
+        Bounds(0.0, 0.2, 0.001, "rad/√m"),
+        Doc("Random walk of the odometry's heading."),
+    ] = 0.012
+    voxel_size: Annotated[
+        float,
+        Bounds(0.01, 0.5, 0.01, "m"),
+        Doc("Points within one cube of this side become their mean."),
+    ] = 0.04
+    max_points: Annotated[
+        int,
+        Bounds(100, 1_000_000, 1000, "points"),
+        Doc("A submap with more points is thinned to this many, at random."),
+    ] = 30_000
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)

@@ -1,0 +1,176 @@
+"""Synthetic planetary ground: fractal relief, craters, wind ripples and rocks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.random import Generator
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.fft import next_fast_len
+
+from gpgrad_core.datasets.simulation_params import SimulationParams
+
+Array = NDArray[np.float64]
+RESOLUTION = 0.03
+"""Side of a terrain cell [m]: finer than any submap voxel by default."""
+CRATER_DIAMETERS = (1.0, 8.0)
+ROCK_DIAMETERS = (0.1, 1.2)
+CLEARANCE = 0.7
+"""No rock comes closer to the rover's track than this [m]: it drives around them."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeightField:
+    """Ground heights on a regular grid whose cell (0, 0) lies at x = y = 0."""
+
+    elevation: Float[Array, "rows columns"]  # [m]
+    resolution: float = RESOLUTION  # [m]
+
+    def height(self, xy: Float[Array, "*shape 2"]) -> Float[Array, "*shape"]:
+        """Interpolate the height [m] at positions [m]; beyond the edge it stays level."""
+        rows_columns = np.moveaxis(xy[..., ::-1] / self.resolution, -1, 0)
+        return ndimage.map_coordinates(self.elevation, rows_columns, order=1, mode="nearest")
+
+
+def make_terrain(
+    params: SimulationParams, track: Float[Array, "n 2"], rng: Generator
+) -> HeightField:
+    """Make the ground that the rover will drive on.
+
+    Args:
+        params: Its extent and what lies on it.
+        track: Where the rover drives [m]; large rocks and craters keep off it.
+        rng: Source of all chance.
+    """
+    size = int(np.ceil(params.extent / RESOLUTION)) + 1
+    elevation = params.relief * fractal_field(size, 1.5 - params.roughness, rng)
+    _add_ripples(elevation, params, rng)
+    _add_craters(elevation, params, track, rng)
+    _add_rocks(elevation, params, track, rng)
+    return HeightField(elevation)
+
+
+def fractal_field(
+    size: int, persistence: float, rng: Generator, largest: float = 16.0
+) -> Float[Array, "size size"]:
+    """Make a fractal by spectral synthesis: white noise, its spectrum bent to a power law.
+
+    Args:
+        size: Cells along a side.
+        persistence: Hurst exponent H; the power falls with the wave number as k^-(2H + 2).
+        rng: Source of chance.
+        largest: Waves longer than this [m] are flattened off, so that the ground is level on
+            the whole and a larger extent has no higher hills.
+
+    Returns:
+        Heights of mean 0 and standard deviation 1.
+    """
+    # Larger than asked, because the field wraps around: its edges would repeat each other.
+    padded = int(next_fast_len(size + round(2.0 / RESOLUTION), real=True))
+    spectrum = np.fft.rfft2(rng.standard_normal((padded, padded)))
+    ky = np.fft.fftfreq(padded, RESOLUTION)[:, None]
+    kx = np.fft.rfftfreq(padded, RESOLUTION)[None, :]
+    squared = kx**2 + ky**2 + (1.0 / largest) ** 2
+    spectrum *= squared ** (-(persistence + 1.0) / 2.0)
+    spectrum[0, 0] = 0.0
+    field = np.fft.irfft2(spectrum, s=(padded, padded))[:size, :size]
+    return (field - field.mean()) / field.std()
+
+
+def _add_ripples(elevation: Array, params: SimulationParams, rng: Generator) -> None:
+    """Add wind ripples: gentle to windward, steep to leeward, in patches, along bent crests."""
+    size = len(elevation)
+    bend = fractal_field(size, 1.2, rng, largest=10.0)
+    patches = fractal_field(size, 1.2, rng, largest=10.0)
+    vigour = fractal_field(size, 1.2, rng, largest=5.0)
+    heading = rng.uniform(0.0, 2.0 * np.pi)
+    wavelength = rng.uniform(1.3, 1.8)
+    along = np.arange(size) * RESOLUTION
+    distance = np.cos(heading) * along[None, :] + np.sin(heading) * along[:, None]
+    phase = 2.0 * np.pi * (distance + 0.9 * bend) / wavelength
+    # A second harmonic a quarter turn behind leans the crests over.
+    profile = 0.5 * (np.sin(phase) + 0.3 * np.sin(2.0 * phase + 0.5 * np.pi))
+    cover = np.clip(patches + 0.3, 0.0, 1.0) * np.clip(1.0 + 0.5 * vigour, 0.2, 2.0)
+    elevation += params.dune_height * cover * profile
+
+
+def _power_law(rng: Generator, count: int, ends: tuple[float, float], slope: float) -> Array:
+    """Draw sizes of which the share larger than d falls as d^-slope, between two ends."""
+    low, high = ends
+    uniform = rng.random(count)
+    return (low**-slope - uniform * (low**-slope - high**-slope)) ** (-1.0 / slope)
+
+
+def _window(
+    elevation: Array, centre: Array, radius: float
+) -> tuple[tuple[slice, slice], Array, Array]:
+    """Cut the part of the ground around a centre; returns it and the offsets x, y [m] in it."""
+    low = np.maximum(np.floor((centre - radius) / RESOLUTION).astype(int), 0)
+    high = np.minimum(np.ceil((centre + radius) / RESOLUTION).astype(int) + 1, len(elevation))
+    x = np.arange(low[0], high[0]) * RESOLUTION - centre[0]
+    y = np.arange(low[1], high[1]) * RESOLUTION - centre[1]
+    return (slice(low[1], high[1]), slice(low[0], high[0])), x[None, :], y[:, None]
+
+
+def _distance_to(track: Array, centre: Array) -> float:
+    return float(np.sqrt(np.min(np.sum((track - centre) ** 2, axis=1))))
+
+
+def _add_craters(elevation: Array, params: SimulationParams, track: Array, rng: Generator) -> None:
+    count = int(rng.poisson(params.crater_density * params.extent**2))
+    diameters = np.sort(_power_law(rng, count, CRATER_DIAMETERS, 1.3))[::-1]  # small ones on top
+    for diameter in diameters:
+        centre = rng.uniform(0.0, params.extent, 2)
+        freshness = rng.uniform(0.35, 1.0)
+        wobble = rng.normal(0.0, 0.05, 4)
+        turns = rng.uniform(0.0, 2.0 * np.pi, 4)
+        if diameter > 2.5 and _distance_to(track, centre) < 0.5 * diameter:
+            continue  # the rover would not have driven there
+        place, x, y = _window(elevation, centre, 1.6 * diameter)
+        angle = np.arctan2(y, x)
+        rim = 1.0 + sum(wobble[k] * np.cos((k + 2) * angle + turns[k]) for k in range(len(wobble)))
+        radius = np.hypot(x, y) / (0.5 * diameter * rim)
+        depth, lip = 0.17 * diameter * freshness, 0.05 * diameter * freshness
+        bowl = (depth + lip) * radius**2 - depth
+        blanket = lip * np.maximum(radius, 1e-3) ** -3.0 * np.clip(3.2 - radius, 0.0, 1.0)
+        # The smaller of the two, rounded where they meet: old rims are worn, fresh ones sharp.
+        soft = 0.04 * diameter * (1.15 - freshness)
+        elevation[place] += -soft * np.logaddexp(-bowl / soft, -blanket / soft)
+
+
+def _add_rocks(elevation: Array, params: SimulationParams, track: Array, rng: Generator) -> None:
+    count = int(rng.poisson(params.rock_density * params.extent**2))
+    crowding = fractal_field(len(elevation), 0.6, rng, largest=8.0)
+    diameters = _power_law(rng, count, ROCK_DIAMETERS, 1.7)
+    for diameter in diameters:
+        # The most crowded of three places: rocks lie in fields, not evenly.
+        places = rng.uniform(0.0, params.extent, (3, 2))
+        cells = np.minimum((places / RESOLUTION).astype(int), len(elevation) - 1)
+        centre = places[np.argmax(crowding[cells[:, 1], cells[:, 0]])]
+        facets = _draw_facets(rng, float(diameter))
+        if _distance_to(track, centre) < CLEARANCE + 0.5 * diameter:
+            continue
+        place, x, y = _window(elevation, centre, 0.8 * diameter)
+        rock = np.min([a * x + b * y + c for a, b, c in facets], axis=0)
+        ground = elevation[place]
+        base = float(np.median(ground))
+        np.maximum(ground, base + rock, out=ground)
+
+
+def _draw_facets(rng: Generator, diameter: float) -> Float[Array, "facets 3"]:
+    """Draw the planes z = a x + b y + c over whose lowest a rock lies: a broken block."""
+    num_sides = int(rng.integers(5, 9))
+    turn = rng.uniform(0.0, 2.0 * np.pi)
+    directions = turn + 2.0 * np.pi * (np.arange(num_sides) + rng.uniform(-0.3, 0.3, num_sides)) / (
+        num_sides
+    )
+    stretch = 1.0 + 0.3 * np.cos(2.0 * (directions - rng.uniform(0.0, np.pi)))
+    reaches = 0.5 * diameter * rng.uniform(0.75, 1.05, num_sides) * stretch
+    steepness = rng.uniform(0.9, 3.0, num_sides)
+    sides = np.column_stack(
+        [-steepness * np.cos(directions), -steepness * np.sin(directions), steepness * reaches]
+    )
+    tilt = rng.normal(0.0, 0.2, 2)
+    top = rng.uniform(0.3, 0.65) * diameter
+    return np.vstack([sides, [tilt[0], tilt[1], top]])

@@ -1,0 +1,70 @@
+"""Symmetric positive definite block-tridiagonal matrices: solve, and invert where needed."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+Array = NDArray[np.float64]
+
+
+class NotPositiveDefiniteError(ArithmeticError):
+    """A block could not be factorised: the matrix is not positive definite to rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """Block Gaussian elimination from the first block to the last.
+
+    With diagonal blocks D_i and blocks E_i below them, the pivots are
+    ``P_0 = D_0`` and ``P_(i+1) = D_(i+1) - E_i P_i⁻¹ E_iᵀ``.
+    """
+
+    inverses: list[Float[Array, "m m"]]  # P_i⁻¹
+    gains: list[Float[Array, "m m"]]  # E_i P_i⁻¹
+
+    def solve(self, right: Float[Array, "blocks m"]) -> Float[Array, "blocks m"]:
+        """Solve for one right-hand side, cut into blocks."""
+        forward = [right[0]]
+        for gain, block in zip(self.gains, right[1:], strict=True):
+            forward.append(block - gain @ forward[-1])
+        solution = np.empty_like(right)
+        solution[-1] = self.inverses[-1] @ forward[-1]
+        for i in reversed(range(len(self.gains))):
+            solution[i] = self.inverses[i] @ forward[i] - self.gains[i].T @ solution[i + 1]
+        return solution
+
+    def inverse_blocks(
+        self,
+    ) -> Iterator[tuple[int, Float[Array, "m m"], Float[Array, "m m"] | None]]:
+        """Yield (i, diagonal block i of the inverse, block (i + 1, i) or None), last first.
+
+        Takahashi's recursion: no other block of the inverse is ever made.
+        """
+        last = len(self.inverses) - 1
+        diagonal = self.inverses[last]
+        yield last, diagonal, None
+        for i in reversed(range(last)):
+            below = -diagonal @ self.gains[i]
+            diagonal = self.inverses[i] - self.gains[i].T @ below
+            yield i, diagonal, below
+
+
+def invert_pivot(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
+    """Invert a symmetric positive definite block; the argument is overwritten.
+
+    Raises:
+        NotPositiveDefiniteError: If it is not positive definite to rounding.
+    """
+    # The transpose of a symmetric C-ordered array is the F-ordered array that LAPACK wants.
+    factor, failed = lapack.dpotrf(pivot.T, lower=1, overwrite_a=1, clean=0)
+    if failed:
+        raise NotPositiveDefiniteError(f"pivot {failed} is not positive")
+    inverse, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
+    lower = np.tril(inverse, -1)
+    lower += lower.T
+    np.einsum("ii->i", lower)[:] = np.diagonal(inverse)
+    return lower
