@@ -87,7 +87,9 @@ class View:
         Doc("Dataset folder, folder of clouds, or one cloud; without it the built-in demo."),
     ] = None
     host: Annotated[str, Doc("Address to serve on; 0.0.0.0 lets other machines in.")] = "127.0.0.1"
-    port: Annotated[int, Doc("Port to serve on.")] = 8080
+    port: Annotated[int, Doc("Port to serve on; the next free one if it is taken, any if 0.")] = (
+        8080
+    )
     open: Annotated[bool, Doc("Open the browser by itself.")] = True
     params: ParamsFile = None
     pipeline: AllParams = field(default_factory=PipelineParams)
@@ -96,9 +98,10 @@ class View:
         """Serve until interrupted."""
         from app.server import Viewer  # noqa: PLC0415 - viser is heavy, and for this verb only
 
-        dataset = _load(self.dataset or demo_path())
-        base = _base(dataset, self.params)
-        viewer = Viewer(dataset, _again(self, given, pipeline=base).pipeline, self.host, self.port)
+        source = self.dataset or demo_path()
+        dataset = _load(source)
+        params = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
+        viewer = Viewer(dataset, params, self.host, self.port, source=str(source))
         try:
             _say(f"{dataset.name} is at {viewer.url} (Ctrl-C ends)", sys.stdout)
             if self.open:

@@ -1,0 +1,55 @@
+"""A small traverse on disk, and the command as a process."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.end_to_end.process import Run, run_gpgrad
+
+
+@pytest.fixture(scope="session")
+def gpgrad() -> Run:
+    return run_gpgrad
+
+
+def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Height of a terrain of mounds and hollows, the same wherever it is asked for."""
+    rng = np.random.default_rng(5)
+    z = np.zeros_like(x)
+    for _ in range(260):
+        cx, cy = rng.uniform(-4, 24, 2)
+        width, height = rng.uniform(0.25, 0.9), rng.normal(0, 0.12)
+        z += height * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * width**2))
+    return z
+
+
+def patch(x: float, y: float, yaw: float, *, seed: int, side: float = 6.0) -> np.ndarray:
+    """Points of the ground around a pose, in its own frame."""
+    rng = np.random.default_rng(seed)
+    local = rng.uniform(-side / 2, side / 2, (4000, 2))
+    c, s = np.cos(yaw), np.sin(yaw)
+    world = local @ np.array([[c, s], [-s, c]]) + [x, y]
+    z = ground(world[:, 0], world[:, 1]) + rng.normal(0, 0.01, len(local))
+    return np.column_stack([local, z - ground(np.array([x]), np.array([y]))])
+
+
+POSES = [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (15.0, 10.0, 1.5), (0.5, 0.4, 3.0)]
+"""The last lies on the first, turned about; the others overlap with nothing."""
+
+
+@pytest.fixture(scope="session")
+def traverse(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of four submaps whose last closes a loop with its first."""
+    folder = tmp_path_factory.mktemp("data") / "traverse"
+    (folder / "submaps").mkdir(parents=True)
+    rows = []
+    for index, (x, y, yaw) in enumerate(POSES):
+        points = patch(x, y, yaw, seed=index)
+        np.savetxt(folder / "submaps" / f"{index:03d}.xyz", points, fmt="%.4f")
+        rows.append(f"{index} {x} {y} 0 0 0 {np.sin(yaw / 2):.9f} {np.cos(yaw / 2):.9f}")
+    (folder / "poses_odom.txt").write_text("\n".join(rows) + "\n")
+    (folder / "dataset.toml").write_text(
+        'name = "small traverse"\n[preferred.map]\nresolution = 0.06\nlength_scale = 0.25\n'
+    )
+    return folder

@@ -1,0 +1,83 @@
+"""`gpgrad detect`, as a process."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gpgrad_core.outputs import read_closures
+from tests.end_to_end.process import Run
+
+
+@pytest.fixture(scope="module")
+def detected(gpgrad: Run, traverse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with what one run wrote."""
+    folder = tmp_path_factory.mktemp("detected")
+    finished = gpgrad(
+        "detect", traverse, "--out", folder / "closures.json", "--g2o", folder / "graph.g2o"
+    )
+    assert finished.code == 0, finished.err
+    assert finished.err == ""  # no bar into a pipe
+    assert "1 loop closures in 6 pairs of 4 submaps" in finished.out
+    return folder
+
+
+def test_the_revisit_is_found_and_nothing_else(detected: Path) -> None:
+    report = read_closures(detected / "closures.json")
+    (found,) = report.accepted
+    assert (found.query, found.database) == ("003", "000")
+    motion = found.T_database_query
+    assert motion is not None
+    # The query's true pose in the database's frame, which lies in the world's origin.
+    assert motion.x == pytest.approx(0.5, abs=0.1)
+    assert motion.y == pytest.approx(0.4, abs=0.1)
+    assert motion.yaw == pytest.approx(3.0, abs=0.05)
+    assert found.num_inliers >= report.params["closure"]["min_inliers"]
+    assert found.score == max(pair.score for pair in report.pairs)
+
+
+def test_every_unordered_pair_is_there_once(detected: Path) -> None:
+    report = read_closures(detected / "closures.json")
+    pairs = [(pair.database, pair.query) for pair in report.pairs]
+    assert sorted(pairs) == sorted((a, b) for a in report.submaps for b in report.submaps if a < b)
+    assert set(report.seconds) == {"maps", "features", "pairs", "total"}
+    assert report.dataset == "small traverse"
+
+
+def test_the_graph_has_the_closure_as_an_edge(detected: Path) -> None:
+    lines = (detected / "graph.g2o").read_text().splitlines()
+    assert sum(line.startswith("VERTEX_SE3:QUAT ") for line in lines) == 4
+    edges = [line.split()[1:3] for line in lines if line.startswith("EDGE_SE3:QUAT ")]
+    assert edges == [["0", "1"], ["1", "2"], ["2", "3"], ["0", "3"]]
+
+
+def test_the_same_seed_gives_the_same_file(
+    gpgrad: Run, traverse: Path, detected: Path, tmp_path: Path
+) -> None:
+    again = tmp_path / "again.json"
+    assert gpgrad("detect", traverse, "--out", again).code == 0
+    first, second = (json.loads(path.read_text()) for path in (detected / "closures.json", again))
+    for content in (first, second):
+        content.pop("seconds")
+    assert first == second
+
+
+def test_a_flag_outweighs_the_file_and_the_file_the_dataset(
+    gpgrad: Run, traverse: Path, tmp_path: Path
+) -> None:
+    toml = tmp_path / "mine.toml"
+    toml.write_text("[map]\nresolution = 0.1\nnoise_std = 0.02\n[closure]\nmin_inliers = 500\n")
+    out = tmp_path / "closures.json"
+    finished = gpgrad(
+        *("detect", traverse, "--out", out, "--params", toml),
+        *("--map.noise-std", "0.03", "--registration.seed", "7", "--matching.no-mutual"),
+    )
+    assert finished.code == 0, finished.err
+    report = read_closures(out)
+    assert report.params["map"]["noise_std"] == 0.03  # flag, over the file
+    assert report.params["map"]["resolution"] == 0.1  # file, over the dataset
+    assert report.params["map"]["length_scale"] == 0.25  # dataset, over the built-in
+    assert report.params["matching"]["mutual"] is False
+    assert report.seed == 7
+    assert not report.accepted  # nothing has 500 inliers
+    assert "500" in report.pairs[0].reason

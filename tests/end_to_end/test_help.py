@@ -1,0 +1,90 @@
+"""What the command says about itself, and how it refuses wrong usage."""
+
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from gpgrad_core.version import VERSION
+from tests.end_to_end.process import ROOT, Run, environment
+
+
+def test_version(gpgrad: Run) -> None:
+    finished = gpgrad("--version")
+    assert (finished.code, finished.out, finished.err) == (0, f"{VERSION}\n", "")
+
+
+def test_the_verbs_are_listed(gpgrad: Run) -> None:
+    finished = gpgrad("--help")
+    assert finished.code == 0
+    for verb in ("view", "detect", "map", "simulate"):
+        assert re.search(rf"\b{verb}\b", finished.out)
+
+
+@pytest.mark.parametrize("verb", ["view", "detect", "map", "simulate"])
+def test_every_flag_has_a_text_and_a_default(gpgrad: Run, verb: str) -> None:
+    finished = gpgrad(verb, "--help")
+    assert finished.code == 0
+    assert finished.err == ""
+    text = " ".join(re.sub(r"[│╭╮╰╯─]", " ", finished.out).split())
+    _, *flags = re.split(r" (?=--[a-z])(?!--[\w.-]+\])", text.split("-h, --help", 1)[1])
+    named = [flag for flag in flags if not flag.startswith("--help")]
+    assert named
+    if verb == "detect":
+        assert "From 0.01 to 100 m. (default: 0.3)" in text
+        assert "--closure.min-inliers" in text
+    for flag in named:
+        name = flag.split()[0].rstrip(",")
+        following = flags[flags.index(flag) + 1] if flag != flags[-1] else ""
+        paired = following.split(" ")[0].replace("no-", "") == name  # --open, --no-open
+        if not paired:
+            assert "(default:" in flag or "(required)" in flag, flag
+            assert len(flag.split()) > 4, flag
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "Expected one of {view, detect, map, simulate}"),
+        (("detekt", "x"), "unknown verb 'detekt'; known: view, detect, map, simulate"),
+        (("detect",), "--out"),
+        (("detect", "x", "--out", "a.json", "--bogus", "3"), "--bogus"),
+        (("detect", "x", "--out", "a.json", "--method", "magic"), "known: gradient"),
+        (("detect", "x", "--out", "a.json", "--map.length-scale", "abc"), "--map.length-scale"),
+        (
+            ("detect", "x", "--out", "a.json", "--closure.min-inliers", "0"),
+            "closure: min_inliers must be from 2 to 1000, got 0",
+        ),
+        (("detect", "x", "--out", "a.txt"), "a.txt: the ending must be one of .json"),
+        (("detect", "x", "--out", "no/where/a.json"), "no/where/a.json: cannot write"),
+        (("detect", "x", "--out", "a.json", "--g2o", "no/a.g2o"), "no/a.g2o: cannot write"),
+        (("map", "x.ply", "--out", "a.jpg"), "a.jpg: the ending must be one of .npz"),
+        (("simulate", "x", "--num-submaps", "-3"), "num_submaps must be from"),
+        (("view", "--port", "abc"), "--port"),
+    ],
+)
+def test_wrong_usage_is_one_line(gpgrad: Run, arguments: tuple[str, ...], said: str) -> None:
+    assert said in gpgrad(*arguments).refusal
+
+
+def test_help_comes_quickly_and_without_the_viewer() -> None:
+    code = (
+        "import sys, app.cli\n"
+        "heavy = {'viser', 'open3d', 'sklearn', 'matplotlib'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    start = time.perf_counter()
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment(), cwd=ROOT)
+    assert time.perf_counter() - start < 10  # about 1 s; a slow machine is no failure
+
+
+def test_the_core_loads_without_the_app(tmp_path: Path) -> None:
+    code = (
+        "import sys, gpgrad_core\n"
+        "strange = {'app', 'viser', 'tyro', 'tqdm', 'open3d', 'trimesh'} & set(sys.modules)\n"
+        "assert not strange, strange\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment(), cwd=tmp_path)

@@ -1,0 +1,45 @@
+"""`gpgrad view`, as a process."""
+
+import re
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from tests.end_to_end.process import ROOT, Run, environment
+
+
+@pytest.mark.parametrize("built_in", [False, True])
+def test_the_page_is_served_until_interrupted(traverse: Path, built_in: bool) -> None:
+    dataset = [] if built_in else [str(traverse)]
+    with subprocess.Popen(
+        [sys.executable, "-m", "app", "view", *dataset, "--port", "0", "--no-open"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(),
+        cwd=ROOT,
+    ) as process:
+        try:
+            assert process.stdout is not None
+            said = process.stdout.readline()
+            address = re.search(r"http://\S+", said)
+            assert address, (said, process.stderr and process.stderr.read())
+            assert built_in or said.startswith("small traverse is at http://127.0.0.1:")
+            with urllib.request.urlopen(address[0], timeout=30) as page:
+                assert page.status == 200
+                assert b"<html" in page.read().lower()
+            process.send_signal(signal.SIGINT)
+            _, err = process.communicate(timeout=30)
+        finally:
+            process.kill()
+    assert process.returncode == 130
+    assert err.splitlines() == ["gpgrad: interrupted"]
+
+
+def test_a_dataset_that_is_not_there_is_refused(gpgrad: Run, tmp_path: Path) -> None:
+    refused = gpgrad("view", tmp_path / "nowhere", "--no-open")
+    assert "nowhere" in refused.refusal
