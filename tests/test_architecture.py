@@ -1,7 +1,10 @@
 """Dependencies point one way, and every module has its place."""
 
+import ast
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -32,3 +35,26 @@ def test_the_top_level_holds_nothing_else() -> None:
         *("pyproject.toml", "README.md", "LICENSE"),
         *("app", "gpgrad_core", "tests", "assets"),
     }
+
+
+def test_what_is_imported_is_declared() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = {re.split(r"[<>=\[]", entry)[0] for entry in project["dependencies"]}
+    spelled = {"opencv-contrib-python-headless": "cv2", "typing-extensions": "typing_extensions"}
+    allowed = {spelled.get(name, name) for name in declared} | {"app", "gpgrad_core"}
+    optional = {"laspy"}  # asked for by name where a file needs it
+    for package in ("app", "gpgrad_core"):
+        for path in (ROOT / package).rglob("*.py"):
+            for name in imported(path) - sys.stdlib_module_names - optional:
+                assert name in allowed, f"{path}: {name} is not in pyproject.toml"
+
+
+def imported(path: Path) -> set[str]:
+    """Top names of all that a module imports, anywhere in it."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.add(node.module.split(".")[0])
+    return names
