@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gpgrad_core.datasets.pcd import read_pcd
 from gpgrad_core.datasets.ply import read_ply
-from gpgrad_core.datasets.tables import read_table
+from gpgrad_core.datasets.tables import as_floats, read_table
 from gpgrad_core.errors import InputError
 from gpgrad_core.types import Submap
 
@@ -104,7 +104,7 @@ def _read_npz(path: Path) -> Points:
         raise InputError(
             f"{path}: needs an array 'points', or just one of shape (n, 3); it holds {held}"
         )
-    return arrays[clouds[0]]
+    return as_floats(arrays[clouds[0]])
 
 
 def _has_points_shape(array: NDArray[Any]) -> bool:
@@ -116,7 +116,7 @@ def _check_points(array: NDArray[Any], where: str) -> Points:
         raise InputError(
             f"{where}: points must be numbers of shape (n, 3), got {array.dtype} {array.shape}"
         )
-    return array
+    return as_floats(array)
 
 
 def _read_las(path: Path) -> Points:

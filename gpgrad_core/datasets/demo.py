@@ -17,7 +17,7 @@ def demo_params() -> SimulationParams:
     rock field; and a heading that drifts enough to be seen on a short drive.
     """
     return SimulationParams(
-        seed=11,
+        seed=13,
         num_submaps=10,
         route="winding",
         extent=38.0,

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from gpgrad_core.datasets.tables import cut_short, read_body
+from gpgrad_core.datasets.tables import as_floats, cut_short, read_body
 from gpgrad_core.errors import InputError
 
 KINDS = {"F": "f", "I": "i", "U": "u"}
@@ -55,7 +55,7 @@ def read_pcd(path: Path) -> Float[NDArray[np.floating], "n 3"]:
         if len(body) < count * dtype.itemsize:
             raise cut_short(path, count, len(body) // dtype.itemsize)
         table = np.frombuffer(body, dtype, count)
-        return np.column_stack([table[str(column)][:, 0] for column in columns])
+        return as_floats(np.column_stack([table[str(column)][:, 0] for column in columns]))
     if layout == "binary_compressed":
         return _read_compressed(body, dtype, columns, count, path)
     raise InputError(f"{path}: DATA {layout!r} is none of ascii, binary, binary_compressed")
@@ -87,7 +87,7 @@ def _read_compressed(
         offset = count * sum(dtype[k].itemsize for k in range(column))
         field, (repeat,) = dtype[column].subdtype or (dtype[column], (1,))
         values.append(np.frombuffer(unpacked, field, count * repeat, offset)[::repeat])
-    return np.column_stack(values)
+    return as_floats(np.column_stack(values))
 
 
 def decompress_lzf(packed: bytes, size: int) -> bytes:

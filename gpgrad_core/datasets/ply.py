@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from gpgrad_core.datasets.tables import cut_short, read_body
+from gpgrad_core.datasets.tables import as_floats, cut_short, read_body
 from gpgrad_core.errors import InputError
 
 Array = NDArray[np.float64]
@@ -98,7 +98,7 @@ def read_ply(path: Path) -> Float[NDArray[np.floating], "n 3"]:
     if available < vertex.count:
         raise cut_short(path, vertex.count, available)
     rows = np.frombuffer(data, dtype, vertex.count, start)
-    return np.column_stack([rows[str(column)] for column in columns])
+    return as_floats(np.column_stack([rows[str(column)] for column in columns]))
 
 
 def _parse_header(data: bytes, path: Path) -> _Header:

@@ -57,8 +57,9 @@ def plan_track(params: SimulationParams) -> Track:
     out = _way_out(params.route, distance)
     swing = params.lateral_offset * np.sin(2.0 * np.pi * distance / max(17.0, length / 2.0))
     along = np.gradient(out, axis=0)
-    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]
-    back = _resample((out[::-1] + swing[:, None] * normal[::-1]))
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    normal /= np.hypot(along[:, 0], along[:, 1])[:, None]
+    back = _resample(out[::-1] + swing[:, None] * normal[::-1])
     margin = params.max_range + 0.5
     low, high = np.vstack([out, back]).min(axis=0), np.vstack([out, back]).max(axis=0)
     needed = float(np.max(high - low)) + 2.0 * margin
@@ -82,16 +83,16 @@ def _way_out(route: str, distance: Float[Array, "n"]) -> Float[Array, "n 2"]:
     elif route == "loop":
         yaw = 2.0 * np.pi * share + 0.35 * np.sin(6.0 * np.pi * share)
     else:
-        # Headings of an eight: one ring to the left, one to the right, straight between.
-        yaw = 0.5 + 2.2 * np.sin(2.0 * np.pi * share)
-        yaw = np.where(share < 0.5, 4.0 * np.pi * share, 4.0 * np.pi * (1.0 - share))
+        # One ring to the left, then one to the right.
+        yaw = 2.0 * np.pi * np.minimum(2.0 * share, 2.0 - 2.0 * share)
     steps = STEP * np.column_stack([np.cos(yaw), np.sin(yaw)])
     return np.vstack([[0.0, 0.0], np.cumsum(steps[:-1], axis=0)])
 
 
 def _resample(xy: Float[Array, "n 2"]) -> Float[Array, "m 2"]:
     """Space the points of a line evenly again, a `STEP` apart."""
-    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    steps = np.diff(xy, axis=0)
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
     even = np.arange(0.0, travelled[-1], STEP)
     return np.column_stack([np.interp(even, travelled, xy[:, axis]) for axis in range(2)])
 

@@ -1,5 +1,7 @@
 """A synthetic dataset with known truth: terrain, rover, submaps, odometry."""
 
+from itertools import pairwise
+
 import numpy as np
 from jaxtyping import Float
 from numpy.random import PCG64, Generator, SeedSequence
@@ -78,7 +80,7 @@ def _level_pose(x: float, y: float, z: float, yaw: float) -> Pose:
 def _drift(truth: list[Pose], params: SimulationParams, rng: Generator) -> list[Pose]:
     """Retell the drive as odometry has it: each step a little long or short, and a little off."""
     believed = [truth[0]]
-    for before, after in zip(truth, truth[1:], strict=False):
+    for before, after in pairwise(truth):
         step = before.planar.inverse() @ after.planar
         length_error, height_error = rng.normal(0.0, params.odometry_drift, 2)
         turn_error = rng.normal(0.0, params.heading_drift * np.sqrt(params.spacing))

@@ -98,6 +98,14 @@ def read_body(
     return parse_rows(rows, columns, None, path, first_line=first_line + skipped)
 
 
+def as_floats(
+    columns: NDArray[np.floating] | NDArray[np.integer],
+) -> NDArray[np.floating]:
+    """Give numbers a type that holds them exactly: float32 stays, all else becomes float64."""
+    kept = np.float32 if columns.dtype.kind == "f" and columns.dtype.itemsize == 4 else np.float64
+    return columns.astype(kept, copy=False)
+
+
 def cut_short(path: Path, promised: int, found: int) -> InputError:
     """Make the error for a file that ends before its header's promise is kept."""
     return InputError(
