@@ -89,7 +89,9 @@ class PairPanel:
         self._query = server.gui.add_dropdown(
             "Query", ids, initial_value=state.query_id, hint="Submap that is to be recognised."
         )
-        query_steps = server.gui.add_button_group("", ("previous", "next"), hint="Step the query.")
+        query_steps = server.gui.add_button_group(
+            "Step query", ("previous", "next"), hint="Step the query."
+        )
         self._database = server.gui.add_dropdown(
             "Database",
             ids,
@@ -97,7 +99,7 @@ class PairPanel:
             hint="Earlier submap that the query is compared with.",
         )
         database_steps = server.gui.add_button_group(
-            "", ("previous", "next"), hint="Step the database submap."
+            "Step database", ("previous", "next"), hint="Step the database submap."
         )
         for dropdown in (self._query, self._database):
 

@@ -133,7 +133,7 @@ def make_features(positions: Array) -> Features:
     more = np.vstack([positions, [[0.0, 0.0]]])
     count = len(more)
     return Features(
-        more, np.ones(count), np.ones(count), np.zeros(count), np.zeros((count, 4), np.uint8)
+        more, np.ones(count), np.ones(count), np.zeros(count), np.zeros((count, 4), np.float32)
     )
 
 

@@ -1,0 +1,200 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import viser
+
+from app.panels.dataset import DatasetPanel, PairPanel
+from app.panels.status import StatusLine, status_html
+from app.panels.verdict import VerdictCard, verdict_html
+from app.panels.view import LAYER_NAMES, ViewPanel, legend_html
+from app.state import LAYERS, ViewOptions, open_dataset, with_pair
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.types import Dataset, Submap
+from tests.app.synthetic import make_dataset, make_result, needing
+from tests.app.widgets import find, user_presses, user_sets
+
+STATE = open_dataset(make_dataset(), PipelineParams())
+
+
+def html_of(panel: object) -> str:
+    """Join what a panel's HTML widgets say."""
+    return "".join(
+        handle.content for handle in vars(panel).values() if isinstance(handle, viser.GuiHtmlHandle)
+    )
+
+
+def test_the_card_tells_an_accepted_pair_with_units() -> None:
+    html = verdict_html(STATE, make_result(STATE))
+    for words in (
+        ">Loop closure<",
+        "query 003",
+        "database 000",
+        "12 of 8 needed",
+        "4.20",
+        "+90.0°",
+        "+1.00 m, -0.50 m",
+        "12.5 m²",
+        "0.93",
+    ):
+        assert words in html
+
+
+def test_the_card_tells_a_refused_pair_and_why() -> None:
+    state = open_dataset(make_dataset(), needing(20))
+    html = verdict_html(state, make_result(state))
+    assert ">No loop closure<" in html
+    assert "12 inliers &lt; 20" in html
+
+
+def test_the_card_tells_when_no_motion_was_found(server: viser.ViserServer) -> None:
+    result = make_result(STATE)
+    nowhere = replace(result.registration, T_database_query=None)
+    result = replace(
+        result,
+        registration=nowhere,
+        closure=replace(result.closure, registration=nowhere, accepted=False),
+    )
+    card = VerdictCard(server)
+    card.show(STATE, result)
+    assert "none found" in html_of(card)
+    assert "yaw" not in html_of(card)
+
+
+def test_one_submap_twice_is_said() -> None:
+    state = with_pair(STATE, query_id="000")
+    assert "the same submap twice" in verdict_html(state, make_result(state))
+
+
+def test_names_cannot_bring_markup_into_the_page(server: viser.ViserServer) -> None:
+    evil = "<img src=x onerror=alert(1)>"
+    submap = Submap.from_points(np.random.default_rng(0).normal(size=(9, 3)), evil)
+    dataset = Dataset(evil, (submap,), description=evil, notes=(evil,))
+    state = open_dataset(dataset, PipelineParams())
+    panel = DatasetPanel(server, lambda path: None, lambda: None)  # noqa: ARG005
+    panel.show(dataset, evil)
+    shown = html_of(panel)
+    panel.error(evil)
+    shown += html_of(panel) + status_html(evil, "red", title=evil)
+    result = make_result(STATE)
+    shown += verdict_html(
+        state, replace(result, closure=replace(result.closure, query_id=evil, reason=evil))
+    )
+    shown += legend_html("data:", evil, evil, low=0.0, high=1.0, mark=None)
+    assert "<img src=x" not in shown
+    assert "&lt;img src=x" in shown
+
+
+def test_the_status_line_says_whether_the_picture_is_current(server: viser.ViserServer) -> None:
+    status = StatusLine(server)
+    status.computing()
+    assert "Computing" in html_of(status)
+    status.up_to_date(0.123, "5,000 cells")
+    assert "Up to date · 123 ms · 5,000 cells" in html_of(status)
+    status.stale(0.2)
+    assert "Computing" in html_of(status)
+    status.error("too wide")
+    assert "out of date" in html_of(status)
+    assert "too wide" in html_of(status)
+
+
+def test_loading_reports_the_path_as_typed(server: viser.ViserServer) -> None:
+    asked: list[str] = []
+    panel = DatasetPanel(server, asked.append, lambda: asked.append("the demo"))
+    user_sets(find(server, "Folder"), "  /data/etna ")
+    user_sets(find(server, "Open"), "Load")
+    user_sets(find(server, "Open"), "Demo")
+    assert asked == ["/data/etna", "the demo"]
+    panel.error("/data/etna: no such file or folder")
+    assert "no such file" in html_of(panel)
+    panel.show(STATE.dataset, "/data/hills")
+    assert "no such file" not in html_of(panel)
+    assert "hills · 4 submaps" in html_of(panel)
+    assert find(server, "Folder").value == "/data/hills"
+
+
+def test_what_loading_left_out_is_shown(server: viser.ViserServer) -> None:
+    panel = DatasetPanel(server, lambda path: None, lambda: None)  # noqa: ARG005
+    panel.show(replace(STATE.dataset, notes=("003.ply: 7 rows dropped",)), "")
+    assert "003.ply: 7 rows dropped" in html_of(panel)
+
+
+def test_the_pair_is_chosen_and_stepped(server: viser.ViserServer) -> None:
+    chosen: list[tuple[str, str]] = []
+    panel = PairPanel(server, STATE, lambda query, database: chosen.append((query, database)))
+    user_sets(find(server, "Query"), "002")
+    user_sets(find(server, "Database"), "001")
+    user_sets(find(server, "Step query"), "next")
+    user_sets(find(server, "Step query"), "next")
+    user_sets(find(server, "Step database"), "previous")
+    assert chosen == [
+        ("002", "000"),
+        ("002", "001"),
+        ("003", "001"),
+        ("000", "001"),
+        ("000", "003"),  # 000 is the query and is passed over
+    ]
+    panel.show(open_dataset(make_dataset(), PipelineParams()))
+    assert find(server, "Query").value == "003"
+    assert len(chosen) == 5
+
+
+def test_every_option_of_the_view_is_reported(server: viser.ViserServer) -> None:
+    reported: list[ViewOptions] = []
+    presses: list[int] = []
+    panel = ViewPanel(server, ViewOptions(), reported.append, lambda: presses.append(1))
+    for label, value in (
+        ("Layout", "registered"),
+        ("Layer", "standard deviation"),
+        ("Colours", "turbo"),
+        ("Surfaces", False),
+        ("Point clouds", True),
+        ("Keypoints", False),
+        ("Inlier lines", False),
+        ("Outlier lines", False),
+        ("Masked cells", "grey"),
+        ("Hillshade", False),
+        ("Point size", 0.1),
+    ):
+        user_sets(find(server, label), value)
+    assert reported[-1] == panel.options
+    assert panel.options == ViewOptions(
+        layer="std",
+        color_map="turbo",
+        layout="registered",
+        surfaces=False,
+        clouds=True,
+        untrusted="grey",
+        hillshade=False,
+        keypoints=False,
+        inlier_lines=False,
+        outlier_lines=False,
+        point_size=0.1,
+    )
+    assert set(LAYER_NAMES) == set(LAYERS)
+    user_presses(find(server, "Show both submaps"))
+    assert presses == [1]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "texts"),
+    [
+        (0.0, 1.0, (">0.00<", ">0.50<", ">1.00<")),
+        (-0.02, 0.02, (">-0.0200<", ">0.0000<", ">0.0200<")),
+        (100.0, 900.0, (">100<", ">500<", ">900<")),
+        (2.0, 2.0, (">2.0000<",)),
+    ],
+)
+def test_the_legend_prints_ends_middle_and_unit(
+    low: float, high: float, texts: tuple[str, ...]
+) -> None:
+    html = legend_html("data:x", "Elevation", "m", low=low, high=high, mark=None)
+    assert "Elevation" in html
+    assert "[m]" in html
+    for text in texts:
+        assert text in html
+
+
+def test_the_legend_points_at_the_masks_threshold() -> None:
+    html = legend_html("data:x", "Mask", "share", low=0.0, high=1.0, mark=0.3)
+    assert "left:30.0%" in html

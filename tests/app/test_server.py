@@ -1,0 +1,187 @@
+import socket
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import viser
+
+from app import server as app_server
+from app.server import MAIN_PARAMETERS, Viewer, message_of
+from gpgrad_core.datasets import write_dataset
+from gpgrad_core.errors import InputError
+from gpgrad_core.pipeline import PipelineParams
+from tests.app.synthetic import FakePipeline, make_dataset, needing
+from tests.app.widgets import find, user_presses, user_sets
+
+
+@pytest.fixture
+def pipeline(monkeypatch: pytest.MonkeyPatch) -> FakePipeline:
+    fake = FakePipeline()
+    monkeypatch.setattr(app_server, "register_pair", fake)
+    return fake
+
+
+@pytest.fixture
+def viewer(pipeline: FakePipeline) -> Iterator[Viewer]:  # noqa: ARG001
+    made = Viewer(make_dataset(), PipelineParams(), port=0)
+    assert made.wait_idle(20)
+    yield made
+    made.close()
+
+
+def gui(viewer: Viewer) -> viser.ViserServer:
+    return viewer._server
+
+
+def said(viewer: Viewer, panel: str) -> str:
+    return "".join(
+        handle.content
+        for handle in vars(getattr(viewer, panel)).values()
+        if isinstance(handle, viser.GuiHtmlHandle)
+    )
+
+
+def test_it_opens_at_a_revisit_with_a_verdict(viewer: Viewer) -> None:
+    assert (viewer.state.query_id, viewer.state.database_id) == ("003", "000")
+    assert "Loop closure" in said(viewer, "_verdict")
+    assert "Up to date" in said(viewer, "_status")
+    assert "Elevation" in said(viewer, "_view_panel")
+    assert viewer.url.startswith("http://127.0.0.1:")
+
+
+def test_nothing_is_printed(
+    pipeline: FakePipeline,  # noqa: ARG001
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    viewer = Viewer(make_dataset(), port=0)
+    viewer.close()
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("map.length_scale", 0.5),
+        ("map.noise_std", 0.1),
+        ("features.max_std_ratio", 0.2),
+        ("registration.inlier_radius", 0.6),
+        ("closure.min_inliers", 20),
+    ],
+)
+def test_each_slider_reaches_the_pipeline(
+    viewer: Viewer, pipeline: FakePipeline, path: str, value: float
+) -> None:
+    user_sets(find(gui(viewer), MAIN_PARAMETERS[path]), value)
+    assert viewer.wait_idle(20)
+    group, name = path.split(".")
+    used: Any = getattr(getattr(pipeline.calls[-1], group), name)
+    assert used == value
+
+
+def test_minimum_inliers_turns_the_verdict_and_reset_turns_it_back(
+    viewer: Viewer, pipeline: FakePipeline
+) -> None:
+    user_sets(find(gui(viewer), "Minimum inliers"), 20)
+    assert viewer.wait_idle(20)
+    assert "No loop closure" in said(viewer, "_verdict")
+    user_presses(find(gui(viewer), "Reset parameters"))
+    assert viewer.wait_idle(20)
+    assert "No loop closure" not in said(viewer, "_verdict")
+    assert find(gui(viewer), "Minimum inliers").value == 8
+    assert pipeline.calls[-1] == PipelineParams()
+
+
+def test_many_events_end_on_the_last_and_do_not_echo(
+    viewer: Viewer, pipeline: FakePipeline
+) -> None:
+    before = len(pipeline.calls)
+    slider = find(gui(viewer), "Minimum inliers")
+    for value in [*range(2, 40)] * 5 + [23]:
+        user_sets(slider, value)
+    assert viewer.wait_idle(20)
+    assert pipeline.calls[-1] == needing(23)
+    assert "of 23 needed" in said(viewer, "_verdict")
+    calls = len(pipeline.calls)
+    assert calls - before <= 191
+    assert not viewer._runner._waiting
+
+
+def test_an_error_is_told_and_the_next_slider_works(viewer: Viewer, pipeline: FakePipeline) -> None:
+    pipeline.error = InputError("003 spans 10,000 m x 10,000 m: raise the resolution")
+    user_sets(find(gui(viewer), "Length-scale"), 0.5)
+    assert viewer.wait_idle(20)
+    assert "raise the resolution" in said(viewer, "_status")
+    assert "out of date" in said(viewer, "_status")
+    assert "Loop closure" in said(viewer, "_verdict")  # the last good one stays
+    pipeline.error = None
+    user_sets(find(gui(viewer), "Length-scale"), 0.6)
+    assert viewer.wait_idle(20)
+    assert "Up to date" in said(viewer, "_status")
+
+
+def test_an_unexpected_error_is_told_and_logged(
+    viewer: Viewer, pipeline: FakePipeline, caplog: pytest.LogCaptureFixture
+) -> None:
+    pipeline.error = ZeroDivisionError("division by zero")
+    user_sets(find(gui(viewer), "Noise"), 0.1)
+    assert viewer.wait_idle(20)
+    assert "Unexpected ZeroDivisionError: division by zero" in said(viewer, "_status")
+    assert "unexpected error" in caplog.text
+    assert message_of(InputError("plain words")) == "plain words"
+
+
+def test_another_dataset_is_opened(viewer: Viewer, tmp_path: Path) -> None:
+    other = replace(make_dataset(num_points=300, name="other hills"), description="Smaller.")
+    other = replace(other, submaps=other.submaps[:3])
+    write_dataset(other, tmp_path / "other")
+    user_sets(find(gui(viewer), "Minimum inliers"), 30)
+    user_sets(find(gui(viewer), "Folder"), str(tmp_path / "other"))
+    user_sets(find(gui(viewer), "Open"), "Load")
+    assert viewer.wait_idle(20)
+    assert len(viewer.state.dataset.submaps) == 3
+    assert find(gui(viewer), "Query").options == ("000", "001", "002")
+    assert find(gui(viewer), "Minimum inliers").value == 8
+    assert "Up to date" in said(viewer, "_status")
+
+
+def test_a_missing_folder_is_told_and_the_rest_works(viewer: Viewer, tmp_path: Path) -> None:
+    missing = tmp_path / "nowhere"
+    user_sets(find(gui(viewer), "Folder"), str(missing))
+    user_sets(find(gui(viewer), "Open"), "Load")
+    assert viewer.wait_idle(20)
+    assert f"{missing}: no such file or folder" in said(viewer, "_dataset_panel")
+    assert viewer.state.dataset.name == "hills"
+    user_sets(find(gui(viewer), "Minimum inliers"), 20)
+    assert viewer.wait_idle(20)
+    assert "No loop closure" in said(viewer, "_verdict")
+
+
+def test_an_empty_path_is_told(viewer: Viewer) -> None:
+    user_sets(find(gui(viewer), "Open"), "Load")
+    assert "Type the path" in said(viewer, "_dataset_panel")
+
+
+def test_hiding_the_surfaces_hides_the_legend(viewer: Viewer) -> None:
+    user_sets(find(gui(viewer), "Surfaces"), False)
+    assert viewer.wait_idle(20)
+    assert "Elevation" not in said(viewer, "_view_panel")
+
+
+def test_a_busy_port_moves_on_to_the_next(pipeline: FakePipeline) -> None:  # noqa: ARG001
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        viewer = Viewer(make_dataset(), port=port)
+        try:
+            assert viewer.url != f"http://127.0.0.1:{port}"
+        finally:
+            viewer.close()
+
+
+def test_closing_twice_is_closing_once(viewer: Viewer) -> None:
+    viewer.close()
+    viewer.close()
+    viewer.run_forever()  # returns at once

@@ -1,0 +1,37 @@
+"""Act on a server's widgets as a user's browser would, without a browser."""
+
+import asyncio
+from typing import Any
+
+import viser
+
+
+def find(server: viser.ViserServer, label: str) -> Any:
+    """Find the widget whose label begins so."""
+    found = [
+        handle
+        for handle in server.gui._gui_input_handle_from_uuid.values()
+        if str(getattr(handle, "label", "")).startswith(label)
+    ]
+    assert len(found) == 1, f"{len(found)} widgets are called {label!r}"
+    return found[0]
+
+
+def labels(server: viser.ViserServer) -> list[str]:
+    """List the labels of all widgets."""
+    return [str(handle.label) for handle in server.gui._gui_input_handle_from_uuid.values()]
+
+
+def user_sets(handle: Any, value: object) -> None:
+    """Let a user change a widget: unlike assigning, this comes with a client."""
+    handle._impl.value = value
+    event = viser.GuiEvent(client=None, client_id=1, target=handle)  # type: ignore[arg-type]
+    for callback in handle._impl.update_cb:
+        asyncio.run_coroutine_threadsafe(callback(event), handle._impl.gui_api._event_loop).result(
+            timeout=10
+        )
+
+
+def user_presses(handle: Any) -> None:
+    """Let a user press a button."""
+    user_sets(handle, True)
