@@ -92,7 +92,8 @@ def _read_npy(path: Path) -> Points:
 
 def _read_npz(path: Path) -> Points:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        # Opened here, because NumPy leaves a file that is no archive open.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except (ValueError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: is not a whole NPZ file: {_first_line(error)}") from None
@@ -125,7 +126,7 @@ def _read_las(path: Path) -> Points:
         laspy: Any = importlib.import_module("laspy")
     except ModuleNotFoundError:
         raise InputError(
-            f"{path}: reading {path.suffix} needs the package laspy: pip install 'laspy[lazrs]'"
+            f"{path}: reading {path.suffix} needs the extra 'las': pip install 'gpgrad[las]'"
         ) from None
     try:
         return np.asarray(laspy.read(path).xyz, dtype=np.float64)

@@ -47,7 +47,7 @@ def read_table(path: Path) -> Float[Array, "n 3"]:
     first = next((k for k, line in enumerate(lines) if _is_data(line)), None)
     if first is None:
         return np.empty((0, 3))
-    separator = next((mark for mark in ",;\t" if mark in lines[first]), None)
+    separator = next((mark for mark in ";,\t" if mark in lines[first]), None)
     fields = _fields(lines[first], separator)
     columns = _named_columns(fields)
     if columns is not None:

@@ -1,0 +1,193 @@
+"""Every format keeps what was written; every broken file is refused in one line."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from gpgrad_core.datasets import load_cloud
+from gpgrad_core.datasets.clouds import load_cloud_with_notes
+from gpgrad_core.datasets.ply import write_ply
+from tests.core.datasets.refusal import assert_refused
+
+WORLD = np.array([456_789.123456789, 5_123_456.987654321, -1234.000000123])
+
+
+@pytest.fixture
+def world_points() -> np.ndarray:
+    """Terrain in map coordinates, where float32 has steps of half a metre."""
+    return WORLD + np.random.default_rng(3).uniform(-5, 5, (40, 3))
+
+
+def as_xyz(path: Path, points: np.ndarray) -> None:
+    np.savetxt(path, points, fmt="%.17g")
+
+
+def as_csv(path: Path, points: np.ndarray) -> None:
+    np.savetxt(path, points, fmt="%.17g", delimiter=",", header="x,y,z", comments="")
+
+
+def as_npy(path: Path, points: np.ndarray) -> None:
+    np.save(path, points)
+
+
+def as_npz(path: Path, points: np.ndarray) -> None:
+    np.savez(path, points=points, colours=np.zeros((len(points), 3)))
+
+
+def as_las(path: Path, points: np.ndarray) -> None:
+    laspy = pytest.importorskip("laspy", reason="the extra 'las' is not installed")
+    header = laspy.LasHeader(point_format=0)
+    header.offsets, header.scales = np.floor(points.min(axis=0)), np.full(3, 1e-7)
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = points.T
+    cloud.write(str(path))
+
+
+@pytest.mark.parametrize(
+    ("ending", "write"),
+    [
+        (".xyz", as_xyz),
+        (".csv", as_csv),
+        (".npy", as_npy),
+        (".npz", as_npz),
+        (".ply", write_ply),
+        (".NPY", as_npy),
+    ],
+)
+def test_double_formats_keep_every_bit(
+    ending: str,
+    write: Callable[[Path, np.ndarray], None],
+    world_points: np.ndarray,
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / f"crater{ending}"
+    if ending == ".NPY":  # np.save would add another ending
+        with path.open("wb") as file:
+            np.save(file, world_points)
+    else:
+        write(path, world_points)
+    submap, notes = load_cloud_with_notes(path)
+    assert submap.id == "crater"
+    assert notes == ()
+    np.testing.assert_array_equal(submap.points, world_points)
+
+
+@pytest.mark.parametrize("ending", [".las", ".laz"])
+def test_las_keeps_its_steps(ending: str, world_points: np.ndarray, tmp_path: Path) -> None:
+    path = tmp_path / f"a{ending}"
+    as_las(path, world_points)
+    np.testing.assert_allclose(load_cloud(path).points, world_points, rtol=0, atol=1e-7)
+    path.write_bytes(path.read_bytes()[:300])
+    assert_refused(lambda: load_cloud(path), str(path), "not a whole LAS file")
+
+
+def test_las_without_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "laspy", None)
+    path = tmp_path / "a.laz"
+    path.write_bytes(b"LASF")
+    assert_refused(lambda: load_cloud(path), str(path), "pip install 'gpgrad[las]'")
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50)
+@given(
+    offsets=hnp.arrays(np.float64, (20, 3), elements=st.floats(-300, 300, width=32)),
+)
+def test_written_points_come_back_within_float32(offsets: np.ndarray, tmp_path: Path) -> None:
+    # A square under the drawn points, because points on one line are no terrain.
+    points = np.vstack([offsets, [[0, 0, 0], [9, 0, 0], [0, 9, 0]]])
+    write_ply(tmp_path / "a.ply", points)
+    np.testing.assert_array_equal(
+        load_cloud(tmp_path / "a.ply").points, points.astype(np.float32).astype(np.float64)
+    )
+
+
+def test_rows_that_are_not_finite_are_dropped_and_counted(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).normal(size=(30_000, 3))
+    points[:7, 2] = np.nan
+    points[7:12, 0] = np.inf
+    np.save(tmp_path / "003.npy", points)
+    submap, notes = load_cloud_with_notes(tmp_path / "003.npy")
+    assert submap.num_dropped == 12
+    assert len(submap.points) == 29_988
+    assert notes == ("003.npy: 12 of 30,000 rows are not finite and were dropped",)
+    points[1:12] = 0.0
+    np.save(tmp_path / "003.npy", points)
+    _, notes = load_cloud_with_notes(tmp_path / "003.npy")
+    assert notes == ("003.npy: 1 of 30,000 rows is not finite and was dropped",)
+
+
+def test_world_coordinates_in_float32_are_told(tmp_path: Path, world_points: np.ndarray) -> None:
+    np.save(tmp_path / "a.npy", world_points.astype(np.float32))
+    _, notes = load_cloud_with_notes(tmp_path / "a.npy")
+    assert len(notes) == 1
+    assert "5,123,46" in notes[0]
+    assert "steps of 0.5 m" in notes[0]
+
+
+def test_whole_numbers_are_points_too(tmp_path: Path) -> None:
+    points = np.array([[0, 0, 1], [10, 0, 2], [0, 10, 3]])
+    np.save(tmp_path / "a.npy", points)
+    np.testing.assert_array_equal(load_cloud(tmp_path / "a.npy").points, points)
+
+
+def test_npz_takes_the_only_array_of_points(tmp_path: Path) -> None:
+    points = np.random.default_rng(1).normal(size=(9, 3))
+    np.savez(tmp_path / "a.npz", cloud=points, stamp=np.arange(3))
+    np.testing.assert_array_equal(load_cloud(tmp_path / "a.npz").points, points)
+    np.savez(tmp_path / "b.npz", first=points, second=points)
+    assert_refused(
+        lambda: load_cloud(tmp_path / "b.npz"), "b.npz", "'points'", "first (9, 3), second (9, 3)"
+    )
+    np.savez(tmp_path / "c.npz", points=points[:, :2])
+    assert_refused(lambda: load_cloud(tmp_path / "c.npz"), "array 'points'", "(9, 2)")
+
+
+def test_a_missing_file_and_an_unknown_ending(tmp_path: Path) -> None:
+    assert_refused(lambda: load_cloud(tmp_path / "none.ply"), "none.ply: no such file")
+    (tmp_path / "a.e57").touch()
+    assert_refused(
+        lambda: load_cloud(tmp_path / "a.e57"),
+        "a.e57: unknown ending '.e57'",
+        ".ply .pcd .npz .npy .xyz .csv .las .laz",
+    )
+    (tmp_path / "folder.ply").mkdir()
+    assert_refused(lambda: load_cloud(tmp_path / "folder.ply"), "folder.ply: cannot be read")
+
+
+@pytest.mark.parametrize(
+    ("points", "rule"),
+    [
+        (np.zeros((0, 3)), "empty cloud"),
+        (np.full((5, 3), np.nan), "found 0 of 5"),
+        (np.ones((1, 3)), "found 1 of 1"),
+        (np.linspace(0, 1, 9)[:, None] * [1.0, 2.0, 3.0], "one line"),
+        (np.zeros((4, 2)), "shape (n, 3), got float64 (4, 2)"),
+        (np.array([["a", "b", "c"]]), "must be numbers"),
+    ],
+)
+def test_clouds_that_are_no_terrain(points: np.ndarray, rule: str, tmp_path: Path) -> None:
+    path = tmp_path / "000.npy"
+    np.save(path, points)
+    assert_refused(lambda: load_cloud(path), f"{path}: ", rule)
+
+
+def test_broken_archives(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).normal(size=(1000, 3))
+    for name, save in {"a.npy": np.save, "a.npz": np.savez}.items():
+        path = tmp_path / name
+        save(path, points)
+        whole = path.read_bytes()
+        for broken in (whole[: len(whole) // 2], whole[:9], b"", b"no archive\n" * 9):
+            path.write_bytes(broken)
+            assert_refused(lambda path=path: load_cloud(path), f"{path}: is not a whole")
+    np.save(tmp_path / "b.npy", np.array([{"pickled": 1}], dtype=object), allow_pickle=True)
+    assert_refused(lambda: load_cloud(tmp_path / "b.npy"), "b.npy: is not a whole NPY")
+    with (tmp_path / "c.npy").open("wb") as file:
+        np.savez(file, points=points)
+    assert_refused(lambda: load_cloud(tmp_path / "c.npy"), "rename it to .npz")
