@@ -1,1 +1,96 @@
-"""gpgrad_core: loop closures from Gaussian-process gradient maps of bare terrain."""
+"""gpgrad_core: loop closures from Gaussian-process gradient maps of bare terrain.
+
+The index of what others may rely on; ``import gpgrad_core as gg``. Lengths are in metres, angles
+in radians; data and params are frozen; every verb is a pure function of them.
+"""
+
+from gpgrad_core.datasets import (
+    SimulationParams,
+    demo_path,
+    load_cloud,
+    load_dataset,
+    simulate_dataset,
+    write_dataset,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.features import DetectorParams, FeatureParams, extract_features
+from gpgrad_core.gradient_map import MapParams, infer_gradient_map
+from gpgrad_core.loop_closure import ClosureParams, classify
+from gpgrad_core.matching import MatchParams, match_features
+from gpgrad_core.memo import Memo
+from gpgrad_core.outputs import (
+    read_closures,
+    report_closures,
+    write_closures,
+    write_graph,
+    write_map,
+)
+from gpgrad_core.parameters import preferred_parameters, read_parameters
+from gpgrad_core.pipeline import (
+    DetectionResult,
+    PairResult,
+    PipelineParams,
+    detect_loop_closures,
+    register_pair,
+)
+from gpgrad_core.registration import RegistrationParams, register
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import (
+    Dataset,
+    Features,
+    GradientMap,
+    Grid,
+    LoopClosure,
+    LoopDetector,
+    Matches,
+    Pose,
+    Registration,
+    Submap,
+)
+from gpgrad_core.version import VERSION as __version__
+
+__all__ = [
+    "SE2",
+    "ClosureParams",
+    "Dataset",
+    "DetectionResult",
+    "DetectorParams",
+    "FeatureParams",
+    "Features",
+    "GradientMap",
+    "Grid",
+    "InputError",
+    "LoopClosure",
+    "LoopDetector",
+    "MapParams",
+    "MatchParams",
+    "Matches",
+    "Memo",
+    "PairResult",
+    "PipelineParams",
+    "Pose",
+    "Registration",
+    "RegistrationParams",
+    "SimulationParams",
+    "Submap",
+    "__version__",
+    "classify",
+    "demo_path",
+    "detect_loop_closures",
+    "extract_features",
+    "infer_gradient_map",
+    "load_cloud",
+    "load_dataset",
+    "match_features",
+    "preferred_parameters",
+    "read_closures",
+    "read_parameters",
+    "register",
+    "register_pair",
+    "report_closures",
+    "simulate_dataset",
+    "write_closures",
+    "write_dataset",
+    "write_graph",
+    "write_map",
+]

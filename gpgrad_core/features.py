@@ -1,20 +1,25 @@
 """Keypoints in trusted cells of a gradient map, and their descriptors."""
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy.typing import NDArray
 from typing_extensions import Doc
 
 from gpgrad_core.bounds import Bounds, check_bounds
+from gpgrad_core.types import Features, GradientMap
 
 
 @dataclass(frozen=True)
 class DetectorParams:
     """Which detector draws keypoints from the gradient image, and how."""
 
-    name: Annotated[
-        Literal["akaze", "sift"], Doc("Detector and descriptor of keypoints.")
-    ] = "akaze"
+    name: Annotated[Literal["akaze", "sift"], Doc("Detector and descriptor of keypoints.")] = (
+        "akaze"
+    )
     gradient_range: Annotated[
         float,
         Bounds(0.05, 20.0, 0.05, "m/m", slider=(0.2, 3.0)),
@@ -33,7 +38,9 @@ class FeatureParams:
     max_std_ratio: Annotated[
         float,
         Bounds(0.01, 1.0, 0.01, "", slider=(0.02, 1.0)),
-        Doc("Variance mask: keep cells whose standard deviation is at most this share of signal_std."),
+        Doc(
+            "Variance mask: keep cells whose standard deviation is at most this share of signal_std."
+        ),
     ] = 0.3
     max_keypoints: Annotated[
         int,
@@ -45,3 +52,62 @@ class FeatureParams:
     def __post_init__(self) -> None:
         """Check the bounds."""
         check_bounds(self)
+
+
+def extract_features(gradient_map: GradientMap, params: FeatureParams | None = None) -> Features:
+    """Draw keypoints from the gradient image where the map can be trusted, Sec. V.
+
+    Args:
+        gradient_map: The map; the paper's I_g and I_v.
+        params: Detector and variance mask.
+    """
+    params = params or FeatureParams()
+    return select_trusted(detect_features(gradient_map, params.detector), params)
+
+
+def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Features:
+    """Detect and describe keypoints over the whole image, trusted or not.
+
+    The mask comes after (`select_trusted`), so that moving it needs no new detection.
+    """
+    if params.name == "akaze":
+        # AKAZE scales its contrast to the image, and thus finds the same keypoints on gentle
+        # and on steep ground; a threshold would not. The strongest are chosen later.
+        detector = _create("AKAZE_create", threshold=1e-6)
+        image = gradient_map.gradient.astype(np.float32)
+    else:
+        detector = cv2.SIFT_create(nfeatures=0, contrastThreshold=0.0, edgeThreshold=10.0)
+        image = _as_bytes(gradient_map.gradient, params.gradient_range)
+    keypoints, descriptors = detector.detectAndCompute(image, None)
+    if descriptors is None:
+        descriptors = np.zeros((0, detector.descriptorSize()), np.uint8)
+    pixels = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64).reshape(-1, 2)
+    nearest = np.rint(pixels).astype(np.intp)
+    ratios = gradient_map.std[nearest[:, 1], nearest[:, 0]] / gradient_map.signal_std
+    grid = gradient_map.grid
+    return Features(
+        positions=grid.to_position(pixels),
+        scales=grid.resolution * np.array([k.size for k in keypoints], dtype=np.float64),
+        responses=np.array([k.response for k in keypoints], dtype=np.float64),
+        std_ratios=ratios,
+        descriptors=descriptors,
+    )
+
+
+def select_trusted(features: Features, params: FeatureParams) -> Features:
+    """Keep the strongest keypoints in cells close enough to points: the paper's mask."""
+    trusted = np.flatnonzero(features.std_ratios <= params.max_std_ratio)
+    strongest = np.argsort(-features.responses[trusted], kind="stable")[: params.max_keypoints]
+    return features.select(trusted[np.sort(strongest)])
+
+
+def _create(name: str, **options: float) -> Any:
+    """Make a detector that OpenCV 5 moved from cv2 to cv2.xfeatures2d."""
+    home = cv2 if hasattr(cv2, name) else cv2.xfeatures2d
+    return getattr(home, name)(**options)
+
+
+def _as_bytes(
+    image: Float[NDArray[np.float64], "rows columns"], white: float
+) -> UInt8[NDArray[np.uint8], "rows columns"]:
+    return np.rint(np.clip(image / white, 0.0, 1.0) * 255).astype(np.uint8)

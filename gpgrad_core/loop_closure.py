@@ -6,6 +6,7 @@ from typing import Annotated
 from typing_extensions import Doc
 
 from gpgrad_core.bounds import Bounds, check_bounds
+from gpgrad_core.types import LoopClosure, Registration
 
 
 @dataclass(frozen=True)
@@ -26,3 +27,34 @@ class ClosureParams:
     def __post_init__(self) -> None:
         """Check the bounds."""
         check_bounds(self)
+
+
+def classify(
+    registration: Registration,
+    params: ClosureParams | None = None,
+    *,
+    query_id: str = "query",
+    database_id: str = "database",
+) -> LoopClosure:
+    """Decide whether a registration is a loop closure: the paper's AcceptTransformation.
+
+    Args:
+        registration: Of the query to the database.
+        params: Thresholds.
+        query_id: Name of the query submap.
+        database_id: Name of the database submap.
+    """
+    params = params or ClosureParams()
+    num, score = registration.num_inliers, registration.score
+    if registration.T_database_query is None:
+        accepted, reason = False, "no motion is supported by two associations"
+    elif num < params.min_inliers:
+        accepted, reason = False, f"{num} inliers < {params.min_inliers}"
+    elif score < params.min_score:
+        accepted, reason = False, f"score {score:.3g} < {params.min_score:g}"
+    else:
+        accepted = True
+        reason = f"{num} inliers >= {params.min_inliers}"
+        if params.min_score > 0:
+            reason += f", score {score:.3g} >= {params.min_score:g}"
+    return LoopClosure(query_id, database_id, registration, accepted, reason)

@@ -42,9 +42,7 @@ class Memo:
         """Bytes of arrays held now."""
         return self._bytes
 
-    def __call__(
-        self, function: Callable[P, R], *arguments: P.args, **unkeyed: P.kwargs
-    ) -> R:
+    def __call__(self, function: Callable[P, R], *arguments: P.args, **unkeyed: P.kwargs) -> R:
         """Return ``function(*arguments, **unkeyed)``, computed at most once while it is kept.
 
         Args:

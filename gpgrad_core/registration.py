@@ -1,11 +1,26 @@
 """Algorithm 1: SE(2) RANSAC over the associations, then a dense check of the slope fields."""
 
 from dataclasses import dataclass
+from math import log1p
 from typing import Annotated
 
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import NDArray
 from typing_extensions import Doc
 
 from gpgrad_core.bounds import Bounds, check_bounds
+from gpgrad_core.progress import Progress, silent
+from gpgrad_core.se2 import SE2, fit_se2
+from gpgrad_core.types import Array, GradientMap, Matches, Registration
+
+BoolArray = NDArray[np.bool_]
+
+CHECKED_CELLS = 8000
+"""Cells of a map that the dense check looks at; slopes are smooth over many cells."""
+REFITS = 3
+"""Rounds of fitting the motion to its inliers and choosing these anew."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +36,7 @@ class RegistrationParams:
         int,
         Bounds(10, 100_000, 10, "", slider=(100, 10_000)),
         Doc("Random pairs of associations that RANSAC tries."),
-    ] = 2000
+    ] = 5000
     hypotheses: Annotated[
         int,
         Bounds(1, 100, 1, "", slider=(1, 30)),
@@ -32,3 +47,242 @@ class RegistrationParams:
     def __post_init__(self) -> None:
         """Check the bounds."""
         check_bounds(self)
+
+
+def register(
+    query: GradientMap,
+    database: GradientMap,
+    matches: Matches,
+    params: RegistrationParams | None = None,
+    progress: Progress = silent,
+) -> Registration:
+    """Register the query map to the database map, Algorithm 1.
+
+    All trials run at once. The best motions by inliers are then compared densely: the one
+    under which the slope fields agree best is returned. Acceptance comes after
+    (`loop_closure.classify`), so that sweeping its thresholds costs nothing.
+
+    Args:
+        query: Map to be placed.
+        database: Map it is placed on.
+        matches: The set of associations A.
+        params: Of RANSAC and the check.
+        progress: Called once a motion checked; may raise Cancelled.
+
+    Returns:
+        The best motion; `T_database_query` is None where no two associations support one.
+    """
+    params = params or RegistrationParams()
+    motions = _ransac(matches, params)
+    checker = _DenseCheck(query, database)
+    best = _nothing(len(matches))
+    for k, motion in enumerate(motions):
+        candidate = _refine(motion, matches, params.inlier_radius)
+        if candidate is not None:
+            T_database_query, inliers = candidate
+            area, correlation = checker.compare(T_database_query)
+            score = closure_score(area, correlation, int(inliers.sum()))
+            if best.T_database_query is None or score > best.score:
+                best = Registration(T_database_query, inliers, np.inf, area, correlation, score)
+        progress((k + 1) / len(motions))
+    if best.T_database_query is None:
+        return best
+    return Registration(
+        best.T_database_query,
+        best.inliers,
+        checker.dissimilarity(best.T_database_query),
+        best.overlap_area,
+        best.correlation,
+        best.score,
+    )
+
+
+def closure_score(area: float, correlation: float, num_inliers: int) -> float:
+    """How likely a registration is a loop closure: ``r² A log(1 + n)``.
+
+    A large overlap that agrees is harder to come by than a small one, and inliers are evidence
+    of another kind; measured against inliers alone it ranks far better.
+
+    Args:
+        area: Overlap A [m²].
+        correlation: Of the slope fields over it, r; below zero it says nothing.
+        num_inliers: n.
+    """
+    return max(correlation, 0.0) ** 2 * area * log1p(num_inliers)
+
+
+def _nothing(num_matches: int) -> Registration:
+    return Registration(None, np.zeros(num_matches, bool), np.inf, 0.0, 0.0, 0.0)
+
+
+# --- RANSAC -------------------------------------------------------------------------------
+
+
+def _ransac(matches: Matches, params: RegistrationParams) -> list[SE2]:
+    """Find the distinct motions with the most inliers, best first."""
+    num = len(matches)
+    if num < 2:  # noqa: PLR2004
+        return []
+    first, second = _sample_pairs(num, params.trials, params.seed)
+    query, database = matches.query_xy, matches.database_xy
+    a, b = query[second] - query[first], database[second] - database[first]
+    # Two associations of one rigid motion span the same length in both maps; and too short a
+    # span says nothing about the turn.
+    span_a, span_b = np.hypot(*a.T), np.hypot(*b.T)
+    radius = params.inlier_radius
+    rigid = (np.abs(span_a - span_b) <= 2 * radius) & (np.minimum(span_a, span_b) >= 2 * radius)
+    a, b, first, second = a[rigid], b[rigid], first[rigid], second[rigid]
+    if len(a) == 0:
+        return []
+    # GetSE2Transform of two pairs, in closed form.
+    yaw = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1))
+    turned = _rotate(yaw, (query[first] + query[second]) / 2)
+    offset = (database[first] + database[second]) / 2 - turned
+    counts = _count_inliers(yaw, offset, matches, radius)
+    order = np.argsort(-counts, kind="stable")
+    return _distinct(yaw[order], offset[order], query.mean(axis=0), radius, params.hypotheses)
+
+
+def _sample_pairs(
+    num: int, trials: int, seed: int
+) -> tuple[Int[NDArray[np.intp], "t"], Int[NDArray[np.intp], "t"]]:
+    """SelectRandomAsso: pairs of different associations; all of them if they are few enough."""
+    if num * (num - 1) // 2 <= trials:
+        first, second = np.triu_indices(num, 1)
+        return first, second
+    generator = np.random.default_rng(seed)
+    first = generator.integers(num, size=trials)
+    second = generator.integers(num - 1, size=trials)
+    return first, second + (second >= first)
+
+
+def _rotate(yaw: Float[Array, "t"], points: Float[Array, "t 2"]) -> Float[Array, "t 2"]:
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = points.T
+    return np.column_stack([c * x - s * y, s * x + c * y])
+
+
+def _count_inliers(
+    yaw: Float[Array, "t"], offset: Float[Array, "t 2"], matches: Matches, radius: float
+) -> Int[NDArray[np.intp], "t"]:
+    """GetInliers for all trials; associations that share a position may count twice here."""
+    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    x, y = matches.query_xy.T
+    error_x = c * x - s * y + offset[:, :1] - matches.database_xy[:, 0]
+    error_y = s * x + c * y + offset[:, 1:] - matches.database_xy[:, 1]
+    return np.count_nonzero(error_x**2 + error_y**2 <= radius**2, axis=1)
+
+
+def _distinct(
+    yaw: Float[Array, "t"],
+    offset: Float[Array, "t 2"],
+    centre: Float[Array, "2"],
+    radius: float,
+    wanted: int,
+) -> list[SE2]:
+    """Take the first motions that differ: by where they put the centre, or by their turn."""
+    centres = _rotate(yaw, np.broadcast_to(centre, offset.shape)) + offset
+    left = np.ones(len(yaw), bool)
+    motions: list[SE2] = []
+    while len(motions) < wanted and left.any():
+        k = int(np.argmax(left))
+        motions.append(SE2(float(offset[k, 0]), float(offset[k, 1]), float(yaw[k])))
+        near = np.hypot(*(centres - centres[k]).T) <= 2 * radius
+        turn = np.abs(np.angle(np.exp(1j * (yaw - yaw[k])))) <= 0.1  # noqa: PLR2004
+        left &= ~(near & turn)
+    return motions
+
+
+def _refine(motion: SE2, matches: Matches, radius: float) -> tuple[SE2, BoolArray] | None:
+    """Fit the motion to its inliers, twice over; None if fewer than two are left."""
+    for _ in range(REFITS):
+        inliers = _one_to_one(motion, matches, radius)
+        if inliers.sum() < 2:  # noqa: PLR2004
+            return None
+        motion = fit_se2(matches.query_xy[inliers], matches.database_xy[inliers])
+    return motion, _one_to_one(motion, matches, radius)
+
+
+def _one_to_one(motion: SE2, matches: Matches, radius: float) -> Bool[BoolArray, "m"]:
+    """Inliers of which no two share a keypoint position: of these, the closest counts."""
+    errors = np.hypot(*(motion.apply(matches.query_xy) - matches.database_xy).T)
+    inliers = np.zeros(len(matches), bool)
+    taken_query: set[tuple[float, float]] = set()
+    taken_database: set[tuple[float, float]] = set()
+    for k in np.argsort(errors, kind="stable"):
+        if errors[k] > radius:
+            break
+        in_query = (float(matches.query_xy[k, 0]), float(matches.query_xy[k, 1]))
+        in_database = (float(matches.database_xy[k, 0]), float(matches.database_xy[k, 1]))
+        if in_query not in taken_query and in_database not in taken_database:
+            taken_query.add(in_query)
+            taken_database.add(in_database)
+            inliers[k] = True
+    return inliers
+
+
+# --- dense check --------------------------------------------------------------------------
+
+
+class _DenseCheck:
+    """Compares two maps cell by cell under a motion, on a thinned grid of the database's cells."""
+
+    def __init__(self, query: GradientMap, database: GradientMap) -> None:
+        self._query, self._database = query, database
+        stride = max(1, round(np.sqrt(database.grid.num_cells / CHECKED_CELLS)))
+        thin = (slice(None, None, stride), slice(None, None, stride))
+        y, x = np.meshgrid(database.grid.y[thin[0]], database.grid.x[thin[1]], indexing="ij")
+        self._positions = np.column_stack([x.ravel(), y.ravel()])
+        self._cell_area = (stride * database.grid.resolution) ** 2
+        self._slope = database.slope[thin].reshape(-1, 2)
+        self._variance = database.variance[thin].ravel()
+        self._trust = _trust(database)[thin].ravel()
+        # One image of four channels: one remapping a motion.
+        self._query_image = np.dstack([query.slope, query.variance, _trust(query)]).astype(
+            np.float32
+        )
+
+    def _query_at_database(self, T_database_query: SE2) -> Float[Array, "cells 4"]:
+        """Slope (turned into the database's frame), variance and trust of the query."""
+        there = T_database_query.inverse().apply(self._positions)
+        pixels = self._query.grid.to_pixel(there).astype(np.float32)
+        sampled = cv2.remap(
+            self._query_image,
+            pixels.reshape(1, -1, 2),
+            None,  # pyright: ignore[reportArgumentType, reportCallIssue]
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=(0, 0, 0, 0),
+        )[0].astype(np.float64)
+        sampled[:, :2] = T_database_query.rotate(sampled[:, :2])
+        return sampled
+
+    def compare(self, T_database_query: SE2) -> tuple[float, float]:
+        """Overlap area [m²], and correlation of the slope vectors over it."""
+        query = self._query_at_database(T_database_query)
+        weights = query[:, 3] * self._trust
+        area = float(weights.sum()) * self._cell_area
+        if area == 0:
+            return 0.0, 0.0
+        weights /= weights.sum()
+        a, b = query[:, :2], self._slope
+        a, b = a - weights @ a, b - weights @ b
+        energy = float((weights @ (a * a)).sum() * (weights @ (b * b)).sum())
+        if energy == 0:
+            return area, 0.0
+        return area, float((weights @ (a * b)).sum()) / np.sqrt(energy)
+
+    def dissimilarity(self, T_database_query: SE2) -> float:
+        """ComputeSSDMetric, the paper's h: Σ (I_g^q - I_g^d)² / (I_v^q I_v^d) over the overlap.
+
+        Summed over the thinned cells, each for the cells that it stands for.
+        """
+        query = self._query_at_database(T_database_query)
+        both = query[:, 3] * self._trust > 0
+        gradients = np.hypot(*query[both, :2].T) - np.hypot(*self._slope[both].T)
+        cells = self._cell_area / self._database.grid.resolution**2
+        return float(cells * np.sum(gradients**2 / (query[both, 2] * self._variance[both])))
+
+
+def _trust(gradient_map: GradientMap) -> Float[Array, "rows columns"]:
+    return gradient_map.trusted(0.3).astype(np.float64)

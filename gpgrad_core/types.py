@@ -111,9 +111,7 @@ class Submap:
             )
         read_only(kept)
         digest = hashlib.blake2b(kept.tobytes(), digest_size=16).hexdigest()
-        return cls(
-            id, kept, digest, pose_true, pose_odometry, num_dropped=int(np.sum(~finite))
-        )
+        return cls(id, kept, digest, pose_true, pose_odometry, num_dropped=int(np.sum(~finite)))
 
 
 @dataclass(frozen=True, eq=False)

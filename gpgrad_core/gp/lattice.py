@@ -104,9 +104,7 @@ class LatticePosterior:
             along_x, along_y = gaussian(x, axis_x, length), gaussian(grid.y, axis_y, length)
             half = strip.mean_weights @ along_x.T
             elevation[:, own] += along_y @ half
-            slope[:, own, 0] = (along_y @ strip.mean_weights) @ gaussian_slope(
-                x, axis_x, length
-            ).T
+            slope[:, own, 0] = (along_y @ strip.mean_weights) @ gaussian_slope(x, axis_x, length).T
             slope[:, own, 1] = gaussian_slope(grid.y, axis_y, length) @ half
 
             axis_x, axis_y = strip.variance_axes
@@ -229,8 +227,7 @@ class _Lattice:
         # Beyond this many nodes apart, two bumps share too little to matter.
         self._band = max(
             2,
-            int(np.ceil(length / spacing * np.sqrt(2 * np.log(max(information, 1) / DROPPED))))
-            - 1,
+            int(np.ceil(length / spacing * np.sqrt(2 * np.log(max(information, 1) / DROPPED)))) - 1,
         )
         low, high = xy.min(axis=0), xy.max(axis=0)
         self._x = Axis.covering(low[0], high[0], spacing, MARGIN * length)
@@ -260,7 +257,9 @@ class _Lattice:
         within = rows[:, None] - rows
         return within, within + self._band
 
-    def _factorise(self, overlap: Float[Array, "half_rows half_cols"], report: _SharedProgress) -> Factor:
+    def _factorise(
+        self, overlap: Float[Array, "half_rows half_cols"], report: _SharedProgress
+    ) -> Factor:
         band, columns = self._band, self._x.count
         size = band * columns
         shape, strides = (band, columns, band, columns), overlap.strides * 2
@@ -315,9 +314,9 @@ class _Lattice:
                     (step[0], step[2], step[1] + step[3]),
                     writeable=False,
                 )
-                weighted = diagonal * (
-                    row_weights * np.exp(-0.5 * (apart * ratio) ** 2)
-                )[:, :, None]
+                weighted = (
+                    diagonal * (row_weights * np.exp(-0.5 * (apart * ratio) ** 2))[:, :, None]
+                )
                 first = 2 * start + apart
                 into = slice(first, first + 2 * length - 1, 2)
                 for row in range(band):
