@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import (
     Annotated,
     Any,
-    TextIO,
     TypeAlias,
     TypeVar,
     cast,
@@ -103,7 +102,7 @@ class View:
         params = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
         viewer = Viewer(dataset, params, self.host, self.port, source=str(source))
         try:
-            _say(f"{dataset.name} is at {viewer.url} (Ctrl-C ends)", sys.stdout)
+            _say(f"{dataset.name} is at {viewer.url} (Ctrl-C ends)")
             if self.open:
                 webbrowser.open(viewer.url)
             viewer.run_forever()
@@ -141,8 +140,7 @@ class Detect:
             write_graph(self.g2o, dataset, result.closures)
         _say(
             f"{len(report.accepted)} loop closures in {len(report.pairs)} pairs of "
-            f"{len(report.submaps)} submaps, {report.seconds['total']:.1f} s: {self.out}",
-            sys.stdout,
+            f"{len(report.submaps)} submaps, {report.seconds['total']:.1f} s: {self.out}"
         )
 
 
@@ -175,8 +173,7 @@ class Map:
         rows, columns = gradient_map.grid.shape
         _say(
             f"{columns} x {rows} cells of {params.resolution:g} m "
-            f"from {len(cloud.points):,} points: {self.out}",
-            sys.stdout,
+            f"from {len(cloud.points):,} points: {self.out}"
         )
 
 
@@ -194,7 +191,7 @@ class Simulate:
         with _progress("simulate") as progress:
             dataset = simulate_dataset(self.simulation, progress)
         write_dataset(dataset, self.directory)
-        _say(f"{len(dataset.submaps)} submaps: {self.directory}", sys.stdout)
+        _say(f"{len(dataset.submaps)} submaps: {self.directory}")
 
 
 Verb: TypeAlias = View | Detect | Map | Simulate
@@ -218,19 +215,19 @@ def run(arguments: Sequence[str]) -> int:
     """
     try:
         if list(arguments) == ["--version"]:
-            _say(VERSION, sys.stdout)
+            _say(VERSION)
             return 0
         verb = _parsed(arguments)
         verb.run(arguments[1:])
     except InputError as error:
-        _say(_one_line(str(error)))
+        _warn(_one_line(str(error)))
         return FAILED
     except OSError as error:
         what = error.strerror or str(error)
-        _say(_one_line(f"{error.filename}: {what}" if error.filename else what))
+        _warn(_one_line(f"{error.filename}: {what}" if error.filename else what))
         return FAILED
     except KeyboardInterrupt:
-        _say("interrupted")
+        _warn("interrupted")
         return INTERRUPTED
     return 0
 
@@ -280,16 +277,18 @@ def _load(path: Path) -> Dataset:
     with _progress("load") as progress:
         dataset = load_dataset(path, progress)
     for note in dataset.notes:
-        _say(note)
+        _warn(note)
     return dataset
 
 
-def _say(line: str, stream: TextIO | None = None) -> None:
-    """Print a line: what was done to standard output, anything else to standard error."""
-    if stream is None:
-        print(f"gpgrad: {line}", file=sys.stderr, flush=True)  # noqa: T201
-    else:
-        print(line, file=stream, flush=True)
+def _say(line: str) -> None:
+    """Tell what was done or asked for."""
+    print(line, flush=True)  # noqa: T201
+
+
+def _warn(line: str) -> None:
+    """Tell anything else, where it does not mix with what was asked for."""
+    print(f"gpgrad: {line}", file=sys.stderr, flush=True)  # noqa: T201
 
 
 @contextlib.contextmanager

@@ -29,7 +29,7 @@ def test_the_python_example_runs(tmp_path: Path) -> None:
         check=False,
     )
     assert finished.returncode == 0, finished.stderr
-    assert re.match(r"\d+ inliers, score [\d.]+: ", finished.stdout)
+    assert re.match(r"\d+ inliers, score [\d.]+: True\n", finished.stdout)
     assert "closes a loop with" in finished.stdout
 
 
