@@ -138,8 +138,9 @@ class Detect:
         write_closures(self.out, report)
         if self.g2o:
             write_graph(self.g2o, dataset, result.closures)
+        count = len(report.accepted)
         _say(
-            f"{len(report.accepted)} loop closures in {len(report.pairs)} pairs of "
+            f"{count} loop closure{'' if count == 1 else 's'} in {len(report.pairs)} pairs of "
             f"{len(report.submaps)} submaps, {report.seconds['total']:.1f} s: {self.out}"
         )
 

@@ -17,21 +17,21 @@ def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Height of a terrain of mounds and hollows, the same wherever it is asked for."""
     rng = np.random.default_rng(5)
     z = np.zeros_like(x)
-    for _ in range(260):
-        cx, cy = rng.uniform(-4, 24, 2)
-        width, height = rng.uniform(0.25, 0.9), rng.normal(0, 0.12)
+    for _ in range(600):
+        cx, cy = rng.uniform(-5, 20, 2)
+        width, height = rng.uniform(0.25, 0.6), rng.normal(0, 0.25)
         z += height * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * width**2))
     return z
 
 
-def patch(x: float, y: float, yaw: float, *, seed: int, side: float = 6.0) -> np.ndarray:
+def patch(x: float, y: float, yaw: float, *, seed: int, side: float = 7.0) -> np.ndarray:
     """Points of the ground around a pose, in its own frame."""
     rng = np.random.default_rng(seed)
-    local = rng.uniform(-side / 2, side / 2, (4000, 2))
+    local = rng.uniform(-side / 2, side / 2, (5000, 2))
     c, s = np.cos(yaw), np.sin(yaw)
     world = local @ np.array([[c, s], [-s, c]]) + [x, y]
     z = ground(world[:, 0], world[:, 1]) + rng.normal(0, 0.01, len(local))
-    return np.column_stack([local, z - ground(np.array([x]), np.array([y]))])
+    return np.column_stack([local, z])
 
 
 POSES = [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (15.0, 10.0, 1.5), (0.5, 0.4, 3.0)]
@@ -50,6 +50,6 @@ def traverse(tmp_path_factory: pytest.TempPathFactory) -> Path:
         rows.append(f"{index} {x} {y} 0 0 0 {np.sin(yaw / 2):.9f} {np.cos(yaw / 2):.9f}")
     (folder / "poses_odom.txt").write_text("\n".join(rows) + "\n")
     (folder / "dataset.toml").write_text(
-        'name = "small traverse"\n[preferred.map]\nresolution = 0.06\nlength_scale = 0.25\n'
+        'name = "small traverse"\n[preferred.map]\nresolution = 0.05\nlength_scale = 0.25\n'
     )
     return folder

@@ -106,7 +106,7 @@ def test_broken_rows_are_dropped_and_counted_aloud(
     (note,) = finished.err.splitlines()
     assert note.startswith("gpgrad: ")
     assert "000.xyz" in note
-    assert "2 of 4,000" in note
+    assert "2 of 5,000" in note
 
 
 def test_a_missing_folder(gpgrad: Run, tmp_path: Path) -> None:

@@ -9,11 +9,13 @@ import pytest
 
 from tests.end_to_end.process import ROOT, environment
 
+termios = pytest.importorskip("termios", reason="this system has no terminals to set up")
 pty = pytest.importorskip("pty", reason="this system has no pseudo-terminals")
 
 
 def test_a_terminal_sees_a_bar(traverse: Path, tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
+    termios.tcsetwinsize(ours, (24, 80))  # a new one is 0 wide: no room for a bar
     out = tmp_path / "closures.json"
     with subprocess.Popen(
         [sys.executable, "-m", "app", "detect", str(traverse), "--out", str(out)],

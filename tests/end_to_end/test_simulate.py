@@ -8,15 +8,15 @@ from tests.end_to_end.process import Run
 
 def test_a_dataset_with_truth_is_made(gpgrad: Run, tmp_path: Path) -> None:
     folder = tmp_path / "moon"
-    finished = gpgrad("simulate", folder, "--num-submaps", "3", "--seed", "4")
+    finished = gpgrad("simulate", folder, "--num-submaps", "2", "--seed", "4")
     assert finished.code == 0, finished.err
     assert finished.err == ""
-    assert "3 submaps" in finished.out
+    assert "2 submaps" in finished.out
     dataset = load_dataset(folder)
-    assert len(dataset.submaps) == 3
+    assert len(dataset.submaps) == 2
     for submap in dataset.submaps:
         assert submap.pose_true is not None
         assert submap.pose_odometry is not None
 
-    refused = gpgrad("simulate", folder, "--num-submaps", "3")
+    refused = gpgrad("simulate", folder, "--num-submaps", "2")
     assert "is not empty" in refused.refusal
