@@ -46,8 +46,8 @@ MAIN_PARAMETERS = {
 INTRODUCTION = (
     "Do the two submaps show the same place? Drag a slider: surfaces, matches and verdict follow."
 )
-CONTROL_WIDTH = 330
-VIEW_WIDTH = 300
+CONTROL_WIDTH = 310
+VIEW_WIDTH = 280
 MEMO_BYTES = 1_500_000_000
 
 

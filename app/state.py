@@ -48,7 +48,7 @@ class ViewOptions:
     hillshade: bool = True
     keypoints: bool = True
     inlier_lines: bool = True
-    outlier_lines: bool = True
+    outlier_lines: bool = False
     point_size: float = 0.03
 
 

@@ -89,7 +89,8 @@ class ViewPanel:
             gui.add_checkbox(
                 "Keypoints",
                 options.keypoints,
-                hint="Green: inlier. Red: association that does not fit. Grey: no partner.",
+                hint="Green: inlier (yellow if the pair is refused). "
+                "Red: association that does not fit. Grey: no partner.",
             ),
         )
         self._bind(

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
-from app.views.colors import INLIER, OUTLIER, UNMATCHED
+from app.views.colors import INLIER, OUTLIER, REFUSED_INLIER, UNMATCHED, Rgb
 from app.views.placement import Placement
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.types import GradientMap
@@ -74,9 +74,14 @@ def keypoint_dots(result: PairResult, *, of_query: bool, lift: float) -> Dots:
     agree = result.registration.inliers
     # Inliers last: without the mutual check a keypoint may have several partners.
     colors[indices[~agree]] = OUTLIER
-    colors[indices[agree]] = INLIER
+    colors[indices[agree]] = inlier_color(result)
     points = on_surface(gradient_map, features.positions, lift).astype(np.float32)
     return Dots(points, colors)
+
+
+def inlier_color(result: PairResult) -> Rgb:
+    """Give the colour of inliers: green, or yellow where there are too few to close the loop."""
+    return INLIER if result.closure.accepted else REFUSED_INLIER
 
 
 def outline(corners: Float[Array, "k 3"]) -> Float[NDArray[np.float32], "k 2 3"]:

@@ -19,6 +19,7 @@ Rgb: TypeAlias = tuple[int, int, int]
 QUERY = (31, 119, 200)
 DATABASE = (222, 120, 20)
 INLIER = (56, 180, 76)
+REFUSED_INLIER = (226, 165, 30)
 OUTLIER = (214, 69, 65)
 UNMATCHED = (120, 120, 120)
 UNTRUSTED_GREY = (186, 186, 186)

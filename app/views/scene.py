@@ -6,7 +6,7 @@ the memo of the pipeline gives the same object for the same key, so comparing co
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import viser
@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
 from app.state import ViewState
-from app.views.associations import keypoint_dots, match_lines, outline
+from app.views.associations import inlier_color, keypoint_dots, match_lines, outline
 from app.views.colors import DATABASE, INLIER, OUTLIER, QUERY, Rgb, for_lines
 from app.views.layers import Scale, shared_scale
 from app.views.placement import (
@@ -117,7 +117,7 @@ class Segments:
 
     def __init__(self, server: viser.ViserServer, name: str, color: Rgb, thickness: float) -> None:
         """Prepare the node of that name, its colour as shown, its thickness in pixels."""
-        self._color = for_lines(color)
+        self._color = color
         self._server = server
         self._name = name
         self._thickness = thickness
@@ -140,13 +140,21 @@ class Segments:
             self._handle = self._server.scene.add_line_segments(
                 self._name,
                 points,
-                self._color,
+                for_lines(self._color),
                 thickness=self._thickness,
                 thickness_units="screen",
             )
             return
         self._handle.points = points
         self._handle.visible = True
+
+    def recolor(self, color: Rgb) -> None:
+        """Change the colour."""
+        if color == self._color:
+            return
+        self._color = color
+        if self._handle is not None:
+            self._handle.colors = np.array(for_lines(color), dtype=np.uint8)
 
     def hide(self) -> None:
         """Take it out of sight."""
@@ -160,8 +168,18 @@ class SubmapNode:
     Registering moves the frame; what hangs on it follows without being sent again.
     """
 
-    def __init__(self, server: viser.ViserServer, role: str, color: Rgb) -> None:
-        """Make the frame of the query or the database, in the colour of its outline."""
+    def __init__(
+        self, server: viser.ViserServer, role: str, color: Rgb, outer: Literal["left", "right"]
+    ) -> None:
+        """Make the frame of the query or the database.
+
+        Args:
+            server: Whose scene it joins.
+            role: "query" or "database".
+            color: Of its outline and its points.
+            outer: Which way the other submap is not.
+        """
+        self._outer = outer
         self.color = color
         self._role = role
         root = f"/{role}"
@@ -171,7 +189,7 @@ class SubmapNode:
         self.keypoints = Cloud(server, f"{root}/keypoints", shape="circle")
         self.outline = Segments(server, f"{root}/outline", color, thickness=2.0)
         self._label = server.scene.add_label(
-            f"{root}/label", role, anchor="bottom-center", font_screen_scale=1.1
+            f"{root}/label", role, anchor="bottom-left" if outer == "left" else "bottom-right"
         )
 
     def move(self, placement: Placement) -> None:
@@ -182,12 +200,11 @@ class SubmapNode:
     def name(self, submap: Submap, extent: Extent) -> None:
         """Write beside it which submap this is and how large, and draw its outline."""
         width, depth, _ = extent.size
-        self._label.text = (
-            f"{self._role} {submap.id} · {width:.1f} m x {depth:.1f} m "
-            f"· {len(submap.points):,} points"
-        )
-        # On the edge that a camera looking along y sees as the far one.
-        self._label.position = (float(extent.center[0]), extent.high[1], extent.high[2])
+        self._label.text = f"{self._role} {submap.id} · {width:.1f} m x {depth:.1f} m"
+        # On the edge that a camera looking along y sees as the far one, at the outer corner, so
+        # that two names do not meet.
+        outer = extent.low if self._outer == "left" else extent.high
+        self._label.position = (outer[0], extent.high[1], extent.high[2])
         self.outline.show(
             (submap,),
             lambda: outline(extent.corners),
@@ -204,12 +221,13 @@ class PairScene:
         scene.set_up_direction("+z")
         # Lit surfaces are not used, and an environment map would tint what is.
         scene.configure_environment_map(None)
-        self._query = SubmapNode(server, "query", QUERY)
-        self._database = SubmapNode(server, "database", DATABASE)
+        self._query = SubmapNode(server, "query", QUERY, "right")
+        self._database = SubmapNode(server, "database", DATABASE, "left")
         self._outlier_lines = Segments(server, "/matches/outliers", OUTLIER, thickness=1.0)
         self._inlier_lines = Segments(server, "/matches/inliers", INLIER, thickness=2.0)
         self._bar = Segments(server, "/scale/bar", BAR, thickness=4.0)
         self._bar_label = scene.add_label("/scale/label", "", anchor="top-center")
+        self._verdict = scene.add_label("/verdict", "", anchor="top-center", font_screen_scale=1.3)
 
     def show(self, state: ViewState, result: PairResult) -> Shown:
         """Show a pair as the state asks; one consistent change in the browser."""
@@ -249,6 +267,12 @@ class PairScene:
             )
             self._show_associations(state, result, at_query, at_database)
             self._show_bar(boxes[1], at_database)
+            self._show_verdict(
+                result,
+                np.concatenate(
+                    [at_query.apply(boxes[0].corners), at_database.apply(boxes[1].corners)]
+                ),
+            )
         self._server.flush()
         nodes = (self._query, self._database)
         return Shown(
@@ -339,7 +363,7 @@ class PairScene:
         self, state: ViewState, result: PairResult, at_query: Placement, at_database: Placement
     ) -> None:
         options = state.options
-        size = float(np.clip(0.012 * Extent.of(state.database).size[:2].max(), 0.02, 5.0))
+        size = float(np.clip(0.006 * Extent.of(state.database).size[:2].max(), 0.02, 5.0))
         lift = size / 2
         for node, of_query in ((self._query, True), (self._database, False)):
             if not options.keypoints:
@@ -356,10 +380,12 @@ class PairScene:
                     result.query_map if of_query else result.database_map,
                     result.matches,
                     result.registration,
+                    result.closure.accepted,
                     lift,
                 ),
                 make,
             )
+        self._inlier_lines.recolor(inlier_color(result))
         for segments, inliers, wanted in (
             (self._inlier_lines, True, options.inlier_lines),
             (self._outlier_lines, False, options.outlier_lines),
@@ -383,6 +409,13 @@ class PairScene:
                 ),
                 lines,
             )
+
+    def _show_verdict(self, result: PairResult, corners: Float[NDArray[np.float64], "k 3"]) -> None:
+        verdict = "Loop closure" if result.closure.accepted else "No loop closure"
+        self._verdict.text = f"{verdict} · {result.registration.num_inliers} inliers"
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        x, y, z = (low[0] + high[0]) / 2, low[1] - 0.08 * (high[1] - low[1]), corners[:, 2].mean()
+        self._verdict.position = (float(x), float(y), float(z))
 
     def _show_bar(self, box: Extent, placement: Placement) -> None:
         length = round_length(SCALE_BAR_SHARE * float(box.size[0]))

@@ -93,6 +93,7 @@ def make_map(submap: Submap, resolution: float = 0.1) -> GradientMap:
         (0.3 * rim**2).reshape(grid.shape) ** 2,
         local_slope.reshape(*grid.shape, 2),
         signal_std=0.3,
+        length_scale=0.3,
     )
 
 

@@ -151,7 +151,7 @@ def test_every_option_of_the_view_is_reported(server: viser.ViserServer) -> None
         ("Point clouds", True),
         ("Keypoints", False),
         ("Inlier lines", False),
-        ("Outlier lines", False),
+        ("Outlier lines", True),
         ("Masked cells", "grey"),
         ("Hillshade", False),
         ("Point size", 0.1),
@@ -168,7 +168,7 @@ def test_every_option_of_the_view_is_reported(server: viser.ViserServer) -> None
         hillshade=False,
         keypoints=False,
         inlier_lines=False,
-        outlier_lines=False,
+        outlier_lines=True,
         point_size=0.1,
     )
     assert set(LAYER_NAMES) == set(LAYERS)

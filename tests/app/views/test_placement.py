@@ -61,6 +61,7 @@ def test_the_offset_of_height_is_found_over_the_overlap() -> None:
         query_map.variance,
         query_map.slope,
         query_map.signal_std,
+        query_map.length_scale,
     )
     assert height_offset(lowered, database_map, T_DATABASE_QUERY, 0.5) == pytest.approx(
         0.7, abs=0.02

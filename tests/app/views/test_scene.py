@@ -35,7 +35,7 @@ def test_a_pair_is_shown_with_names_and_sizes(server: viser.ViserServer) -> None
     assert shown.num_points == 0
     assert shown.scale is not None
     assert shown.scale.unit == "m"
-    assert "query 003 · 5.0 m x 5.0 m · 1,500 points" in node(server, "/query/label").text
+    assert "query 003 · 5.0 m x 5.0 m" in node(server, "/query/label").text
     assert "database 000" in node(server, "/database/label").text
     assert node(server, "/scale/label").text == "1 m"
 
@@ -113,7 +113,8 @@ def test_registering_moves_the_frame_and_not_what_hangs_on_it(
 
 def test_each_switch_hides_and_shows_its_nodes(server: viser.ViserServer) -> None:
     scene = PairScene(server)
-    scene.show(seeing(clouds=True), RESULT)
+    everything = {"clouds": True, "outlier_lines": True}
+    scene.show(seeing(**everything), RESULT)
     nodes = {
         "surfaces": "/query/surface",
         "clouds": "/database/cloud",
@@ -123,16 +124,17 @@ def test_each_switch_hides_and_shows_its_nodes(server: viser.ViserServer) -> Non
     }
     for option, name in nodes.items():
         assert node(server, name).visible
-        scene.show(seeing(**({"clouds": True} | {option: False})), RESULT)
+        scene.show(seeing(**(everything | {option: False})), RESULT)
         assert not node(server, name).visible, option
-        scene.show(seeing(clouds=True), RESULT)
+        scene.show(seeing(**everything), RESULT)
         assert node(server, name).visible, option
 
 
 def test_no_association_is_no_error(server: viser.ViserServer) -> None:
     scene = PairScene(server)
-    scene.show(STATE, make_result(STATE, num_inliers=4, num_outliers=3))
-    scene.show(STATE, make_result(STATE, num_inliers=0, num_outliers=0))
+    state = seeing(outlier_lines=True)
+    scene.show(state, make_result(STATE, num_inliers=4, num_outliers=3))
+    scene.show(state, make_result(STATE, num_inliers=0, num_outliers=0))
     assert not node(server, "/matches/inliers").visible
     assert not node(server, "/matches/outliers").visible
 
