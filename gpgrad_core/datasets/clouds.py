@@ -2,6 +2,7 @@
 
 import importlib
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -82,7 +83,7 @@ def _read_points(path: Path) -> Points:
 def _read_npy(path: Path) -> Points:
     try:
         array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
+    except (ValueError, EOFError, MemoryError) as error:  # MemoryError: a damaged shape
         raise InputError(f"{path}: is not a whole NPY file: {_first_line(error)}") from None
     if not isinstance(array, np.ndarray):  # np.load goes by content: this is a renamed NPZ
         array.close()
@@ -93,9 +94,14 @@ def _read_npy(path: Path) -> Points:
 def _read_npz(path: Path) -> Points:
     try:
         # Opened here, because NumPy leaves a file that is no archive open.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with path.open("rb") as file:
+            archive = np.load(file, allow_pickle=False)
+            if isinstance(archive, np.ndarray):
+                raise InputError(f"{path}: is a single NPY array; rename it to .npy")
             arrays = {name: archive[name] for name in archive.files}
-    except (ValueError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as error:
+    except InputError:
+        raise
+    except (ValueError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(f"{path}: is not a whole NPZ file: {_first_line(error)}") from None
     if "points" in arrays:
         return _check_points(arrays["points"], f"{path}, array 'points'")

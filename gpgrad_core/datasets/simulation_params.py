@@ -49,32 +49,32 @@ class SimulationParams:
         float,
         Bounds(0.0, 5.0, 0.05, "m"),
         Doc("Standard deviation of the fractal ground's height."),
-    ] = 0.4
+    ] = 0.35
     roughness: Annotated[
         float,
         Bounds(0.0, 1.0, 0.05),
         Doc("Share of small bumps in the fractal ground: 0 is rolling, 1 is jagged."),
-    ] = 0.4
+    ] = 0.3
     crater_density: Annotated[
         float,
         Bounds(0.0, 0.2, 0.005, "1/m²"),
         Doc("Craters of 1 m to 8 m across per square metre."),
-    ] = 0.015
+    ] = 0.04
     dune_height: Annotated[
         float,
         Bounds(0.0, 0.5, 0.01, "m"),
         Doc("Height of the wind ripples, which lie in patches."),
-    ] = 0.08
+    ] = 0.1
     rock_density: Annotated[
         float,
         Bounds(0.0, 5.0, 0.1, "1/m²"),
         Doc("Rocks of 10 cm to 1.2 m across per square metre, small ones far more often."),
-    ] = 0.5
+    ] = 1.5
     camera_height: Annotated[
         float,
         Bounds(0.2, 3.0, 0.1, "m"),
         Doc("Of the camera above the ground under the rover."),
-    ] = 1.1
+    ] = 1.2
     field_of_view: Annotated[
         float,
         Bounds(0.3, 3.1, 0.1, "rad"),

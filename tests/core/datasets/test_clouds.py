@@ -191,3 +191,21 @@ def test_broken_archives(tmp_path: Path) -> None:
     with (tmp_path / "c.npy").open("wb") as file:
         np.savez(file, points=points)
     assert_refused(lambda: load_cloud(tmp_path / "c.npy"), "rename it to .npz")
+    with (tmp_path / "d.npz").open("wb") as file:
+        np.save(file, points)
+    assert_refused(lambda: load_cloud(tmp_path / "d.npz"), "rename it to .npy")
+    # Compressed, and damaged in the middle.
+    np.savez_compressed(tmp_path / "e.npz", points=points)
+    damaged = bytearray((tmp_path / "e.npz").read_bytes())
+    damaged[5000:5050] = bytes(50)
+    (tmp_path / "e.npz").write_bytes(damaged)
+    assert_refused(lambda: load_cloud(tmp_path / "e.npz"), "e.npz: is not a whole NPZ")
+
+
+def test_a_damaged_shape_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((1000, 3)))
+    data = (tmp_path / "a.npy").read_bytes()
+    for shape in (b"(9999999, 3)", b"(9" + b"9" * 14 + b", 3)"):
+        damaged = data[:128].replace(b"(1000, 3), }", shape + b", }")[:128] + data[128:]
+        (tmp_path / "a.npy").write_bytes(damaged[:127] + b"\n" + damaged[128:])
+        assert_refused(lambda: load_cloud(tmp_path / "a.npy"), "a.npy: is not a whole NPY")
