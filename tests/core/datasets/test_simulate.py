@@ -18,7 +18,9 @@ from gpgrad_core.datasets import (
 from gpgrad_core.types import Dataset, Submap
 from tests.core.datasets.refusal import assert_refused
 
-SMALL = SimulationParams(seed=5, num_submaps=6, route="winding", extent=28.0, spacing=4.0)
+SMALL = SimulationParams(
+    seed=5, num_submaps=6, route="winding", extent=20.0, spacing=3.0, max_range=5.0
+)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +93,10 @@ def test_submaps_are_as_promised(dataset: Dataset) -> None:
         assert -0.5 < x.min() < 1.0
         assert x.max() < SMALL.spacing + SMALL.max_range + 1.0
         assert np.abs(y).max() < SMALL.max_range + 1.0
-        assert abs(np.median(z[np.hypot(x, y) < 1.5])) < 0.3
+        # The origin lies on the ground: the nearest points are no higher than a slope explains.
+        distance = np.hypot(x, y)
+        near = np.argsort(distance)[:50]
+        assert np.all(np.abs(z[near]) < 0.1 + 0.6 * distance[near])
         np.testing.assert_array_equal(submap.points, np.float32(submap.points))
         np.testing.assert_allclose(
             1000 * submap.points % 1, np.round(1000 * submap.points % 1), atol=2e-3
@@ -150,12 +155,12 @@ def test_it_is_written_and_read_without_loss(dataset: Dataset, tmp_path: Path) -
 def test_params_out_of_bounds_are_refused() -> None:
     assert_refused(lambda: SimulationParams(max_range=0.0), "max_range must be from 2 to 20 m")
     assert_refused(lambda: SimulationParams(seed=-1), "seed must be from 0")
-    assert_refused(lambda: simulate_dataset(replace(SMALL, extent=20.0)), "extent must be")
+    assert_refused(lambda: simulate_dataset(replace(SMALL, extent=15.0)), "extent must be")
 
 
 def test_a_lesser_machine_makes_the_same() -> None:
     """Without the wide instructions NumPy's sines differ in the last bit; the points must not."""
-    params = replace(SMALL, num_submaps=2, spacing=2.0, extent=20.0)
+    params = replace(SMALL, num_submaps=2, spacing=1.0, extent=14.0)
     found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
     program = (
         "from gpgrad_core.datasets import SimulationParams, simulate_dataset\n"
