@@ -13,6 +13,10 @@ from gpgrad_core.types import GradientMap
 
 Array = NDArray[np.float64]
 
+ARC_PIECES = 12
+ARC_RISE = 0.12
+"""Height of an arc over its span."""
+
 
 @dataclass(frozen=True, eq=False)
 class Dots:
@@ -42,21 +46,28 @@ def match_lines(
     inliers: bool,
     lift: float,
 ) -> Float[NDArray[np.float32], "n 2 3"]:
-    """Join associated keypoints across the scene.
+    """Join associated keypoints across the scene by arcs, which the ground does not hide.
 
     Args:
         result: The pair.
         query: Where the query stands.
         database: Where the database stands.
         inliers: Those that agree with the registration, or else those that do not.
-        lift: Height above the ground [m].
+        lift: Height of their ends above the ground [m].
+
+    Returns:
+        `ARC_PIECES` straight pieces an arc, arc after arc.
     """
     agree = result.registration.inliers
     chosen = agree if inliers else ~agree
     matches = result.matches
     start = query.apply(on_surface(result.query_map, matches.query_xy[chosen], lift))
     end = database.apply(on_surface(result.database_map, matches.database_xy[chosen], lift))
-    return np.stack([start, end], axis=1).astype(np.float32)
+    along = np.linspace(0.0, 1.0, ARC_PIECES + 1)[None, :, None]
+    arcs = start[:, None] * (1.0 - along) + end[:, None] * along
+    span = np.linalg.norm((end - start)[:, :2], axis=1)
+    arcs[..., 2] += (4.0 * ARC_RISE * span)[:, None] * (along * (1.0 - along))[..., 0]
+    return np.stack([arcs[:, :-1], arcs[:, 1:]], axis=2).reshape(-1, 2, 3).astype(np.float32)
 
 
 def keypoint_dots(result: PairResult, *, of_query: bool, lift: float) -> Dots:

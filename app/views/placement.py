@@ -17,7 +17,7 @@ GAP = 0.12
 """Room between submaps side by side, as a share of their width."""
 MAX_OVERLAP_SAMPLES = 5_000
 FIELD_OF_VIEW = np.deg2rad(45.0)
-CAMERA_TILT = np.deg2rad(48.0)
+CAMERA_TILT = np.deg2rad(55.0)
 """How far the camera looks down."""
 
 

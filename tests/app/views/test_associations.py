@@ -1,7 +1,7 @@
 import numpy as np
 
 from app.state import open_dataset
-from app.views.associations import keypoint_dots, match_lines, on_surface, outline
+from app.views.associations import ARC_PIECES, keypoint_dots, match_lines, on_surface, outline
 from app.views.colors import INLIER, OUTLIER, UNMATCHED
 from app.views.placement import Extent, Placement, place
 from gpgrad_core.pipeline import PipelineParams
@@ -27,16 +27,20 @@ def test_inliers_and_outliers_are_joined_apart() -> None:
     query, database = place(*BOXES, "side by side", None, 0.0)
     inliers = match_lines(RESULT, query, database, inliers=True, lift=0.0)
     outliers = match_lines(RESULT, query, database, inliers=False, lift=0.0)
-    assert inliers.shape == (12, 2, 3)
-    assert outliers.shape == (5, 2, 3)
-    assert (inliers[:, 0, 0] > 0).all()  # the query's side
-    assert (inliers[:, 1, 0] < 0).all()  # the database's
+    assert inliers.shape == (12 * ARC_PIECES, 2, 3)
+    assert outliers.shape == (5 * ARC_PIECES, 2, 3)
+    arcs = inliers.reshape(12, ARC_PIECES, 2, 3)
+    assert (arcs[:, 0, 0, 0] > 0).all()  # from the query's side …
+    assert (arcs[:, -1, 1, 0] < 0).all()  # … to the database's
+    np.testing.assert_array_equal(arcs[:, 1:, 0], arcs[:, :-1, 1])  # without a gap
+    middle = arcs[:, ARC_PIECES // 2, 0, 2]
+    assert (middle > arcs[:, 0, 0, 2]).all()  # over the ground
 
 
 def test_registered_inliers_meet_and_outliers_do_not() -> None:
     query, database = place(*BOXES, "registered", T_DATABASE_QUERY, 0.0)
     lengths = [
-        np.linalg.norm(np.diff(lines, axis=1)[:, 0], axis=1)
+        np.linalg.norm(lines[::ARC_PIECES, 0] - lines[ARC_PIECES - 1 :: ARC_PIECES, 1], axis=1)
         for lines in (
             match_lines(RESULT, query, database, inliers=inliers, lift=0.0)
             for inliers in (True, False)

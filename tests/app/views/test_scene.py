@@ -7,6 +7,7 @@ import viser
 
 from app.state import ViewOptions, ViewState, open_dataset, with_options
 from app.views import scene as scene_module
+from app.views.associations import ARC_PIECES
 from app.views.scene import PairScene, round_length
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.synthetic import T_DATABASE_QUERY, make_dataset, make_result, needing
@@ -77,7 +78,7 @@ def test_moving_an_inlier_slider_leaves_the_surfaces_alone(
     other = replace(other, database_map=RESULT.database_map)
     scene.show(state, other)
     assert "make_surfels" not in conversions
-    assert len(node(server, "/matches/inliers").points) == 3
+    assert len(node(server, "/matches/inliers").points) == 3 * ARC_PIECES
 
 
 def test_the_nodes_of_a_surface_are_changed_in_place(server: viser.ViserServer) -> None:

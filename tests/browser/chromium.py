@@ -1,0 +1,244 @@
+"""A headless Chromium that uses the viewer as a person would: real mouse, keys and pixels."""
+
+import io
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from playwright.sync_api import Browser, Locator, Page, sync_playwright
+
+# Software rendering that works without a graphics card, and no request of the browser's own.
+FLAGS = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+    "--disable-quic",
+    "--disable-dev-shm-usage",
+    "--mute-audio",
+]
+PATIENCE = 60.0
+"""Software rendering on a loaded machine may take this long to show a change [s]."""
+BETWEEN_INPUTS_MS = 80
+"""The client sends at most one message of its widgets in 50 ms, the last; be slower than that."""
+
+Pixels = NDArray[np.int16]
+
+
+def find_chromium() -> str | None:
+    """Find a Chromium: GPGRAD_CHROMIUM, or one on the path."""
+    named = os.environ.get("GPGRAD_CHROMIUM")
+    if named:
+        return named if Path(named).exists() else None
+    names = ("chromium", "chromium-browser", "google-chrome")
+    return next((found for name in names if (found := shutil.which(name))), None)
+
+
+@contextmanager
+def launch(executable: str) -> Iterator[Browser]:
+    """Start the browser, and end it."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=executable, headless=True, args=FLAGS)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+class ViewerPage:
+    """One page of the viewer; remembers what went wrong in it and what it asked the network for."""
+
+    def __init__(
+        self,
+        browser: Browser,
+        url: str,
+        *,
+        size: tuple[int, int] = (1280, 800),
+        script: str | None = None,
+    ) -> None:
+        """Open the page and wait for the first verdict and picture.
+
+        Args:
+            browser: Which opens it.
+            url: The viewer's address.
+            size: Of the window [pixels].
+            script: Run in the page before its own.
+        """
+        self.errors: list[str] = []
+        self.outside: list[str] = []
+        self.page: Page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        if script is not None:
+            self.page.add_init_script(script)
+        local = (url, url.replace("http", "ws"), "blob:", "data:")
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on(
+            "request",
+            lambda request: (
+                None if request.url.startswith(local) else self.outside.append(request.url)
+            ),
+        )
+        # A fixed pixel ratio: else the client lowers it while frames are slow.
+        self.page.goto(f"{url}/?fixedDpr=1")
+        self.page.get_by_test_id("verdict").wait_for(timeout=1000 * PATIENCE)
+        self._dismiss_notice()
+        self.wait(lambda: not self.is_blank(), "a picture")
+        self.settle()
+
+    def close(self) -> None:
+        """Close the page."""
+        self.page.close()
+
+    def wait(self, condition: Callable[[], bool], what: str, timeout: float = PATIENCE) -> None:
+        """Wait until a condition comes true; fail with what was awaited."""
+        end = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > end:
+                raise AssertionError(f"waited {timeout:.0f} s for {what}")
+            self.page.wait_for_timeout(100)
+
+    # What is seen.
+
+    def verdict(self) -> str:
+        """Read the whole verdict card."""
+        headline = self.page.get_by_test_id("verdict")
+        return headline.locator("xpath=..").inner_text()
+
+    def accepted(self) -> bool:
+        """Read the headline."""
+        return self.page.get_by_test_id("verdict").inner_text() == "Loop closure"
+
+    def status(self) -> str:
+        """Read the status line."""
+        return self.page.get_by_test_id("status").inner_text()
+
+    def legend(self) -> str:
+        """Read the legend."""
+        return self.page.get_by_test_id("legend").inner_text()
+
+    def picture(self) -> Pixels:
+        """Take the 3D canvas between the panels, as numbers (rows, columns, 3)."""
+        canvas = self.page.locator("canvas").first.bounding_box()
+        panels = self.panel_edges()
+        assert canvas is not None
+        clip: Any = {
+            "x": panels[0],
+            "y": canvas["y"],
+            "width": panels[1] - panels[0],
+            "height": canvas["height"],
+        }
+        png = self.page.screenshot(clip=clip)
+        return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(np.int16)
+
+    def panel_edges(self) -> tuple[float, float]:
+        """Find the inner edges of the two panels [pixels]."""
+        left = self.widget("Query").bounding_box()
+        right = self.widget("Length-scale").bounding_box()
+        assert left is not None
+        assert right is not None
+        return left["x"] + left["width"] + 20, right["x"] - 130
+
+    def is_blank(self) -> bool:
+        """Say whether the canvas has one colour nearly everywhere."""
+        picture = self.picture()
+        return float((np.abs(picture - picture[0, 0]).max(axis=-1) > 20).mean()) < 0.02
+
+    def settle(self) -> None:
+        """Wait until the status says up to date and the picture stands still."""
+        self.wait(lambda: "Up to date" in self.status(), "an up-to-date picture")
+        last = self.picture()
+        for _ in range(100):
+            self.page.wait_for_timeout(250)
+            now = self.picture()
+            if changed(last, now) == 0.0 and "Up to date" in self.status():
+                return
+            last = now
+        raise AssertionError("the picture never stood still")
+
+    # What is done.
+
+    def widget(self, label: str) -> Locator:
+        """Find a widget by the beginning of its label."""
+        found = self.page.locator("label").filter(has_text=label).first
+        return self.page.locator(f'[id="{found.get_attribute("for")}"]')
+
+    def thumb(self, label: str) -> Locator:
+        """Find the thumb of a slider."""
+        return self.widget(label).locator("[role=slider]")
+
+    def value(self, label: str) -> float:
+        """Read a slider's value."""
+        return float(self.thumb(label).get_attribute("aria-valuenow") or "nan")
+
+    def drag(self, label: str, pixels: int, steps: int = 4, pause_ms: int = 0) -> None:
+        """Drag a slider's thumb with the mouse."""
+        box = self.thumb(label).bounding_box()
+        assert box is not None
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        for step in range(1, steps + 1):
+            self.page.mouse.move(x + pixels * step / steps, y)
+            if pause_ms:
+                self.page.wait_for_timeout(pause_ms)
+        self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
+        self.page.mouse.up()
+        self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
+
+    def number_box(self, label: str) -> Locator:
+        """Find the box beside a slider in which its value can be typed."""
+        return self.widget(label).locator("xpath=..//input[not(@type='hidden')]").last
+
+    def type_value(self, label: str, value: str) -> None:
+        """Type a slider's value into its number box."""
+        box = self.number_box(label)
+        box.click()
+        box.press("Control+a")
+        box.type(value, delay=BETWEEN_INPUTS_MS)
+        self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose from a dropdown."""
+        self.widget(label).click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+        self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
+
+    def tick(self, label: str) -> None:
+        """Press a checkbox."""
+        self.widget(label).click()
+        self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
+
+    def press(self, name: str) -> None:
+        """Press a button."""
+        self.page.get_by_role("button", name=name, exact=True).click()
+        self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
+
+    def type_text(self, label: str, text: str) -> None:
+        """Type into a text box, in place of what is there."""
+        self.widget(label).fill(text)
+        self.page.wait_for_timeout(2 * BETWEEN_INPUTS_MS)
+
+    def _dismiss_notice(self) -> None:
+        # The client warns that this machine has no graphics card; it lies over the picture.
+        notice = self.page.locator(".mantine-Notification-root")
+        self.page.wait_for_timeout(500)
+        if notice.count():
+            notice.first.locator("button").click()
+            notice.first.wait_for(state="detached", timeout=1000 * PATIENCE)
+
+
+def changed(before: Pixels, after: Pixels) -> float:
+    """Say which share of the pixels has clearly changed."""
+    if before.shape != after.shape:
+        return 1.0
+    return float((np.abs(before - after).max(axis=-1) > 20).mean())

@@ -1,0 +1,61 @@
+"""One browser for all cases, and viewers of the built-in demo."""
+
+import os
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from app.server import Viewer
+from gpgrad_core.datasets import demo_path, load_dataset
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.pipeline import PipelineParams
+
+QUICK = PipelineParams(map=MapParams(max_points=4000, resolution=0.08))
+"""Few points and large cells: software rendering draws every one of them."""
+
+
+def unavailable(why: str) -> None:
+    """Skip, or fail where the browser was promised."""
+    if os.environ.get("GPGRAD_REQUIRE_BROWSER") == "1":
+        pytest.fail(f"{why}, and GPGRAD_REQUIRE_BROWSER is 1")
+    pytest.skip(f"{why}: install Debian's chromium, or name one in GPGRAD_CHROMIUM")
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[object]:
+    try:
+        from tests.browser.chromium import find_chromium, launch  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        unavailable(f"{error.name} is not installed")
+        return
+    executable = find_chromium()
+    if executable is None:
+        unavailable("no Chromium was found")
+        return
+    with launch(executable) as launched:
+        yield launched
+
+
+@pytest.fixture
+def open_viewer(browser: object) -> Iterator[Callable[..., object]]:
+    """Serve the demo and open a page on it; both end with the test, which must be clean."""
+    from tests.browser.chromium import ViewerPage  # noqa: PLC0415
+
+    viewers: list[Viewer] = []
+    pages: list[ViewerPage] = []
+
+    def start(params: PipelineParams = QUICK, **settings: object) -> ViewerPage:
+        viewer = Viewer(load_dataset(demo_path()), params, port=0, source=str(demo_path()))
+        viewers.append(viewer)
+        pages.append(ViewerPage(browser, viewer.url, **settings))  # type: ignore[arg-type]
+        pages[-1].viewer = viewer  # type: ignore[attr-defined]
+        return pages[-1]
+
+    yield start
+    for page in pages:
+        page.close()
+    for viewer in viewers:
+        viewer.close()
+    for page in pages:
+        assert page.errors == []
+        assert page.outside == []

@@ -1,0 +1,136 @@
+"""The viewer in a real browser: every control moves the picture and the verdict."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import pytest
+
+from app.server import MAIN_PARAMETERS
+from gpgrad_core.pipeline import PipelineParams
+
+if TYPE_CHECKING:
+    from tests.browser.chromium import ViewerPage
+
+pytestmark = pytest.mark.browser
+Open = Callable[..., "ViewerPage"]
+
+
+def expect_change(page: "ViewerPage", act: Callable[[], None], *, verdict: bool = True) -> None:
+    """Act, and wait until the picture, and if asked the verdict card, is another."""
+    from tests.browser.chromium import changed  # noqa: PLC0415
+
+    card, before = page.verdict(), page.picture()
+    act()
+    if verdict:
+        page.wait(lambda: page.verdict() != card, "another verdict card")
+    page.wait(lambda: changed(before, page.picture()) > 0.0005, "another picture")
+    page.settle()
+    assert not page.is_blank()
+
+
+def test_the_demo_opens_as_a_stranger_finds_it(open_viewer: Open) -> None:
+    page = open_viewer(PipelineParams())
+    assert page.accepted()
+    assert "query 007" in page.verdict()
+    assert "Up to date" in page.status()
+    assert page.legend().startswith("Elevation [m]")
+    for name in MAIN_PARAMETERS.values():  # in sight without opening or scrolling
+        box = page.thumb(name).bounding_box()
+        assert box is not None
+        assert box["y"] < 800
+    assert not page.is_blank()
+
+
+def test_each_slider_moves_picture_and_verdict(open_viewer: Open) -> None:
+    page = open_viewer()
+    for name, pixels in (
+        ("Length-scale", 14),
+        ("Noise", 30),
+        ("Variance mask", -15),
+        ("Inlier radius", -28),
+        ("Minimum inliers", 120),
+    ):
+        value = page.value(name)
+        expect_change(page, lambda name=name, pixels=pixels: page.drag(name, pixels))
+        assert page.value(name) != value
+    assert not page.accepted()  # nearly all of the slider's inliers are asked for now
+
+
+def test_a_value_can_be_typed(open_viewer: Open) -> None:
+    page = open_viewer()
+    expect_change(page, lambda: page.type_value("Length-scale", "0.42"))
+    assert page.value("Length-scale") == pytest.approx(0.42)
+
+
+def test_a_drag_of_200_events_ends_on_the_last_value(open_viewer: Open) -> None:
+    page = open_viewer()
+    page.drag("Minimum inliers", 60, steps=100)
+    page.drag("Minimum inliers", 30, steps=100)
+    value = int(page.value("Minimum inliers"))
+    assert value > 8
+    page.wait(lambda: f"of {value} needed" in page.verdict(), "the last value's verdict")
+    page.drag("Length-scale", 40, steps=100, pause_ms=10)
+    page.drag("Length-scale", -25, steps=100, pause_ms=10)
+    page.settle()
+    last = page.viewer.state.params.map.length_scale  # type: ignore[attr-defined]
+    assert page.value("Length-scale") == pytest.approx(last)
+    card = page.verdict()
+    page.press("Reset parameters")
+    page.settle()
+    assert page.verdict() != card
+    expect_change(page, lambda: page.type_value("Length-scale", f"{last:g}"))
+    page.type_value("Minimum inliers", str(value))
+    page.wait(lambda: page.verdict() == card, "the same verdict for the same values")
+
+
+def test_reset_brings_everything_back(open_viewer: Open) -> None:
+    page = open_viewer()
+    card = page.verdict()
+    expect_change(page, lambda: page.drag("Variance mask", -20))
+    expect_change(page, lambda: page.press("Reset parameters"))
+    assert page.value("Variance mask") == pytest.approx(0.3)
+    assert page.verdict() == card
+
+
+def test_a_missing_folder_is_told_and_the_sliders_still_work(open_viewer: Open) -> None:
+    page = open_viewer()
+    page.type_text("Folder", "/no/such/<b>folder</b>")
+    page.press("Load")
+    error = page.page.get_by_test_id("dataset-error")
+    error.wait_for(timeout=30_000)
+    assert "/no/such/<b>folder</b>: no such file or folder" in error.inner_text()
+    expect_change(page, lambda: page.drag("Variance mask", -15))
+    page.press("Demo")
+    error.wait_for(state="detached", timeout=30_000)
+    page.settle()
+    assert page.accepted()
+
+
+def test_layers_layout_and_switches_change_the_picture_only(open_viewer: Open) -> None:
+    page = open_viewer()
+    card = page.verdict()
+    for layer, title in (
+        ("standard deviation", "Standard deviation of the elevation [m]"),
+        ("gradient", "Gradient (steepness) [m/m]"),
+        ("dz/dx", "Slope along x, dz/dx [m/m]"),
+        ("dz/dy", "Slope along y, dz/dy [m/m]"),
+        ("mask", "Variance mask"),
+        ("elevation", "Elevation [m]"),
+    ):
+        expect_change(page, lambda layer=layer: page.choose("Layer", layer), verdict=False)
+        assert page.legend().startswith(title)
+    expect_change(page, lambda: page.choose("Layout", "registered"), verdict=False)
+    expect_change(page, lambda: page.choose("Layout", "side by side"), verdict=False)
+    for switch in ("Point clouds", "Keypoints", "Inlier lines", "Outlier lines", "Surfaces"):
+        expect_change(page, lambda switch=switch: page.tick(switch), verdict=False)
+    assert page.verdict() == card
+
+
+def test_another_pair_is_shown_and_judged(open_viewer: Open) -> None:
+    page = open_viewer()
+    expect_change(page, lambda: page.choose("Query", "004"))
+    assert "query 004" in page.verdict()
+    before = page.verdict()
+    page.page.get_by_role("button", name="next", exact=True).first.click()
+    page.wait(lambda: page.verdict() != before, "the next query")
+    assert "query 005" in page.verdict()
