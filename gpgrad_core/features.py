@@ -39,7 +39,7 @@ class FeatureParams:
         float,
         Bounds(0.01, 1.0, 0.01, "", slider=(0.02, 1.0)),
         Doc(
-            "Variance mask: keep cells whose standard deviation is at most this share of signal_std."
+            "Variance mask: keep cells whose standard deviation is this share of signal_std or less."
         ),
     ] = 0.3
     max_keypoints: Annotated[

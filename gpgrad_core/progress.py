@@ -7,11 +7,11 @@ Progress: TypeAlias = Callable[[float], None]
 """Called with the fraction done in [0, 1], once a tile or a block; may raise Cancelled."""
 
 
-class Cancelled(Exception):  # noqa: N818 - a decision, not an error
+class Cancelled(Exception):
     """Raised by a progress hook to stop the work below it; nothing of it is kept."""
 
 
-def silent(fraction: float) -> None:  # noqa: ARG001
+def silent(fraction: float) -> None:
     """Report to nobody; the default."""
 
 

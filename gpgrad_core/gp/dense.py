@@ -1,4 +1,4 @@
-"""The paper's GP as it is printed: dense Cholesky, Eqs. (2)-(5). Slow, and the oracle of all else."""
+"""The paper's GP as it is printed: dense Cholesky, Eqs. (2)-(5); slow, the oracle of all else."""
 
 from dataclasses import dataclass
 

@@ -3,7 +3,8 @@
 The squared exponential is, but for a ripple, a sum of Gaussian bumps on a regular lattice with
 independent weights:
 
-    k(x, x') ≈ Σ_a φ_a(x) φ_a(x'),   φ_a(x) = s_h exp(-|x - a|² / l²),   s_h² = signal_std² 2h²/(π l²)
+    k(x, x') ≈ Σ_a φ_a(x) φ_a(x'),   φ_a(x) = s_h exp(-|x - a|² / l²),
+    s_h² = signal_std² 2h² / (π l²)
 
 with a relative ripple of 2 exp(-π² l² / (2 h²)) for spacing h. In weight space the posterior
 precision is
@@ -51,7 +52,7 @@ MARGIN = 2.5
 """Length-scales by which the lattice reaches beyond the points: exp(-2 x 2.5²) is 4e-6."""
 HALO = 6.0
 """Length-scales of neighbouring points that a strip sees beside its own. Measured at the seam
-itself: elevation within 0.015 of the noise, slope within 0.7 %; a length-scale less, thrice that."""
+itself: elevation within 0.015 of the noise, slope within 0.7 %; with one less, thrice that."""
 FINE_SPACING = 0.5
 """Spacing, in length-scales, at which the lattice kernel is the kernel: ripple 5e-9."""
 FINE_MARGIN = 3.5

@@ -30,7 +30,7 @@ class Axis:
     @property
     def nodes(self) -> Float[Array, "count"]:
         """Positions [m]."""
-        return self.start + self.spacing * np.arange(self.count)
+        return self.start + self.spacing * np.arange(self.count, dtype=np.float64)
 
     @property
     def halved(self) -> "Axis":

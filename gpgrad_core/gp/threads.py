@@ -2,7 +2,7 @@
 
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from functools import cache
 
@@ -30,7 +30,7 @@ _limiter: object | None = None
 
 
 @contextmanager
-def single_threaded_blas() -> Iterator[None]:
+def single_threaded_blas() -> Generator[None]:
     """Hold BLAS to one thread while our own threads share out small matrices.
 
     On matrices of a few hundred rows, BLAS threads wait for each other longer than they work
