@@ -39,7 +39,7 @@ class FeatureParams:
         float,
         Bounds(0.01, 1.0, 0.01, "", slider=(0.02, 1.0)),
         Doc(
-            "Variance mask: keep cells whose standard deviation is this share of signal_std or less."
+            "Variance mask: keep cells whose standard deviation is up to this share of signal_std."
         ),
     ] = 0.3
     max_keypoints: Annotated[
@@ -76,7 +76,7 @@ def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Featur
         detector = _create("AKAZE_create", threshold=1e-6)
         image = gradient_map.gradient.astype(np.float32)
     else:
-        detector = cv2.SIFT_create(nfeatures=0, contrastThreshold=0.0, edgeThreshold=10.0)
+        detector = _create("SIFT_create", nfeatures=0, contrastThreshold=0.0, edgeThreshold=10.0)
         image = _as_bytes(gradient_map.gradient, params.gradient_range)
     keypoints, descriptors = detector.detectAndCompute(image, None)
     if descriptors is None:
