@@ -3,6 +3,7 @@
 import contextlib
 import io
 import re
+import socket
 import sys
 import webbrowser
 from collections.abc import Callable, Generator, Sequence
@@ -97,6 +98,7 @@ class View:
         """Serve until interrupted."""
         from app.server import Viewer  # noqa: PLC0415 - viser is heavy, and for this verb only
 
+        _check_address(self.host, self.port)
         source = self.dataset or demo_path()
         dataset = _load(source)
         params = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
@@ -271,6 +273,18 @@ def _base(dataset: Dataset, path: Path | None) -> PipelineParams:
     """Parameters before any flag: built-in, then what the dataset prefers, then the file."""
     params = preferred_parameters(dataset, PipelineParams())
     return params if path is None else read_parameters(path, params)
+
+
+def _check_address(host: str, port: int) -> None:
+    """Refuse where nothing can be served: the server would wait for itself without end."""
+    if not 0 <= port <= 65535:
+        raise InputError(f"--port must be from 0 to 65535, got {port}")
+    try:
+        family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family) as probe:
+            probe.bind(address)
+    except OSError as error:
+        raise InputError(f"--host {host}: cannot serve there: {error.strerror}") from error
 
 
 def _load(path: Path) -> Dataset:

@@ -43,3 +43,17 @@ def test_the_page_is_served_until_interrupted(traverse: Path, built_in: bool) ->
 def test_a_dataset_that_is_not_there_is_refused(gpgrad: Run, tmp_path: Path) -> None:
     refused = gpgrad("view", tmp_path / "nowhere", "--no-open")
     assert "nowhere" in refused.refusal
+
+
+@pytest.mark.parametrize(
+    ("flag", "value", "said"),
+    [
+        ("--host", "256.1.1.1", "--host 256.1.1.1: cannot serve there"),
+        ("--host", "192.0.2.1", "--host 192.0.2.1: cannot serve there"),  # nobody's, by RFC 5737
+        ("--port", "65536", "--port must be from 0 to 65535, got 65536"),
+    ],
+)
+def test_an_address_that_is_not_here_is_refused(
+    gpgrad: Run, traverse: Path, flag: str, value: str, said: str
+) -> None:
+    assert said in gpgrad("view", traverse, "--no-open", flag, value).refusal
