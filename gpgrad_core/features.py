@@ -1,7 +1,7 @@
 """Keypoints in trusted cells of a gradient map, and their descriptors."""
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
@@ -11,6 +11,9 @@ from typing_extensions import Doc
 
 from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.types import Features, GradientMap
+
+MIN_IMAGE_SIDE = 16
+"""Pixels; smaller images hold no keypoint, and make OpenCV's pyramids fail."""
 
 
 @dataclass(frozen=True)
@@ -78,12 +81,13 @@ def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Featur
     else:
         detector = _create("SIFT_create", nfeatures=0, contrastThreshold=0.0, edgeThreshold=10.0)
         image = _as_bytes(gradient_map.gradient, params.gradient_range)
-    keypoints, descriptors = detector.detectAndCompute(image, None)
-    if descriptors is None:
-        descriptors = np.zeros((0, detector.descriptorSize()), np.uint8)
+    small = min(image.shape) < MIN_IMAGE_SIDE
+    keypoints, described = ([], None) if small else detector.detectAndCompute(image, None)
+    descriptors = _as_descriptors(described, detector)
     pixels = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64).reshape(-1, 2)
-    nearest = np.rint(pixels).astype(np.intp)
-    ratios = gradient_map.std[nearest[:, 1], nearest[:, 0]] / gradient_map.signal_std
+    last = np.array(gradient_map.grid.shape[::-1]) - 1
+    column, row = np.clip(np.rint(pixels), 0, last).astype(np.intp).T
+    ratios = gradient_map.std[row, column] / gradient_map.signal_std
     grid = gradient_map.grid
     return Features(
         positions=grid.to_position(pixels),
@@ -101,9 +105,10 @@ def select_trusted(features: Features, params: FeatureParams) -> Features:
     return features.select(trusted[np.sort(strongest)])
 
 
-def _create(name: str, **options: float) -> Any:
-    """Make a detector that OpenCV 5 moved from cv2 to cv2.xfeatures2d."""
-    home = cv2 if hasattr(cv2, name) else cv2.xfeatures2d
+def _create(name: str, **options: float) -> cv2.Feature2D:
+    """Make a detector, in whichever of its modules this release of OpenCV keeps it."""
+    homes = [cv2, cv2.xfeatures2d] if hasattr(cv2, "xfeatures2d") else [cv2]
+    home = next(home for home in homes if hasattr(home, name))
     return getattr(home, name)(**options)
 
 
@@ -111,3 +116,14 @@ def _as_bytes(
     image: Float[NDArray[np.float64], "rows columns"], white: float
 ) -> UInt8[NDArray[np.uint8], "rows columns"]:
     return np.rint(np.clip(image / white, 0.0, 1.0) * 255).astype(np.uint8)
+
+
+def _as_descriptors(
+    described: cv2.typing.MatLike | None, detector: cv2.Feature2D
+) -> NDArray[np.float32] | NDArray[np.uint8]:
+    """Give descriptors their type; an image without keypoints has none of any."""
+    if described is None:
+        described = np.zeros((0, detector.descriptorSize()), np.uint8)
+    if described.dtype == np.float32:
+        return np.asarray(described, np.float32)
+    return np.asarray(described, np.uint8)

@@ -119,4 +119,5 @@ def sample_map(submap: Submap, posterior: LatticePosterior, resolution: float) -
     """Sample a fitted GP over its submap's bounding box."""
     grid = map_grid(submap, resolution)
     elevation, variance, slope = posterior.sample(grid)
-    return GradientMap(grid, elevation, variance, slope, posterior.kernel.signal_std)
+    kernel = posterior.kernel
+    return GradientMap(grid, elevation, variance, slope, kernel.signal_std, kernel.length_scale)

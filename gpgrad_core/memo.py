@@ -71,7 +71,7 @@ class Memo:
                 self._bytes -= freed
         return result
 
-    def _key_of(self, argument: Any) -> Hashable:
+    def _key_of(self, argument: object) -> Hashable:
         fingerprint = getattr(argument, "fingerprint", None)
         if fingerprint is not None:
             return fingerprint
@@ -84,12 +84,12 @@ class Memo:
         return key
 
 
-def _is_params(value: Any) -> bool:
+def _is_params(value: object) -> bool:
     """Params compare by value; data (``eq=False``) by identity."""
     return type(value).__eq__ is not object.__eq__
 
 
-def array_bytes(value: Any) -> int:
+def array_bytes(value: object) -> int:
     """Count the bytes of all arrays in a result: an array, a dataclass, a list, tuple or dict."""
     if isinstance(value, np.ndarray):
         return value.nbytes

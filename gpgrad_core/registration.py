@@ -1,7 +1,7 @@
 """Algorithm 1: SE(2) RANSAC over the associations, then a dense check of the slope fields."""
 
 from dataclasses import dataclass
-from math import log1p
+from math import log1p, sqrt
 from typing import Annotated
 
 import cv2
@@ -13,11 +13,13 @@ from typing_extensions import Doc
 from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.se2 import SE2, fit_se2
-from gpgrad_core.types import Array, GradientMap, Matches, Registration
+from gpgrad_core.types import Array, GradientMap, Grid, Matches, Registration
 
 BoolArray = NDArray[np.bool_]
 
-CHECKED_CELLS = 8000
+MAX_STD_RATIO = 0.3
+"""The dense check compares cells whose standard deviation is at most this share of signal_std."""
+CHECKED_CELLS = 6000
 """Cells of a map that the dense check looks at; slopes are smooth over many cells."""
 REFITS = 3
 """Rounds of fitting the motion to its inliers and choosing these anew."""
@@ -81,7 +83,7 @@ def register(
         if candidate is not None:
             T_database_query, inliers = candidate
             area, correlation = checker.compare(T_database_query)
-            score = closure_score(area, correlation, int(inliers.sum()))
+            score = checker.score(area, correlation, int(inliers.sum()))
             if best.T_database_query is None or score > best.score:
                 best = Registration(T_database_query, inliers, np.inf, area, correlation, score)
         progress((k + 1) / len(motions))
@@ -97,18 +99,19 @@ def register(
     )
 
 
-def closure_score(area: float, correlation: float, num_inliers: int) -> float:
-    """How likely a registration is a loop closure: ``r² A log(1 + n)``.
+def closure_score(patches: float, correlation: float, num_inliers: int) -> float:
+    """How likely a registration is a loop closure: ``r² √N log(1 + n)``.
 
-    A large overlap that agrees is harder to come by than a small one, and inliers are evidence
-    of another kind; measured against inliers alone it ranks far better.
+    Over N independent patches, the correlation of unrelated slopes scatters by 1/√N: a large
+    overlap that agrees is harder to come by than a small one. Inliers are evidence of another
+    kind. All three are pure numbers, so one threshold serves at any scale and steepness.
 
     Args:
-        area: Overlap A [m²].
+        patches: Overlap in patches of 2π length_scale², over which terrain is alike: N.
         correlation: Of the slope fields over it, r; below zero it says nothing.
         num_inliers: n.
     """
-    return max(correlation, 0.0) ** 2 * area * log1p(num_inliers)
+    return max(correlation, 0.0) ** 2 * sqrt(patches) * log1p(num_inliers)
 
 
 def _nothing(num_matches: int) -> Registration:
@@ -121,7 +124,7 @@ def _nothing(num_matches: int) -> Registration:
 def _ransac(matches: Matches, params: RegistrationParams) -> list[SE2]:
     """Find the distinct motions with the most inliers, best first."""
     num = len(matches)
-    if num < 2:  # noqa: PLR2004
+    if num < 2:
         return []
     first, second = _sample_pairs(num, params.trials, params.seed)
     query, database = matches.query_xy, matches.database_xy
@@ -188,7 +191,7 @@ def _distinct(
         k = int(np.argmax(left))
         motions.append(SE2(float(offset[k, 0]), float(offset[k, 1]), float(yaw[k])))
         near = np.hypot(*(centres - centres[k]).T) <= 2 * radius
-        turn = np.abs(np.angle(np.exp(1j * (yaw - yaw[k])))) <= 0.1  # noqa: PLR2004
+        turn = np.abs(np.angle(np.exp(1j * (yaw - yaw[k])))) <= 0.1
         left &= ~(near & turn)
     return motions
 
@@ -197,7 +200,7 @@ def _refine(motion: SE2, matches: Matches, radius: float) -> tuple[SE2, BoolArra
     """Fit the motion to its inliers, twice over; None if fewer than two are left."""
     for _ in range(REFITS):
         inliers = _one_to_one(motion, matches, radius)
-        if inliers.sum() < 2:  # noqa: PLR2004
+        if inliers.sum() < 2:
             return None
         motion = fit_se2(matches.query_xy[inliers], matches.database_xy[inliers])
     return motion, _one_to_one(motion, matches, radius)
@@ -225,64 +228,76 @@ def _one_to_one(motion: SE2, matches: Matches, radius: float) -> Bool[BoolArray,
 
 
 class _DenseCheck:
-    """Compares two maps cell by cell under a motion, on a thinned grid of the database's cells."""
+    """Compares two maps under a motion, on thinned grids: slopes are smooth over many cells."""
 
     def __init__(self, query: GradientMap, database: GradientMap) -> None:
-        self._query, self._database = query, database
-        stride = max(1, round(np.sqrt(database.grid.num_cells / CHECKED_CELLS)))
+        stride = _stride(database)
         thin = (slice(None, None, stride), slice(None, None, stride))
+        trusted = database.trusted(MAX_STD_RATIO)[thin]
         y, x = np.meshgrid(database.grid.y[thin[0]], database.grid.x[thin[1]], indexing="ij")
-        self._positions = np.column_stack([x.ravel(), y.ravel()])
+        self._positions = np.column_stack([x[trusted], y[trusted]])
+        self._slope = database.slope[thin][trusted]
+        self._variance = database.variance[thin][trusted]
         self._cell_area = (stride * database.grid.resolution) ** 2
-        self._slope = database.slope[thin].reshape(-1, 2)
-        self._variance = database.variance[thin].ravel()
-        self._trust = _trust(database)[thin].ravel()
+        self._map_cells = stride**2
+        self._patch_area = 2 * np.pi * database.length_scale**2
+
+        stride = _stride(query)
+        thin = (slice(None, None, stride), slice(None, None, stride))
         # One image of four channels: one remapping a motion.
-        self._query_image = np.dstack([query.slope, query.variance, _trust(query)]).astype(
-            np.float32
+        self._query_image = np.dstack(
+            [query.slope[thin], query.variance[thin], query.trusted(MAX_STD_RATIO)[thin]]
+        ).astype(np.float32)
+        self._query_grid = Grid(
+            query.grid.origin, stride * query.grid.resolution, self._query_image.shape[:2]
         )
 
-    def _query_at_database(self, T_database_query: SE2) -> Float[Array, "cells 4"]:
-        """Slope (turned into the database's frame), variance and trust of the query."""
+    def _overlap(
+        self, T_database_query: SE2
+    ) -> tuple[BoolArray, Float[Array, "common 2"], Float[Array, "common"]]:
+        """Which cells both maps know; the query's slope there (turned) and its variance."""
         there = T_database_query.inverse().apply(self._positions)
-        pixels = self._query.grid.to_pixel(there).astype(np.float32)
-        sampled = cv2.remap(
-            self._query_image,
-            pixels.reshape(1, -1, 2),
-            None,  # pyright: ignore[reportArgumentType, reportCallIssue]
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=(0, 0, 0, 0),
-        )[0].astype(np.float64)
-        sampled[:, :2] = T_database_query.rotate(sampled[:, :2])
-        return sampled
+        pixels = self._query_grid.to_pixel(there).astype(np.float32)
+        sampled = (
+            cv2.remap(
+                self._query_image,
+                pixels[:, :1],
+                pixels[:, 1:],
+                cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=(0, 0, 0, 0),
+            )
+            .reshape(-1, 4)
+            .astype(np.float64)
+        )
+        common = sampled[:, 3] > 0.999  # all four neighbours are trusted
+        return common, T_database_query.rotate(sampled[common, :2]), sampled[common, 2]
 
     def compare(self, T_database_query: SE2) -> tuple[float, float]:
         """Overlap area [m²], and correlation of the slope vectors over it."""
-        query = self._query_at_database(T_database_query)
-        weights = query[:, 3] * self._trust
-        area = float(weights.sum()) * self._cell_area
-        if area == 0:
-            return 0.0, 0.0
-        weights /= weights.sum()
-        a, b = query[:, :2], self._slope
-        a, b = a - weights @ a, b - weights @ b
-        energy = float((weights @ (a * a)).sum() * (weights @ (b * b)).sum())
-        if energy == 0:
+        common, query, _ = self._overlap(T_database_query)
+        area = len(query) * self._cell_area
+        if len(query) < 2:
             return area, 0.0
-        return area, float((weights @ (a * b)).sum()) / np.sqrt(energy)
+        database = self._slope[common]
+        query = query - query.mean(axis=0)
+        database = database - database.mean(axis=0)
+        energy = float(np.sqrt(np.vdot(query, query) * np.vdot(database, database)))
+        return area, float(np.vdot(query, database)) / energy if energy > 0 else 0.0
+
+    def score(self, area: float, correlation: float, num_inliers: int) -> float:
+        """Score a motion by its overlap counted in independent patches."""
+        return closure_score(area / self._patch_area, correlation, num_inliers)
 
     def dissimilarity(self, T_database_query: SE2) -> float:
         """ComputeSSDMetric, the paper's h: Σ (I_g^q - I_g^d)² / (I_v^q I_v^d) over the overlap.
 
-        Summed over the thinned cells, each for the cells that it stands for.
+        Summed over the thinned cells, each for the map's cells that it stands for.
         """
-        query = self._query_at_database(T_database_query)
-        both = query[:, 3] * self._trust > 0
-        gradients = np.hypot(*query[both, :2].T) - np.hypot(*self._slope[both].T)
-        cells = self._cell_area / self._database.grid.resolution**2
-        return float(cells * np.sum(gradients**2 / (query[both, 2] * self._variance[both])))
+        common, query, variance = self._overlap(T_database_query)
+        difference = np.hypot(*query.T) - np.hypot(*self._slope[common].T)
+        return float(self._map_cells * np.sum(difference**2 / (variance * self._variance[common])))
 
 
-def _trust(gradient_map: GradientMap) -> Float[Array, "rows columns"]:
-    return gradient_map.trusted(0.3).astype(np.float64)
+def _stride(gradient_map: GradientMap) -> int:
+    return max(1, round(np.sqrt(gradient_map.grid.num_cells / CHECKED_CELLS)))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy.typing import NDArray
 
 from gpgrad_core.errors import InputError
@@ -76,7 +76,7 @@ class Submap:
     def from_points(
         cls,
         points: Float[NDArray[np.floating], "n 3"],
-        id: str = "cloud",  # noqa: A002 - the public name
+        id: str = "cloud",
         *,
         pose_true: Pose | None = None,
         pose_odometry: Pose | None = None,
@@ -93,11 +93,11 @@ class Submap:
             InputError: If there are fewer than three finite points, or all lie on one line.
         """
         rows = np.asarray(points)
-        if rows.ndim != 2 or rows.shape[1] != 3:  # noqa: PLR2004
+        if rows.ndim != 2 or rows.shape[1] != 3:
             raise InputError(f"{id}: points must be an (n, 3) array, got shape {rows.shape}")
         finite = np.isfinite(rows).all(axis=1)
         kept = np.array(rows[finite], dtype=np.float64)
-        if len(kept) < 3:  # noqa: PLR2004
+        if len(kept) < 3:
             raise InputError(
                 f"{id}: a terrain needs 3 or more finite points, found {len(kept)} "
                 f"of {len(rows)}; give a fuller cloud"
@@ -194,12 +194,12 @@ class Grid:
     @property
     def x(self) -> Float[Array, "columns"]:
         """Centres of the columns [m]."""
-        return self.origin[0] + self.resolution * np.arange(self.shape[1])
+        return self.origin[0] + self.resolution * np.arange(self.shape[1], dtype=np.float64)
 
     @property
     def y(self) -> Float[Array, "rows"]:
         """Centres of the rows [m]."""
-        return self.origin[1] + self.resolution * np.arange(self.shape[0])
+        return self.origin[1] + self.resolution * np.arange(self.shape[0], dtype=np.float64)
 
     @property
     def positions(self) -> Float[Array, "cells 2"]:
@@ -230,6 +230,7 @@ class GradientMap:
     variance: Float[Array, "rows columns"]  # posterior variance of it [m²], Eq. (3)
     slope: Float[Array, "rows columns 2"]  # (dz/dx, dz/dy) [m/m], Eqs. (4), (5)
     signal_std: float  # standard deviation of the terrain before any point is seen [m]
+    length_scale: float  # distance over which its height stays alike [m]
     gradient: Float[Array, "rows columns"] = field(init=False)  # steepness [m/m]
     std: Float[Array, "rows columns"] = field(init=False)  # of the elevation [m]
 
@@ -256,7 +257,7 @@ class Features:
     scales: Float[Array, "k"]  # diameter of the neighbourhood described [m]
     responses: Float[Array, "k"]  # strength, as the detector has it
     std_ratios: Float[Array, "k"]  # std / signal_std of the map there
-    descriptors: Float[NDArray[np.float32], "k d"] | Int[NDArray[np.uint8], "k d"]
+    descriptors: Float[NDArray[np.float32], "k d"] | UInt8[NDArray[np.uint8], "k d"]
     # uint8 descriptors are strings of bits (Hamming), float32 ones vectors (L2)
 
     def __len__(self) -> int:

@@ -120,6 +120,23 @@ class LatticePosterior:
         return elevation, variance, slope
 
 
+@dataclass(frozen=True, eq=False)
+class _Cloud:
+    """Points as the fit wants them: sorted by y, heights about zero."""
+
+    xy: Float[Array, "n 2"]  # [m]
+    heights: Float[Array, "n"]  # [m]
+    noise_variance: Float[Array, "n"]  # [m²]
+
+    def select(self, chosen: NDArray[np.bool_]) -> "_Cloud":
+        return _Cloud(self.xy[chosen], self.heights[chosen], self.noise_variance[chosen])
+
+    @property
+    def least_noise(self) -> float:
+        """Smallest standard deviation of a height [m], for messages."""
+        return float(np.sqrt(self.noise_variance.min()))
+
+
 def fit_lattice(
     points: Float[Array, "n 3"],
     kernel: SquaredExponential,
@@ -141,25 +158,26 @@ def fit_lattice(
         InputError: If the lattice would be too large, or the equations cannot be solved to
             `MEAN_TOLERANCE`; says which parameter to change.
     """
-    by_y = np.argsort(points[:, 1], kind="stable")  # as Splat wants them
-    xy = points[by_y, :2]
     offset = float(points[:, 2].mean()) if mean is None else mean
-    heights = points[by_y, 2] - offset
-    noise_variance = np.broadcast_to(noise_std, len(points))[by_y] ** 2
-    spacing = kernel.length_scale * _spacing_for(_information(xy, kernel, noise_variance))
-    _check_size(xy, kernel, spacing)
+    by_y = np.argsort(points[:, 1], kind="stable")
+    cloud = _Cloud(
+        points[by_y, :2],
+        points[by_y, 2] - offset,
+        np.broadcast_to(noise_std, len(points))[by_y] ** 2,
+    )
+    spacing = kernel.length_scale * _spacing_for(_information(cloud, kernel))
+    _check_size(cloud, kernel, spacing)
 
     halo = HALO * kernel.length_scale
-    stretches = list(pairwise(_strip_edges(xy[:, 0], halo)))
+    stretches = list(pairwise(_strip_edges(cloud.xy[:, 0], halo)))
     report = _SharedProgress(progress, len(stretches))
 
     def fit(stretch: tuple[float, float]) -> Strip | None:
-        near = (xy[:, 0] >= stretch[0] - halo) & (xy[:, 0] < stretch[1] + halo)
+        x = cloud.xy[:, 0]
+        near = (x >= stretch[0] - halo) & (x < stretch[1] + halo)
         if not near.any():
             return None
-        return _fit_strip(
-            stretch, xy[near], heights[near], noise_variance[near], kernel, spacing, report
-        )
+        return _fit_strip(stretch, cloud.select(near), kernel, spacing, report)
 
     with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
         strips = tuple(strip for strip in executor.map(fit, stretches) if strip is not None)
@@ -189,23 +207,21 @@ class _SharedProgress:
 
 def _fit_strip(
     stretch: tuple[float, float],
-    xy: Float[Array, "n 2"],
-    heights: Float[Array, "n"],
-    noise_variance: Float[Array, "n"],
+    cloud: _Cloud,
     kernel: SquaredExponential,
     spacing: float,
     report: _SharedProgress,
 ) -> Strip:
     try:
-        lattice = _Lattice(xy, kernel, noise_variance, spacing, report)
+        lattice = _Lattice(cloud, kernel, spacing, report)
     except NotPositiveDefiniteError as error:
         raise InputError(
             f"the GP cannot be solved at length-scale {kernel.length_scale:g} m with noise "
-            f"{np.sqrt(noise_variance.min()):g} m: raise the noise or lower the length-scale"
+            f"{cloud.least_noise:g} m: raise the noise or lower the length-scale"
         ) from error
     variance_axes, variance_weights = lattice.variance_weights()
-    fine, mean_axes, fine_scale = _fine_kernel(xy, kernel)
-    weights = _solve_exactly(heights, fine, fine_scale, noise_variance, lattice)
+    fine, mean_axes, fine_scale = _fine_kernel(cloud.xy, kernel)
+    weights = _solve_exactly(cloud, fine, fine_scale, lattice)
     report.advance(0.4)
     return Strip(
         *stretch, mean_axes, fine_scale * fine.to_nodes(weights), variance_axes, variance_weights
@@ -217,14 +233,14 @@ class _Lattice:
 
     def __init__(
         self,
-        xy: Float[Array, "n 2"],
+        cloud: _Cloud,
         kernel: SquaredExponential,
-        noise_variance: Float[Array, "n"],
         spacing: float,
         report: _SharedProgress,
     ) -> None:
         length = kernel.length_scale
-        information = _information(xy, kernel, noise_variance)
+        xy, noise_variance = cloud.xy, cloud.noise_variance
+        information = _information(cloud, kernel)
         # Beyond this many nodes apart, two bumps share too little to matter.
         self._band = max(
             2,
@@ -340,13 +356,12 @@ class _Lattice:
         return whitened - self._scale2 * smooth / self._noise_variance
 
 
-def _information(
-    xy: Float[Array, "n 2"], kernel: SquaredExponential, noise_variance: Float[Array, "n"]
-) -> float:
+def _information(cloud: _Cloud, kernel: SquaredExponential) -> float:
     """Largest precision that the data bring to one bump, relative to its prior: s² max G."""
-    cells = np.floor((xy - xy.min(axis=0)) / kernel.length_scale).astype(np.int64)
+    low = cloud.xy.min(axis=0)
+    cells = np.floor((cloud.xy - low) / kernel.length_scale).astype(np.int64)
     _, owner = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True)
-    densest = np.bincount(owner, weights=1 / noise_variance).max()
+    densest = np.bincount(owner, weights=1 / cloud.noise_variance).max()
     return float(kernel.signal_std**2 * densest * np.pi / 2)
 
 
@@ -356,8 +371,8 @@ def _spacing_for(information: float) -> float:
     return float(np.clip(np.pi / np.sqrt(2 * np.log(2 / ripple)), FINE_SPACING, 0.8))
 
 
-def _check_size(xy: Float[Array, "n 2"], kernel: SquaredExponential, spacing: float) -> None:
-    width, height = xy.max(axis=0) - xy.min(axis=0)
+def _check_size(cloud: _Cloud, kernel: SquaredExponential, spacing: float) -> None:
+    width, height = cloud.xy.max(axis=0) - cloud.xy.min(axis=0)
     nodes = (width / spacing + 1) * (height / spacing + 1)
     if nodes > MAX_NODES:
         raise InputError(
@@ -397,15 +412,15 @@ def _fine_kernel(
 
 
 def _solve_exactly(
-    heights: Float[Array, "n"],
+    cloud: _Cloud,
     fine: Splat,
     fine_scale: float,
-    noise_variance: Float[Array, "n"],
     lattice: _Lattice,
 ) -> Float[Array, "n"]:
     """Solve ``(K + D) weights = heights`` by preconditioned conjugate gradients."""
-    weights = np.zeros_like(heights)
-    residual = heights.copy()
+    noise_variance = cloud.noise_variance
+    weights = np.zeros_like(cloud.heights)
+    residual = cloud.heights.copy()
     direction = step = lattice.precondition(residual)
     energy = residual @ step
     for _ in range(MAX_STEPS):
@@ -420,5 +435,5 @@ def _solve_exactly(
         direction = step + (energy / previous) * direction
     raise InputError(
         f"the GP did not converge in {MAX_STEPS} steps with noise "
-        f"{np.sqrt(noise_variance.min()):g} m: raise the noise or lower the length-scale"
+        f"{cloud.least_noise:g} m: raise the noise or lower the length-scale"
     )
