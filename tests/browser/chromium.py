@@ -64,7 +64,7 @@ class ViewerPage:
         browser: Browser,
         url: str,
         *,
-        size: tuple[int, int] = (1280, 800),
+        size: tuple[int, int] = (1100, 720),
         script: str | None = None,
     ) -> None:
         """Open the page and wait for the first verdict and picture.
@@ -158,7 +158,7 @@ class ViewerPage:
         self.wait(lambda: "Up to date" in self.status(), "an up-to-date picture")
         last = self.picture()
         for _ in range(100):
-            self.page.wait_for_timeout(250)
+            self.page.wait_for_timeout(150)
             now = self.picture()
             if changed(last, now) == 0.0 and "Up to date" in self.status():
                 return
@@ -225,7 +225,8 @@ class ViewerPage:
 
     def type_text(self, label: str, text: str) -> None:
         """Type into a text box, in place of what is there."""
-        self.widget(label).fill(text)
+        name = self.page.locator("label").filter(has_text=label).first
+        name.locator("xpath=ancestor::*[.//input][1]//input").first.fill(text)
         self.page.wait_for_timeout(2 * BETWEEN_INPUTS_MS)
 
     def _dismiss_notice(self) -> None:

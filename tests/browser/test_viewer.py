@@ -23,7 +23,8 @@ def expect_change(page: "ViewerPage", act: Callable[[], None], *, verdict: bool 
     act()
     if verdict:
         page.wait(lambda: page.verdict() != card, "another verdict card")
-    page.wait(lambda: changed(before, page.picture()) > 0.0005, "another picture")
+    # The camera is still and `settle` saw the picture stand still: an unchanged scene gives 0.
+    page.wait(lambda: changed(before, page.picture()) > 5e-5, "another picture")
     page.settle()
     assert not page.is_blank()
 
@@ -37,7 +38,7 @@ def test_the_demo_opens_as_a_stranger_finds_it(open_viewer: Open) -> None:
     for name in MAIN_PARAMETERS.values():  # in sight without opening or scrolling
         box = page.thumb(name).bounding_box()
         assert box is not None
-        assert box["y"] < 800
+        assert box["y"] < 720
     assert not page.is_blank()
 
 
