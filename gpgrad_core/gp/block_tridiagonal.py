@@ -23,23 +23,22 @@ class Factor:
     ``P_0 = D_0`` and ``P_(i+1) = D_(i+1) - E_i P_i⁻¹ E_iᵀ``.
     """
 
-    inverses: list[Float[Array, "m m"]]  # P_i⁻¹
-    gains: list[Float[Array, "m m"]]  # E_i P_i⁻¹
+    inverses: list[Float[Array, "_ _"]]  # P_i⁻¹
+    gains: list[Float[Array, "_ _"]]  # E_i P_i⁻¹
 
-    def solve(self, right: Float[Array, "blocks m"]) -> Float[Array, "blocks m"]:
+    def solve(self, right: list[Float[Array, "_"]]) -> list[Float[Array, "_"]]:
         """Solve for one right-hand side, cut into blocks."""
         forward = [right[0]]
         for gain, block in zip(self.gains, right[1:], strict=True):
             forward.append(block - gain @ forward[-1])
-        solution = np.empty_like(right)
-        solution[-1] = self.inverses[-1] @ forward[-1]
+        solution = [self.inverses[-1] @ forward[-1]]  # last block first
         for i in reversed(range(len(self.gains))):
-            solution[i] = self.inverses[i] @ forward[i] - self.gains[i].T @ solution[i + 1]
-        return solution
+            solution.append(self.inverses[i] @ forward[i] - self.gains[i].T @ solution[-1])
+        return solution[::-1]
 
     def inverse_blocks(
         self,
-    ) -> Iterator[tuple[int, Float[Array, "m m"], Float[Array, "m m"] | None]]:
+    ) -> Iterator[tuple[int, Float[Array, "_ _"], Float[Array, "_ _"] | None]]:
         """Yield (i, diagonal block i of the inverse, block (i + 1, i) or None), last first.
 
         Takahashi's recursion: no other block of the inverse is ever made.

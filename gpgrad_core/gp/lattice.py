@@ -31,7 +31,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
@@ -169,7 +169,7 @@ def fit_lattice(
     _check_size(cloud, kernel, spacing)
 
     halo = HALO * kernel.length_scale
-    stretches = list(pairwise(_strip_edges(cloud.xy[:, 0], halo)))
+    stretches = list(pairwise(_strip_edges(cloud.xy[:, 0], halo, MARGIN * kernel.length_scale)))
     report = _SharedProgress(progress, len(stretches))
 
     def fit(stretch: tuple[float, float]) -> Strip | None:
@@ -229,7 +229,11 @@ def _fit_strip(
 
 
 class _Lattice:
-    """The factorised posterior precision Q of the bumps' weights."""
+    """The factorised posterior precision Q of the bumps' weights.
+
+    Nodes are taken in blocks of `_band` rows, so that a block meets only the next. Each block
+    keeps the columns from the first to the last that data can reach; the others keep their prior.
+    """
 
     def __init__(
         self,
@@ -239,7 +243,7 @@ class _Lattice:
         report: _SharedProgress,
     ) -> None:
         length = kernel.length_scale
-        xy, noise_variance = cloud.xy, cloud.noise_variance
+        xy, precision = cloud.xy, 1 / cloud.noise_variance
         information = _information(cloud, kernel)
         # Beyond this many nodes apart, two bumps share too little to matter.
         self._band = max(
@@ -249,111 +253,126 @@ class _Lattice:
         low, high = xy.min(axis=0), xy.max(axis=0)
         self._x = Axis.covering(low[0], high[0], spacing, MARGIN * length)
         y = Axis.covering(low[1], high[1], spacing, MARGIN * length)
-        self._blocks = -(-y.count // self._band)
-        self._y = Axis(y.start, spacing, self._blocks * self._band)
-        self._length = length
-        self._scale2 = kernel.signal_std**2 * 2 * (spacing / length) ** 2 / np.pi  # s_h²
+        self._num_blocks = -(-y.count // self._band)
+        self._y = Axis(y.start, spacing, self._num_blocks * self._band)
+        self._spacing_ratio = spacing / length
+        self._scale2 = kernel.signal_std**2 * 2 * self._spacing_ratio**2 / np.pi  # s_h²
         self._splat = Splat(xy, self._x, self._y, length)
-        self._noise_variance = noise_variance
+        self._precision = precision
         overlap = Splat(xy, self._x.halved, self._y.halved, length / np.sqrt(2))
-        self._factor = self._factorise(overlap.to_nodes(1 / noise_variance), report)
+        self._overlap = overlap.to_nodes(self._scale2 * precision)  # s_h² G
+        reached = self._overlap[::2, ::2] > self._scale2 * precision.min() * np.exp(-2 * MARGIN**2)
+        self._windows = [
+            _span(reached[rows].any(axis=0)) for rows in map(self._rows, range(self._num_blocks))
+        ]
+        self._factor = self._factorise(report)
 
-    def _pair_weights(self, rows_apart: NDArray[np.intp]) -> Float[Array, "r c r c"]:
-        """``s_h² exp(-|a - a'|² / (2 l²))`` between the nodes of two blocks, 0 beyond the band."""
-        columns = np.arange(self._x.count)
-        ratio = self._x.spacing / self._length
-        along_x = np.exp(-0.5 * ((columns[:, None] - columns) * ratio) ** 2)
-        along_y = np.exp(-0.5 * (rows_apart * ratio) ** 2)
-        along_y[np.abs(rows_apart) > self._band] = 0
-        return self._scale2 * along_y[:, None, :, None] * along_x[None, :, None, :]
+    def _rows(self, block: int) -> slice:
+        return slice(block * self._band, (block + 1) * self._band)
 
-    @property
-    def _rows_apart(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Row differences within a block, and from a block to the one before it."""
-        rows = np.arange(self._band)
-        within = rows[:, None] - rows
-        return within, within + self._band
+    def _decay(self, nodes_apart: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """``exp(-d² / (2 l²))`` along one axis."""
+        return np.exp(-0.5 * (nodes_apart * self._spacing_ratio) ** 2)
 
-    def _factorise(
-        self, overlap: Float[Array, "half_rows half_cols"], report: _SharedProgress
-    ) -> Factor:
-        band, columns = self._band, self._x.count
-        size = band * columns
-        shape, strides = (band, columns, band, columns), overlap.strides * 2
-        within, below = (self._pair_weights(apart) for apart in self._rows_apart)
+    def _row_decay(self, blocks_apart: int) -> Float[Array, "r r"]:
+        """Decay between the rows of a block and those of the same or the previous block."""
+        rows = np.arange(self._band, dtype=np.float64)
+        apart = rows[:, None] - rows + blocks_apart * self._band
+        return np.where(np.abs(apart) <= self._band, self._decay(apart), 0.0)
 
-        def hankel(half_row: int) -> Float[Array, "r c r c"]:
-            """G at the midpoints of all node pairs, as a view."""
-            return as_strided(overlap[half_row:], shape, strides, writeable=False)
+    def _couple(self, i: int, j: int) -> Float[Array, "m_i m_j"]:
+        """Entries of ``Q - I`` between the nodes of block i and those of block j."""
+        a, b = self._windows[i], self._windows[j]
+        shape = (self._band, a.stop - a.start, self._band, b.stop - b.start)
+        # G at the midpoints of all pairs of nodes, as a view.
+        midpoints = as_strided(
+            self._overlap[(i + j) * self._band :, a.start + b.start :],
+            shape,
+            self._overlap.strides * 2,
+            writeable=False,
+        )
+        columns = np.arange(self._x.count, dtype=np.float64)
+        along_x = self._decay(columns[a, None] - columns[b])
+        pairs = midpoints * along_x[None, :, None, :]
+        pairs *= self._row_decay(i - j)[:, None, :, None]
+        return pairs.reshape(shape[0] * shape[1], shape[2] * shape[3])
 
+    def _factorise(self, report: _SharedProgress) -> Factor:
         factor = Factor([], [])
-        pivot = (hankel(0) * within).reshape(size, size)
-        for i in range(self._blocks):
-            pivot[np.diag_indices(size)] += 1
-            inverse = invert_pivot(pivot)
-            factor.inverses.append(inverse)
-            if i + 1 < self._blocks:
-                coupling = (hankel((2 * i + 1) * band) * below).reshape(size, size)
-                gain = coupling @ inverse
-                factor.gains.append(gain)
-                pivot = (hankel((2 * i + 2) * band) * within).reshape(size, size)
-                pivot -= gain @ coupling.T
-            report.advance(0.6 / self._blocks)
+        pivot = self._couple(0, 0)
+        for i in range(self._num_blocks):
+            np.einsum("ii->i", pivot)[:] += 1
+            factor.inverses.append(invert_pivot(pivot))
+            if i + 1 < self._num_blocks:
+                coupling = self._couple(i + 1, i)
+                factor.gains.append(coupling @ factor.inverses[i])
+                pivot = self._couple(i + 1, i + 1)
+                pivot -= factor.gains[i] @ coupling.T
+            report.advance(0.6 / self._num_blocks)
         return factor
 
     def variance_weights(self) -> tuple[tuple[Axis, Axis], Float[Array, "half_rows half_cols"]]:
-        """Sum I - Q⁻¹ by midpoints: how far the data bring V below the prior's; axes are (x, y).
+        """Sum ``I - Q⁻¹`` by midpoints: how far the data bring V down; and its axes (x, y).
 
         The prior itself is left out, so that it holds exactly, also beyond the lattice.
         """
-        axes = (self._x.halved, self._y.halved)
-        summed = np.zeros((axes[1].count, axes[0].count))
-        summed[::2, ::2] = -self._scale2
-        band, columns = self._band, self._x.count
-        ratio = self._x.spacing / self._length
-        within, below = (
-            self._scale2 * np.exp(-0.5 * (apart * ratio) ** 2) for apart in self._rows_apart
-        )
-        below[self._rows_apart[1] > band] = 0
+        summed = np.zeros_like(self._overlap)
+        for i, diagonal, below in self._factor.inverse_blocks():
+            diagonal = diagonal.copy()
+            np.einsum("ii->i", diagonal)[:] -= 1
+            self._add_pairs(summed, i, i, diagonal)
+            if below is not None:
+                self._add_pairs(summed, i + 1, i, 2 * below)  # twice: for its mirror image too
+        return (self._x.halved, self._y.halved), -self._scale2 * summed
 
-        def add(
-            block: Float[Array, "m m"], row_weights: Float[Array, "r r"], first_half_row: int
-        ) -> None:
-            pairs = block.reshape(band, columns, band, columns)
-            step = pairs.strides
-            for apart in range(-band, band + 1):
-                start = max(0, -apart)
-                length = columns - abs(apart)
-                # All pairs (column c, column c + apart), as a view (row, row', c).
-                diagonal = as_strided(
-                    pairs[:, start:, :, start + apart :],
-                    (band, band, length),
-                    (step[0], step[2], step[1] + step[3]),
-                    writeable=False,
-                )
-                weighted = (
-                    diagonal * (row_weights * np.exp(-0.5 * (apart * ratio) ** 2))[:, :, None]
-                )
-                first = 2 * start + apart
-                into = slice(first, first + 2 * length - 1, 2)
-                for row in range(band):
-                    rows = slice(first_half_row + row, first_half_row + row + band)
-                    summed[rows, into] += weighted[:, row]
-
-        for i, diagonal, lower in self._factor.inverse_blocks():
-            add(diagonal, within, 2 * i * band)
-            if lower is not None:
-                add(lower, 2 * below, (2 * i + 1) * band)  # twice: for its mirror image too
-        return axes, -summed
+    def _add_pairs(
+        self,
+        summed: Float[Array, "half_rows half_cols"],
+        i: int,
+        j: int,
+        block: Float[Array, "m_i m_j"],
+    ) -> None:
+        """Add a block of pairs of nodes, each times its decay, at their midpoints."""
+        a, b = self._windows[i], self._windows[j]
+        band = self._band
+        pairs = block.reshape(band, a.stop - a.start, band, b.stop - b.start)
+        step = pairs.strides
+        rows = self._row_decay(i - j)
+        apart_decay = self._decay(np.arange(-band, band + 1, dtype=np.float64))
+        for apart in range(-band, band + 1):
+            first = max(a.start, b.start - apart)
+            length = min(a.stop, b.stop - apart) - first
+            if length <= 0:
+                continue
+            # All pairs (column c, column c + apart), as a view (row, row', c).
+            diagonal = as_strided(
+                pairs[:, first - a.start :, :, first + apart - b.start :],
+                (band, band, length),
+                (step[0], step[2], step[1] + step[3]),
+                writeable=False,
+            )
+            weighted = diagonal * (rows * apart_decay[apart + band])[:, :, None]
+            into = slice(2 * first + apart, 2 * (first + length) + apart - 1, 2)
+            top = (i + j) * band
+            for row in range(band):
+                summed[top + row : top + row + band, into] += weighted[:, row]
 
     def precondition(self, residual: Float[Array, "n"]) -> Float[Array, "n"]:
         """Apply ``(Φ Φᵀ + D)⁻¹``, near the inverse of ``K + D``, by Woodbury's identity."""
-        whitened = residual / self._noise_variance
-        right = self._splat.to_nodes(whitened).reshape(self._blocks, -1)
-        smooth = self._splat.to_points(
-            self._factor.solve(right).reshape(self._y.count, self._x.count)
-        )
-        return whitened - self._scale2 * smooth / self._noise_variance
+        whitened = residual * self._precision
+        right = self._splat.to_nodes(whitened)
+        blocks = [(self._rows(i), window) for i, window in enumerate(self._windows)]
+        solution = self._factor.solve([right[block].ravel() for block in blocks])
+        smooth = np.zeros_like(right)
+        for block, values in zip(blocks, solution, strict=True):
+            smooth[block] = values.reshape(self._band, -1)
+        return whitened - self._scale2 * self._precision * self._splat.to_points(smooth)
+
+
+def _span(reached: Bool[NDArray[np.bool_], "columns"]) -> slice:
+    """Columns from the first to the last that is reached; one of them if none is."""
+    columns = np.flatnonzero(reached)
+    return slice(int(columns[0]), int(columns[-1]) + 1) if len(columns) else slice(0, 1)
 
 
 def _information(cloud: _Cloud, kernel: SquaredExponential) -> float:
@@ -382,17 +401,18 @@ def _check_size(cloud: _Cloud, kernel: SquaredExponential, spacing: float) -> No
         )
 
 
-def _strip_edges(x: Float[Array, "n"], overlap: float) -> Float[Array, "edges"]:
+def _strip_edges(x: Float[Array, "n"], overlap: float, margin: float) -> Float[Array, "edges"]:
     """Cut the stretch of x so that fitting all strips takes the least time.
 
-    A strip's cost grows with the cube of its width, and it must see ``overlap`` of its
-    neighbours on either side: too few strips are wide, too many mostly overlap.
+    A strip's cost grows with the cube of its width, and it must see ``overlap`` of each
+    neighbour and reach ``margin`` beyond: too few strips are wide, too many mostly overlap.
     """
     low, high = float(x.min()), float(x.max())
     width = high - low
     counts = np.arange(1, 1 + min(MAX_STRIPS, int(width / overlap) + 1))
     rounds = np.ceil(counts / 2)  # as on two cores, anywhere: cuts must not depend on the machine
-    cost = rounds * (width / counts + 2 * overlap * (1 - 1 / counts)) ** 3
+    shared = overlap * np.minimum(counts - 1, 2) + 2 * margin
+    cost = rounds * (width / counts + shared) ** 3
     edges = np.linspace(low, high, int(counts[np.argmin(cost)]) + 1)
     edges[0], edges[-1] = -np.inf, np.inf  # the outermost strips answer for all beyond
     return edges

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-REACH = 6.0
-"""Widths beyond which a Gaussian exp(-d²) is left out: exp(-36) is below rounding."""
+REACH = 4.8
+"""Widths beyond which a Gaussian exp(-d²) is left out: 1e-10 of its height."""
 POINTS_PER_CHUNK = 256
 
 
