@@ -318,9 +318,9 @@ class _Lattice:
         """
         summed = np.zeros_like(self._overlap)
         for i, diagonal, below in self._factor.inverse_blocks():
-            diagonal = diagonal.copy()
-            np.einsum("ii->i", diagonal)[:] -= 1
-            self._add_pairs(summed, i, i, diagonal)
+            reduced = diagonal.copy()  # the recursion goes on with its own
+            np.einsum("ii->i", reduced)[:] -= 1
+            self._add_pairs(summed, i, i, reduced)
             if below is not None:
                 self._add_pairs(summed, i + 1, i, 2 * below)  # twice: for its mirror image too
         return (self._x.halved, self._y.halved), -self._scale2 * summed
