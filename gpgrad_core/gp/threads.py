@@ -24,6 +24,18 @@ def _controller() -> ThreadpoolController:
     return ThreadpoolController()  # looks through all loaded libraries: once is enough
 
 
+def _take_control() -> None:
+    """Let this thread set the limits of BLAS.
+
+    From 3.7 on, threadpoolctl heeds only the first thread that ever set OpenBLAS's limit, and
+    passes over all others in silence; here the limit is set and taken back by any thread.
+    """
+    for library in _controller().lib_controllers:
+        clear = getattr(library, "clear_controlling_thread", None)
+        if clear is not None:
+            clear(force=True)
+
+
 _lock = threading.Lock()
 _inside = 0
 _limiter: object | None = None
@@ -40,6 +52,7 @@ def single_threaded_blas() -> Generator[None]:
     global _inside, _limiter  # noqa: PLW0603 - the limit itself is the process's
     with _lock:
         if _inside == 0:
+            _take_control()
             _limiter = _controller().limit(limits=1, user_api="blas")
         _inside += 1
     try:
@@ -48,5 +61,6 @@ def single_threaded_blas() -> Generator[None]:
         with _lock:
             _inside -= 1
             if _inside == 0 and _limiter is not None:
+                _take_control()
                 _limiter.restore_original_limits()  # pyright: ignore[reportAttributeAccessIssue]
                 _limiter = None

@@ -1,0 +1,91 @@
+"""The oracle itself, against scikit-learn and against finite differences."""
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel
+
+from gpgrad_core.gp.dense import fit_dense, infer_elevation, infer_slope, infer_variance
+from gpgrad_core.gp.kernel import SquaredExponential
+from tests.core.ground import cloud
+
+seeds = st.integers(0, 2**32 - 1)
+kernels = st.builds(SquaredExponential, st.floats(0.05, 1), st.floats(0.1, 1))
+
+
+@settings(max_examples=20)
+@given(seeds, kernels, st.floats(0.01, 0.1), st.booleans())
+def test_mean_and_std_are_scikit_learns(
+    seed: int, kernel: SquaredExponential, noise: float, each_its_own: bool
+) -> None:
+    points = cloud(seed, 120, (3.0, 3.0), noise=noise)
+    rng = np.random.default_rng(seed)
+    noise_std = noise * rng.uniform(0.5, 3, len(points)) if each_its_own else noise
+    queries = rng.uniform(-0.5, 3.5, (60, 2))
+    theirs = GaussianProcessRegressor(
+        ConstantKernel(kernel.signal_std**2, "fixed") * RBF(kernel.length_scale, "fixed"),
+        alpha=noise_std**2,
+        optimizer=None,
+    )
+    mean = points[:, 2].mean()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ConvergenceWarning)
+        theirs.fit(points[:, :2], points[:, 2] - mean)
+        elevation, std = theirs.predict(queries, return_std=True)
+    ours = fit_dense(points, kernel, noise_std)
+    np.testing.assert_allclose(infer_elevation(ours, queries), elevation + mean, atol=1e-8)
+    np.testing.assert_allclose(
+        infer_variance(ours, queries), std**2, rtol=1e-6, atol=1e-9 * kernel.signal_std**2
+    )
+
+
+@settings(max_examples=20)
+@given(seeds, kernels, st.floats(0.02, 0.1))
+def test_slope_is_the_derivative_of_elevation(
+    seed: int, kernel: SquaredExponential, noise: float
+) -> None:
+    posterior = fit_dense(cloud(seed, 150, (3.0, 3.0), noise=noise), kernel, noise)
+    queries = np.random.default_rng(seed).uniform(-0.5, 3.5, (40, 2))
+    step = 1e-4 * kernel.length_scale
+    slope = infer_slope(posterior, queries)
+    for axis, shift in enumerate(step * np.eye(2)):
+        ahead, behind = (infer_elevation(posterior, queries + s) for s in (shift, -shift))
+        np.testing.assert_allclose(slope[:, axis], (ahead - behind) / (2 * step), atol=1e-5)
+
+
+def test_far_away_the_prior_holds() -> None:
+    kernel = SquaredExponential(0.2, 0.3)
+    posterior = fit_dense(cloud(0, 50) + np.array([0.0, 0.0, 7.0]), kernel, 0.05)
+    far = np.array([[100.0, -50.0]])
+    assert infer_elevation(posterior, far) == pytest.approx(posterior.mean)
+    assert posterior.mean == pytest.approx(7.0, abs=0.2)
+    assert infer_variance(posterior, far) == pytest.approx(0.04)
+    np.testing.assert_array_equal(infer_slope(posterior, far), [[0.0, 0.0]])
+
+
+def test_with_little_noise_it_passes_through_the_points() -> None:
+    points = cloud(1, 30)
+    posterior = fit_dense(points, SquaredExponential(0.2, 0.3), 1e-5)
+    np.testing.assert_allclose(infer_elevation(posterior, points[:, :2]), points[:, 2], atol=1e-4)
+    assert infer_variance(posterior, points[:, :2]).max() < 1e-8
+
+
+def test_a_given_mean_is_where_it_falls_back_to() -> None:
+    posterior = fit_dense(cloud(0, 50), SquaredExponential(0.2, 0.3), 0.05, mean=3.0)
+    assert infer_elevation(posterior, np.array([[100.0, 0.0]])) == pytest.approx(3.0)
+
+
+@given(seeds)
+def test_permuting_the_points_changes_nothing(seed: int) -> None:
+    points = cloud(seed, 60)
+    kernel, queries = SquaredExponential(0.2, 0.4), np.array([[1.0, 2.0], [3.0, 3.0]])
+    shuffled = np.random.default_rng(seed).permutation(points)
+    a, b = (fit_dense(p, kernel, 0.03) for p in (points, shuffled))
+    np.testing.assert_allclose(infer_elevation(a, queries), infer_elevation(b, queries))
+    np.testing.assert_allclose(infer_slope(a, queries), infer_slope(b, queries), atol=1e-10)
+    np.testing.assert_allclose(infer_variance(a, queries), infer_variance(b, queries), atol=1e-12)

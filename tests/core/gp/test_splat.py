@@ -1,0 +1,84 @@
+"""Sums of Gaussians between points and nodes, against the sums written out."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from gpgrad_core.gp.splat import POINTS_PER_CHUNK, Axis, Splat, gaussian, gaussian_slope
+
+Array = NDArray[np.float64]
+seeds = st.integers(0, 2**32 - 1)
+
+
+def sorted_points(seed: int, num: int) -> Array:
+    xy = np.random.default_rng(seed).uniform([-3, 10], [2, 30], (num, 2))
+    return xy[np.argsort(xy[:, 1])]
+
+
+def written_out(xy: Array, x: Axis, y: Axis, width: float) -> Array:
+    """Every Gaussian between every point and node, (n, rows, columns)."""
+    dx = xy[:, 0, None, None] - x.nodes
+    dy = xy[:, 1, None, None] - y.nodes[:, None]
+    return np.exp(-(dx**2 + dy**2) / width**2)
+
+
+@settings(max_examples=25)
+@given(seeds, st.integers(1, 2 * POINTS_PER_CHUNK + 5), st.floats(0.2, 3.0), st.floats(0.4, 1.0))
+def test_both_ways_are_the_sums_written_out(
+    seed: int, num: int, width: float, ratio: float
+) -> None:
+    xy = sorted_points(seed, num)
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    x, y = (Axis.covering(low[k], high[k], ratio * width, 2 * width) for k in (0, 1))
+    splat, bumps = Splat(xy, x, y, width), written_out(xy, x, y, width)
+    rng = np.random.default_rng(seed)
+    values, weights = rng.normal(size=num), rng.normal(size=(y.count, x.count))
+    np.testing.assert_allclose(
+        splat.to_nodes(values), np.einsum("n,nrc->rc", values, bumps), atol=1e-12 * num
+    )
+    np.testing.assert_allclose(
+        splat.to_points(weights), np.einsum("nrc,rc->n", bumps, weights), atol=1e-12 * num
+    )
+
+
+@given(seeds, st.integers(1, 600))
+def test_one_way_is_the_others_transpose(seed: int, num: int) -> None:
+    xy = sorted_points(seed, num)
+    x, y = Axis(-4.0, 0.5, 15), Axis(9.0, 0.5, 45)
+    splat, rng = Splat(xy, x, y, 0.7), np.random.default_rng(seed)
+    values, weights = rng.normal(size=num), rng.normal(size=(y.count, x.count))
+    there, back = np.vdot(splat.to_nodes(values), weights), values @ splat.to_points(weights)
+    assert there == pytest.approx(back, rel=1e-9, abs=1e-9)
+
+
+def test_points_far_from_all_nodes_give_nothing() -> None:
+    splat = Splat(np.array([[500.0, -500.0]]), Axis(0.0, 1.0, 3), Axis(0.0, 1.0, 4), 1.0)
+    np.testing.assert_array_equal(splat.to_nodes(np.ones(1)), np.zeros((4, 3)))
+    np.testing.assert_array_equal(splat.to_points(np.ones((4, 3))), [0.0])
+
+
+@given(st.floats(-100, 100), st.floats(0, 50), st.floats(0.05, 5), st.floats(0, 3))
+def test_an_axis_reaches_over_its_stretch_and_margins(
+    low: float, width: float, spacing: float, margin: float
+) -> None:
+    axis = Axis.covering(low, low + width, spacing, margin)
+    assert axis.nodes[0] == low - margin
+    assert low + width + margin - 1e-9 <= axis.nodes[-1]
+    assert axis.nodes[-1] < low + width + margin + 2 * spacing
+    np.testing.assert_allclose(np.diff(axis.nodes), spacing, rtol=1e-9)
+
+
+def test_a_halved_axis_holds_the_nodes_and_their_midpoints() -> None:
+    axis = Axis(1.0, 0.5, 4)
+    np.testing.assert_allclose(axis.halved.nodes[::2], axis.nodes)
+    np.testing.assert_allclose(axis.halved.nodes[1::2], (axis.nodes[1:] + axis.nodes[:-1]) / 2)
+
+
+def test_the_slope_of_a_gaussian_is_its_finite_difference() -> None:
+    at, axis, step = np.linspace(-2, 5, 40), Axis(0.0, 0.4, 9), 1e-6
+    difference = gaussian(at + step, axis, 0.7) - gaussian(at - step, axis, 0.7)
+    np.testing.assert_allclose(
+        gaussian_slope(at, axis, 0.7), difference / (2 * step), rtol=1e-4, atol=1e-8
+    )

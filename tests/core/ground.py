@@ -1,0 +1,63 @@
+"""Synthetic ground with known heights, and clouds of points on it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpgrad_core.types import Submap
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A sum of plane waves of random direction, so that no two places look alike."""
+
+    wave_vectors: Array  # (waves, 2) [rad/m]
+    phases: Array  # (waves,) [rad]
+    amplitudes: Array  # (waves,) [m]
+
+    @classmethod
+    def random(
+        cls, seed: int, *, shortest: float = 0.8, longest: float = 6.0, std: float = 0.15
+    ) -> "Ground":
+        rng = np.random.default_rng(seed)
+        waves = 120
+        wave_lengths = np.exp(rng.uniform(np.log(shortest), np.log(longest), waves))
+        headings = rng.uniform(0, 2 * np.pi, waves)
+        vectors = 2 * np.pi / wave_lengths * np.array([np.cos(headings), np.sin(headings)])
+        amplitudes = wave_lengths * np.sqrt(2) / np.linalg.norm(wave_lengths) * std
+        return cls(vectors.T, rng.uniform(0, 2 * np.pi, waves), amplitudes)
+
+    def height(self, xy: Array) -> Array:
+        return np.cos(xy @ self.wave_vectors.T + self.phases) @ self.amplitudes
+
+
+def scatter(seed: int, num: int, size: tuple[float, float], holes: int = 0) -> Array:
+    """Draw positions in a box, but none in some round holes of 0.5 m."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, size, (num, 2))
+    for centre in rng.uniform(0, size, (holes, 2)):
+        xy = xy[np.hypot(*(xy - centre).T) > 0.5]
+    return xy
+
+
+def cloud(
+    seed: int,
+    num: int,
+    size: tuple[float, float] = (5.0, 5.0),
+    *,
+    noise: float | Array = 0.02,
+    holes: int = 0,
+) -> Array:
+    """Draw (n, 3) points on random ground, with noisy heights."""
+    xy = scatter(seed, num, size, holes)
+    rng = np.random.default_rng(seed + 1)
+    return np.column_stack(
+        [xy, Ground.random(seed).height(xy) + noise * rng.standard_normal(len(xy))]
+    )
+
+
+def submap(seed: int, num: int = 800, size: tuple[float, float] = (4.0, 4.0)) -> Submap:
+    return Submap.from_points(cloud(seed, num, size), f"ground-{seed}")

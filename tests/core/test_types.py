@@ -1,0 +1,218 @@
+"""The vocabulary: grids, submaps, poses and maps that cannot be changed by accident."""
+
+import dataclasses
+from dataclasses import FrozenInstanceError
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.types import (
+    Dataset,
+    Features,
+    GradientMap,
+    Grid,
+    Matches,
+    Pose,
+    Registration,
+    Submap,
+)
+from tests.core.ground import cloud, submap
+
+Array = NDArray[np.float64]
+coordinates = st.floats(-1000, 1000)
+
+
+@given(
+    st.lists(st.tuples(coordinates, coordinates), min_size=1, max_size=20),
+    st.sampled_from([0.5, 1.0, 3.3]),
+)
+def test_a_grid_covers_its_points_with_no_cell_to_spare(
+    points: list[tuple[float, float]], resolution: float
+) -> None:
+    xy = np.array(points)
+    grid = Grid.covering(xy, resolution)
+    assert (grid.x[0], grid.y[0]) == tuple(xy.min(axis=0))
+    for centres, high in ((grid.x, xy[:, 0].max()), (grid.y, xy[:, 1].max())):
+        assert high - 1e-6 <= centres[-1] < high + resolution + 1e-6
+
+
+@given(st.tuples(coordinates, coordinates), st.floats(0.01, 10), st.integers(0, 2**32 - 1))
+def test_pixels_and_positions_undo_each_other(
+    origin: tuple[float, float], resolution: float, seed: int
+) -> None:
+    grid = Grid(origin, resolution, (7, 9))
+    pixels = np.random.default_rng(seed).uniform(-5, 20, (10, 2))
+    np.testing.assert_allclose(grid.to_pixel(grid.to_position(pixels)), pixels, atol=1e-6)
+
+
+def test_columns_go_with_x_and_rows_with_y() -> None:
+    grid = Grid((10.0, 20.0), 0.5, (3, 4))
+    np.testing.assert_allclose(grid.x, [10.0, 10.5, 11.0, 11.5])
+    np.testing.assert_allclose(grid.y, [20.0, 20.5, 21.0])
+    np.testing.assert_allclose(grid.to_position(np.array([[3.0, 1.0]])), [[11.5, 20.5]])
+    assert grid.num_cells == 12
+    positions = grid.positions.reshape(3, 4, 2)
+    np.testing.assert_allclose(positions[1, 3], [11.5, 20.5])
+    np.testing.assert_allclose(positions[..., 0], np.broadcast_to(grid.x, (3, 4)))
+
+
+def test_a_cloud_of_ten_kilometres_is_refused_with_the_count_and_the_cure() -> None:
+    corners = np.array([[0.0, 0.0], [10_000.0, 10_000.0]])
+    with pytest.raises(InputError) as caught:
+        Grid.covering(corners, 0.03, name="submap 004")
+    message = str(caught.value)
+    for part in ("submap 004", "10,000 m x 10,000 m", "cells at 0.03 m", "raise the resolution"):
+        assert part in message
+    assert "\n" not in message
+    advised = float(message.split("raise the resolution to ")[1].split(" m or more", maxsplit=1)[0])
+    Grid.covering(corners, 1.01 * advised)  # what it says helps
+
+
+def test_rows_that_are_not_finite_are_dropped_and_counted() -> None:
+    points = cloud(0, 50)
+    spoiled = points.copy()
+    spoiled[3, 0], spoiled[7, 2], spoiled[9] = np.nan, np.inf, -np.inf
+    made = Submap.from_points(spoiled, "a")
+    assert made.num_dropped == 3
+    np.testing.assert_array_equal(made.points, np.delete(points, [3, 7, 9], axis=0))
+    assert made.fingerprint == Submap.from_points(made.points, "b").fingerprint
+
+
+def test_the_fingerprint_is_that_of_the_points() -> None:
+    points = cloud(0, 50)
+    fingerprint = Submap.from_points(points).fingerprint
+    assert Submap.from_points(points.copy(), "other").fingerprint == fingerprint
+    moved = points.copy()
+    moved[17, 2] += 1e-9
+    assert Submap.from_points(moved).fingerprint != fingerprint
+    assert Submap.from_points(points[::-1]).fingerprint != fingerprint
+
+
+def test_the_callers_array_is_neither_frozen_nor_shared() -> None:
+    points = cloud(0, 50)
+    made = Submap.from_points(points)
+    before = made.points.copy()
+    points[:] = 0
+    np.testing.assert_array_equal(made.points, before)
+    with pytest.raises(ValueError, match="read-only"):
+        made.points[0, 0] = 1.0
+
+
+def test_single_precision_points_are_taken() -> None:
+    points = cloud(0, 50).astype(np.float32)
+    np.testing.assert_array_equal(Submap.from_points(points).points, points.astype(np.float64))
+
+
+LINE = np.linspace(0, 5, 40)
+
+
+@pytest.mark.parametrize(
+    ("points", "said"),
+    [
+        (np.zeros((0, 3)), "found 0 of 0"),
+        (np.ones((1, 3)), "found 1 of 1"),
+        (np.array([[0.0, 0, 0], [1, 0, 0], [np.nan, 1, 0]]), "found 2 of 3"),
+        (np.column_stack([LINE, 2 * LINE, LINE]), "one line"),
+        (np.column_stack([LINE, 0 * LINE, LINE**2]), "one line"),
+        (np.ones((30, 3)), "one line"),
+        (np.column_stack([0 * LINE, 0 * LINE, LINE]), "one line"),
+    ],
+)
+def test_points_that_span_no_area_are_refused_by_name(points: Array, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        Submap.from_points(points, "submap 3")
+    message = str(caught.value)
+    assert message.startswith("submap 3: ")
+    assert said in message
+    assert "\n" not in message
+
+
+def test_a_pose_moves_and_turns_as_its_plane_does() -> None:
+    yaw = 0.7
+    pose = Pose(np.array([1.0, 2.0, 3.0]), np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
+    points = cloud(0, 20)
+    moved = pose.apply(points)
+    np.testing.assert_allclose(moved[:, :2], pose.planar.apply(points[:, :2]), atol=1e-12)
+    np.testing.assert_allclose(moved[:, 2], points[:, 2] + 3.0, atol=1e-12)
+    assert pose.planar.yaw == pytest.approx(yaw)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_unit_quaternion_is_a_rotation(seed: int) -> None:
+    quaternion = np.random.default_rng(seed).normal(size=4)
+    rotation = Pose(np.zeros(3), quaternion / np.linalg.norm(quaternion)).rotation
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+def test_a_dataset_finds_its_submaps_by_id() -> None:
+    dataset = Dataset("crater", (submap(0, 20), submap(1, 20)))
+    assert dataset.submap("ground-1") is dataset.submaps[1]
+    with pytest.raises(InputError, match="crater has no submap '7'"):
+        dataset.submap("7")
+
+
+@pytest.fixture
+def gradient_map() -> GradientMap:
+    slope = np.zeros((2, 3, 2))
+    slope[0, 1] = [3.0, -4.0]
+    variance = np.array([[0.01, 0.04, 0.09], [0.16, 0.25, 1.0]])
+    return GradientMap(Grid((0.0, 0.0), 0.1, (2, 3)), np.zeros((2, 3)), variance, slope, 1.0, 0.3)
+
+
+def test_a_map_derives_steepness_and_std(gradient_map: GradientMap) -> None:
+    assert gradient_map.gradient[0, 1] == pytest.approx(5.0)
+    assert gradient_map.gradient[1, 2] == 0.0
+    np.testing.assert_allclose(gradient_map.std, [[0.1, 0.2, 0.3], [0.4, 0.5, 1.0]])
+
+
+def test_cells_are_trusted_up_to_and_with_the_ratio(gradient_map: GradientMap) -> None:
+    assert gradient_map.trusted(0.5).tolist() == [[True, True, True], [True, True, False]]
+    assert gradient_map.trusted(1.0).all()
+    louder = dataclasses.replace(gradient_map, signal_std=2.0)
+    np.testing.assert_array_equal(louder.trusted(0.25), gradient_map.trusted(0.5))
+
+
+def test_a_map_cannot_be_changed(gradient_map: GradientMap) -> None:
+    for name in ("elevation", "variance", "slope", "gradient", "std"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(gradient_map, name)[0] = 0.0
+    with pytest.raises(FrozenInstanceError):
+        gradient_map.signal_std = 2.0  # type: ignore[misc]
+
+
+def test_features_are_chosen_by_mask_or_by_index() -> None:
+    rng = np.random.default_rng(0)
+    features = Features(
+        rng.normal(size=(5, 2)),
+        rng.random(5),
+        rng.random(5),
+        rng.random(5),
+        rng.integers(0, 255, (5, 61)).astype(np.uint8),
+    )
+    by_index = features.select(np.array([0, 3]))
+    by_mask = features.select(np.array([True, False, False, True, False]))
+    assert len(features) == 5
+    assert len(by_index) == 2
+    for field in dataclasses.fields(Features):
+        chosen = getattr(features, field.name)[[0, 3]]
+        np.testing.assert_array_equal(getattr(by_index, field.name), chosen)
+        np.testing.assert_array_equal(getattr(by_mask, field.name), chosen)
+
+
+def test_counts_are_of_associations_and_inliers() -> None:
+    xy = np.zeros((3, 2))
+    assert len(Matches(np.zeros((3, 2), np.intp), np.zeros(3), xy, xy)) == 3
+    inliers = np.array([True, False, True])
+    assert Registration(None, inliers, 0.0, 0.0, 0.0, 0.0).num_inliers == 2
+
+
+def test_data_are_told_apart_by_identity() -> None:
+    points = cloud(0, 20)
+    a, b = Submap.from_points(points), Submap.from_points(points)
+    assert a != b
+    assert len({a, b, a}) == 2
