@@ -25,12 +25,12 @@ class VerdictCard:
 def verdict_html(state: ViewState, result: PairResult) -> str:
     """Write the card."""
     closure, registration = result.closure, result.registration
-    needed = state.params.closure.min_inliers
+    needed, lowest = state.params.closure.min_inliers, state.params.closure.min_score
     motion = registration.T_database_query
     rows = [
         ("inliers", f"{registration.num_inliers} of {needed} needed"),
         ("associations", f"{len(result.matches):,}"),
-        ("score", f"{registration.score:.2f}"),
+        ("score", f"{registration.score:.2f}" + (f" of {lowest:g} needed" if lowest else "")),
     ]
     if motion is not None:
         rows += [

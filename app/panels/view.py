@@ -188,7 +188,8 @@ def legend_html(
     bar: str, label: str, unit: str, *, low: float, high: float, mark: float | None
 ) -> str:
     """Write the legend: name and unit, the bar, and the values at its ends and middle."""
-    digits = max(0, min(4, 2 - _exponent(high - low)))
+    exponent = _exponent(high - low)
+    digits = max(0, min(4, (2 if exponent >= 0 else 1) - exponent))
     low_text, middle, high_text = (f"{value:.{digits}f}" for value in (low, (low + high) / 2, high))
     pointer = ""
     if mark is not None and high > low:

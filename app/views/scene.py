@@ -224,7 +224,7 @@ class PairScene:
         self._query = SubmapNode(server, "query", QUERY, "right")
         self._database = SubmapNode(server, "database", DATABASE, "left")
         self._outlier_lines = Segments(server, "/matches/outliers", OUTLIER, thickness=1.0)
-        self._inlier_lines = Segments(server, "/matches/inliers", INLIER, thickness=2.0)
+        self._inlier_lines = Segments(server, "/matches/inliers", INLIER, thickness=1.2)
         self._bar = Segments(server, "/scale/bar", BAR, thickness=4.0)
         self._bar_label = scene.add_label("/scale/label", "", anchor="top-center")
         self._verdict = scene.add_label("/verdict", "", anchor="top-center", font_screen_scale=1.3)

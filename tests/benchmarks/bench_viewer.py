@@ -176,14 +176,10 @@ def main() -> int:
     with launch(executable) as browser:
         page = ViewerPage(browser, viewer.url, script=WATCH)
         for path in TARGETS_MS:
-            rows.append(
-                Row(
-                    path,
-                    server[path],
-                    measure_browser(page, path, skip_drawing=True),
-                    measure_browser(page, path, skip_drawing=False),
-                )
-            )
+            without = measure_browser(page, path, skip_drawing=True)
+            rows += [
+                Row(path, server[path], without, measure_browser(page, path, skip_drawing=False))
+            ]
         page.close()
     viewer.close()
     print(f"{'slider':28} {'server':>8} {'GPU machine':>12} {'software':>9} {'target':>7}  [ms]")  # noqa: T201
