@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
-from scipy.linalg import get_lapack_funcs
+from scipy.linalg.lapack import dpotrf, dpotri
 
 Array = NDArray[np.float64]
 
@@ -59,11 +59,10 @@ def invert_pivot(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
         NotPositiveDefiniteError: If it is not positive definite to rounding.
     """
     # The transpose of a symmetric C-ordered array is the F-ordered array that LAPACK wants.
-    factorise, invert = get_lapack_funcs(("potrf", "potri"), dtype=np.float64)
-    factor, failed = factorise(pivot.T, lower=1, overwrite_a=1, clean=0)
+    factor, failed = dpotrf(pivot.T, lower=1, overwrite_a=1, clean=0)
     if failed:
         raise NotPositiveDefiniteError(f"pivot {failed} is not positive")
-    inverse, _ = invert(factor, lower=1, overwrite_c=1)
+    inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
     lower = np.tril(inverse, -1)
     lower += lower.T
     np.einsum("ii->i", lower)[:] = np.diagonal(inverse)
