@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from jaxtyping import install_import_hook
 
 # An int where a float is annotated is what Python means by it (PEP 484), and beartype does not.
@@ -14,6 +15,10 @@ install_import_hook(
     ["gpgrad_core", "app"],
     "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))",
 )
+
+# How long an example takes says more about the machine's load than about the law.
+settings.register_profile("gpgrad", deadline=None)
+settings.load_profile("gpgrad")
 
 ROOT = Path(__file__).resolve().parents[1]
 
