@@ -8,6 +8,8 @@ medians, in milliseconds, of
   that uses them, with the drawing of large calls left out, for a machine with a graphics card
   does that in a few milliseconds;
 - software: the same until the software renderer has finished the picture.
+
+Minimum inliers changes the picture only where the verdict turns, so for it the verdict card counts.
 """
 
 import statistics
@@ -39,6 +41,14 @@ VALUES = {
     "map.length_scale": [0.26, 0.27, 0.28, 0.29, 0.31, 0.32, 0.33, 0.34],
     "map.noise_std": [0.02, 0.025, 0.03, 0.035, 0.04, 0.06, 0.065, 0.07],
 }
+STRIDES = {
+    "features.max_std_ratio": -3,
+    "registration.inlier_radius": -4,
+    "closure.min_inliers": 8,
+    "map.length_scale": 3,
+    "map.noise_std": 3,
+}
+"""How far one event moves the thumb [pixels]."""
 EVENTS = 8
 
 # Watches the page: input events, uploads of vertices, and when a draw call after them is done.
@@ -82,6 +92,16 @@ WATCH = """(() => {
     };
   }
   document.addEventListener('mousemove', () => note('input', 0), true);
+  new MutationObserver((changes) => {
+    for (const change of changes) {
+      for (const node of change.addedNodes) {
+        if (node.querySelector && node.querySelector('[data-testid=verdict]')) note('card', 0);
+      }
+      if (change.target.querySelector && change.target.querySelector('[data-testid=verdict]')) {
+        note('card', 0);
+      }
+    }
+  }).observe(document, { childList: true, subtree: true, characterData: true });
 })();"""
 
 
@@ -123,30 +143,44 @@ def measure_browser(page: ViewerPage, path: str, *, skip_drawing: bool) -> float
     page.page.mouse.down()
     milliseconds: list[float] = []
     try:
-        for event in range(EVENTS):
+        for event in range(1, EVENTS + 1):
             quiet(page)
             page.page.evaluate("window.__events.length = 0")
             # Away and further away: each position is a value that the memo has not seen.
-            page.page.mouse.move(x + (4 + 3 * event) * (-1 if path.startswith("map") else 1), y)
-            milliseconds.append(wait_for_draw(page, skip_drawing))
+            between = 0.0 if skip_drawing else 0.5  # values that the first round has not asked for
+            page.page.mouse.move(x + STRIDES[path] * (event + between), y)
+            shown = "draw" if skip_drawing else "done"
+            change = wait_for_change(page, "card" if "min_inliers" in path else shown)
+            if change is not None:
+                milliseconds.append(change)
     finally:
         page.page.mouse.up()
+    if len(milliseconds) < EVENTS / 2:
+        raise AssertionError(f"{label}: only {len(milliseconds)} of {EVENTS} moves showed a change")
     page.press("Reset parameters")
     quiet(page)
     return statistics.median(milliseconds)
 
 
-def wait_for_draw(page: ViewerPage, skip_drawing: bool) -> float:
-    """Wait until uploads have stopped; give the time from the input to the last of them drawn."""
-    quiet(page)
-    events = page.page.evaluate("window.__events")
-    inputs = [moment for what, moment, _ in events if what == "input"]
-    uploads = [moment for what, moment, _ in events if what == "upload"]
-    if not uploads:
-        raise AssertionError("the slider changed nothing that is drawn")
-    wanted = "draw" if skip_drawing else "done"
-    shown = [moment for what, moment, _ in events if what == wanted and moment >= uploads[-1]]
-    return shown[0] - inputs[0]
+def wait_for_change(page: ViewerPage, shown: str) -> float | None:
+    """Wait for all that one input changes; give the time from it to the last change shown.
+
+    None if it changed nothing, as when the same associations are inliers at another radius.
+    """
+    cause = "card" if shown == "card" else "upload"
+    end = time.monotonic() + 4
+    while time.monotonic() < end:
+        quiet(page)
+        events = page.page.evaluate("window.__events")
+        causes = [moment for what, moment, _ in events if what == cause]
+        after = [
+            moment
+            for what, moment, _ in events
+            if what == shown and causes and moment >= causes[-1]
+        ]
+        if causes and after:
+            return after[0] - next(moment for what, moment, _ in events if what == "input")
+    return None
 
 
 def quiet(page: ViewerPage, seconds: float = 0.6) -> None:
