@@ -8,8 +8,8 @@ from typing_extensions import Doc
 
 from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.gp.binning import bin_points
+from gpgrad_core.gp.inference import Posterior, fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.lattice import LatticePosterior, fit_lattice
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.types import GradientMap, Grid, Submap
 
@@ -87,9 +87,7 @@ def map_grid(submap: Submap, resolution: float) -> Grid:
     return Grid.covering(submap.points[:, :2], resolution, name=f"submap {submap.id}")
 
 
-def fit_terrain(
-    submap: Submap, params: TerrainParams, progress: Progress = silent
-) -> LatticePosterior:
+def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = silent) -> Posterior:
     """Fit the GP of Eq. (1) to a submap's points.
 
     Clouds so dense that it pays are binned to an eighth of a length-scale: means stand for
@@ -112,10 +110,10 @@ def fit_terrain(
         binned, counts = points, np.ones(len(points))
     kernel = SquaredExponential(signal_std, params.length_scale)
     noise_std = params.noise_std / np.sqrt(counts)
-    return fit_lattice(binned, kernel, noise_std, mean=mean, progress=progress)
+    return fit_gp(binned, kernel, noise_std, mean=mean, progress=progress)
 
 
-def sample_map(submap: Submap, posterior: LatticePosterior, resolution: float) -> GradientMap:
+def sample_map(submap: Submap, posterior: Posterior, resolution: float) -> GradientMap:
     """Sample a fitted GP over its submap's bounding box."""
     grid = map_grid(submap, resolution)
     elevation, variance, slope = posterior.sample(grid)

@@ -33,7 +33,7 @@ class SE2:
     @property
     def translation(self) -> Float[Array, "2"]:
         """The offset (x, y) [m]."""
-        return np.array([self.x, self.y])
+        return np.array([self.x, self.y], dtype=np.float64)
 
     def apply(self, points: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
         """Map points of frame b [m] into frame a [m]."""
