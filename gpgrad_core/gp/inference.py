@@ -1,14 +1,14 @@
 """Fit the GP by whichever exact method is faster for the cloud at hand."""
 
-from typing import Literal, Protocol
+from typing import Literal, TypeAlias
 
 from jaxtyping import Float
 
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.lattice import fit_lattice
-from gpgrad_core.gp.tiles import fit_tiles, largest_tile
+from gpgrad_core.gp.lattice import LatticePosterior, fit_lattice
+from gpgrad_core.gp.tiles import TilePosterior, fit_tiles, largest_tile
 from gpgrad_core.progress import Progress, silent
-from gpgrad_core.types import Array, Grid
+from gpgrad_core.types import Array
 
 Solver = Literal["auto", "lattice", "tiles"]
 
@@ -17,21 +17,8 @@ MOST_POINTS_A_TILE = 260
 (measured at 5,000 points in 10 m x 10 m: the tiles win up to a length-scale of 0.12 m)."""
 
 
-class Posterior(Protocol):
-    """A fitted GP."""
-
-    @property
-    def kernel(self) -> SquaredExponential:
-        """Covariance it was fitted with."""
-        ...
-
-    def sample(
-        self, grid: Grid
-    ) -> tuple[
-        Float[Array, "rows columns"], Float[Array, "rows columns"], Float[Array, "rows columns 2"]
-    ]:
-        """Infer elevation [m], variance [m²] and slope [m/m] at every cell, Eqs. (2)-(5)."""
-        ...
+Posterior: TypeAlias = LatticePosterior | TilePosterior
+"""A fitted GP: holds its `kernel`, and samples elevation, variance and slope on any grid."""
 
 
 def fit_gp(
