@@ -1,0 +1,67 @@
+"""The verdict and its reason."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.loop_closure import ClosureParams, classify
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Registration
+
+
+def registration(num_inliers: int, score: float, found: bool = True) -> Registration:
+    inliers = np.zeros(num_inliers + 3, bool)
+    inliers[:num_inliers] = True
+    return Registration(SE2() if found else None, inliers, 1.0, 10.0, 0.8, score)
+
+
+@pytest.mark.parametrize(
+    ("made", "accepted", "reason"),
+    [
+        (registration(12, 9.5), True, "12 inliers >= 8, score 9.5 >= 7"),
+        (registration(8, 7.0), True, "8 inliers >= 8, score 7 >= 7"),
+        (registration(7, 50.0), False, "7 inliers < 8"),
+        (registration(20, 6.996), False, "score 7 < 7"),
+        (registration(7, 1.0), False, "7 inliers < 8"),
+        (registration(0, 0.0, found=False), False, "no motion is supported by two associations"),
+    ],
+)
+def test_the_reason_says_what_decided(made: Registration, accepted: bool, reason: str) -> None:
+    closure = classify(made, ClosureParams(min_inliers=8, min_score=7.0))
+    assert closure.accepted is accepted
+    assert closure.reason == reason
+    assert closure.registration is made
+
+
+def test_a_score_that_is_not_asked_for_is_not_named() -> None:
+    closure = classify(registration(9, 3.0), ClosureParams(min_inliers=9, min_score=0.0))
+    assert closure.accepted
+    assert closure.reason == "9 inliers >= 9"
+
+
+def test_no_motion_is_never_accepted() -> None:
+    lenient = ClosureParams(min_inliers=2, min_score=0.0)
+    assert not classify(registration(5, 100.0, found=False), lenient).accepted
+
+
+def test_the_names_are_handed_on() -> None:
+    closure = classify(registration(9, 9.0), query_id="007", database_id="001")
+    assert (closure.query_id, closure.database_id) == ("007", "001")
+
+
+@given(st.integers(0, 60), st.floats(0, 100), st.integers(2, 50), st.floats(0, 50))
+def test_raising_a_threshold_never_accepts_more(
+    num: int, score: float, min_inliers: int, min_score: float
+) -> None:
+    made = registration(num, score)
+    accepted = classify(made, ClosureParams(min_inliers, min_score)).accepted
+    assert accepted == (num >= min_inliers and score >= min_score)
+    if not accepted:
+        assert not classify(made, ClosureParams(min_inliers + 1, min_score + 1)).accepted
+
+
+def test_one_inlier_is_no_threshold() -> None:
+    with pytest.raises(InputError, match="min_inliers must be from 2"):
+        ClosureParams(min_inliers=1)

@@ -1,0 +1,295 @@
+"""Algorithm 1: known motions found among outliers, the dense check against its formulas."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from gpgrad_core.progress import Cancelled
+from gpgrad_core.registration import RegistrationParams, closure_score, register
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import GradientMap, Grid, Matches, Registration
+from tests.core.ground import Ground
+
+Array = NDArray[np.float64]
+seeds = st.integers(0, 2**32 - 1)
+motions = st.builds(SE2, st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-math.pi, math.pi))
+GRID = Grid((-4.0, -4.0), 0.1, (81, 81))  # small enough to be checked cell by cell
+GROUND = Ground.random(4, shortest=1.0)
+
+
+def map_of(T_world_map: SE2, ground: Ground = GROUND, grid: Grid = GRID) -> GradientMap:
+    """Make the map that a perfect sensor would; the variance differs from cell to cell."""
+    xy, step = grid.positions, 1e-4
+
+    def height(shift: Array) -> Array:
+        return ground.height(T_world_map.apply(xy + shift)).reshape(grid.shape)
+
+    slope = np.stack([(height(s) - height(-s)) / (2 * step) for s in step * np.eye(2)], axis=-1)
+    x, y = xy.T.reshape(2, *grid.shape)
+    variance = 1e-4 * (2 + np.sin(0.5 * x) + np.cos(0.4 * y))
+    return GradientMap(grid, height(np.zeros(2)), variance, slope, 0.15, 0.3)
+
+
+DATABASE = map_of(SE2())
+
+
+def associations(
+    seed: int, T_database_query: SE2, right: int, wrong: int, jitter: float = 0.02
+) -> Matches:
+    """Draw associations of which some obey the motion and the others nothing."""
+    rng = np.random.default_rng(seed)
+    query = rng.uniform(-3.5, 3.5, (right + wrong, 2))
+    database = T_database_query.apply(query) + jitter * rng.standard_normal(query.shape)
+    database[right:] = rng.uniform(-3.5, 3.5, (wrong, 2))
+    order = rng.permutation(len(query))
+    pairs = np.column_stack([np.arange(len(query))] * 2).astype(np.intp)
+    return Matches(pairs, np.ones(len(query)), query[order], database[order])
+
+
+def assert_near(found: SE2 | None, true: SE2, offset: float, turn: float) -> None:
+    assert found is not None
+    middle = np.zeros((1, 2))
+    assert np.hypot(*(found.apply(middle) - true.apply(middle))[0]) <= offset
+    assert abs(math.remainder(found.yaw - true.yaw, math.tau)) <= turn
+
+
+@settings(max_examples=15)
+@given(seed=seeds, T_database_query=motions, right=st.integers(12, 60))
+def test_any_motion_is_found_among_as_many_outliers_again_and_half(
+    seed: int, T_database_query: SE2, right: int
+) -> None:
+    matches = associations(seed, T_database_query, right, right + right // 2)
+    result = register(map_of(T_database_query), DATABASE, matches)
+    assert_near(result.T_database_query, T_database_query, 0.05, 0.02)
+    assert result.num_inliers >= right
+    assert result.correlation > 0.97
+
+
+@settings(max_examples=10)
+@given(seed=seeds, T_database_query=motions)
+def test_noiseless_associations_give_the_motion_itself(seed: int, T_database_query: SE2) -> None:
+    matches = associations(seed, T_database_query, 20, 0, jitter=0.0)
+    result = register(map_of(T_database_query), DATABASE, matches)
+    assert_near(result.T_database_query, T_database_query, 1e-9, 1e-9)
+    assert result.inliers.all()
+
+
+@settings(max_examples=15)
+@given(seed=seeds, num=st.integers(2, 60))
+def test_inliers_are_one_to_one_and_within_the_radius(seed: int, num: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Many keypoints share a position, as SIFT's with two orientations do.
+    places = rng.uniform(-3, 3, (12, 2))
+    query, database = (places[rng.integers(0, 12, num)] for _ in range(2))
+    pairs = np.zeros((num, 2), np.intp)
+    matches = Matches(pairs, np.ones(num), query, database)
+    params = RegistrationParams(inlier_radius=0.8)
+    result = register(DATABASE, DATABASE, matches, params)
+    assert result.inliers.shape == (num,)
+    if result.T_database_query is None:
+        return
+    for xy in (query, database):
+        assert len(np.unique(xy[result.inliers], axis=0)) == result.num_inliers
+    error = result.T_database_query.apply(query) - database
+    assert np.hypot(*error[result.inliers].T).max() <= 0.8
+    assert result.num_inliers <= 12
+
+
+def test_many_copies_of_one_association_count_once() -> None:
+    matches = associations(0, SE2(), 4, 0)
+    again = np.r_[np.zeros(30, int), np.arange(4)]
+    copied = Matches(
+        matches.pairs[again],
+        matches.distances[again],
+        matches.query_xy[again],
+        matches.database_xy[again],
+    )
+    assert register(DATABASE, DATABASE, copied).num_inliers == 4
+
+
+def nothing_found(result: Registration, num: int) -> bool:
+    return (
+        result.T_database_query is None
+        and result.inliers.tolist() == [False] * num
+        and (result.score, result.overlap_area, result.correlation) == (0.0, 0.0, 0.0)
+        and math.isinf(result.dissimilarity)
+    )
+
+
+@pytest.mark.parametrize("num", [0, 1])
+def test_fewer_than_two_associations_give_no_motion(num: int) -> None:
+    assert nothing_found(register(DATABASE, DATABASE, associations(0, SE2(), num, 0)), num)
+
+
+def test_two_associations_give_their_motion() -> None:
+    true = SE2(0.3, -0.2, 1.0)
+    query = np.array([[-1.0, 0.0], [1.0, 0.5]])
+    matches = Matches(np.zeros((2, 2), np.intp), np.ones(2), query, true.apply(query))
+    result = register(map_of(true), DATABASE, matches)
+    assert_near(result.T_database_query, true, 1e-9, 1e-9)
+    assert result.num_inliers == 2
+
+
+@pytest.mark.parametrize("stretch", [0.0, 0.01, 3.0])
+def test_two_that_no_rigid_motion_joins_give_none(stretch: float) -> None:
+    query = np.array([[-1.0, 0.0], [1.0, 0.5]])
+    matches = Matches(np.zeros((2, 2), np.intp), np.ones(2), query, query * stretch)
+    assert nothing_found(register(DATABASE, DATABASE, matches), 2)
+
+
+def test_all_on_one_place_give_none() -> None:
+    query = np.ones((9, 2))
+    matches = Matches(np.zeros((9, 2), np.intp), np.ones(9), query, query)
+    assert nothing_found(register(DATABASE, DATABASE, matches), 9)
+
+
+def test_the_same_seed_gives_the_same_answer_and_progress_reaches_one() -> None:
+    matches = associations(3, SE2(0.5, 0.0, 2.0), 15, 150)
+    params = RegistrationParams(trials=500, seed=7)
+    query = map_of(SE2(0.5, 0.0, 2.0))
+    heard: list[float] = []
+    a, b = (register(query, DATABASE, matches, params, heard.append) for _ in range(2))
+    assert a.T_database_query == b.T_database_query
+    np.testing.assert_array_equal(a.inliers, b.inliers)
+    assert (a.score, a.dissimilarity) == (b.score, b.dissimilarity)
+    assert heard[-1] == 1.0
+    other = register(query, DATABASE, matches, replace(params, seed=8))
+    assert_near(other.T_database_query, SE2(0.5, 0.0, 2.0), 0.1, 0.05)
+
+
+def test_it_can_be_cancelled() -> None:
+    def stop(fraction: float) -> None:
+        raise Cancelled(fraction)
+
+    with pytest.raises(Cancelled):
+        register(DATABASE, DATABASE, associations(0, SE2(), 20, 0), progress=stop)
+
+
+@settings(max_examples=8)
+@given(seed=seeds, T_database_query=motions)
+def test_swapping_the_maps_inverts_the_motion(seed: int, T_database_query: SE2) -> None:
+    query = map_of(T_database_query)
+    matches = associations(seed, T_database_query, 25, 10)
+    swapped = replace(matches, query_xy=matches.database_xy, database_xy=matches.query_xy)
+    forth, back = register(query, DATABASE, matches), register(DATABASE, query, swapped)
+    assert forth.T_database_query is not None
+    assert_near(back.T_database_query, forth.T_database_query.inverse(), 0.02, 0.01)
+    assert back.overlap_area == pytest.approx(forth.overlap_area, rel=0.05)
+    assert back.correlation == pytest.approx(forth.correlation, abs=0.01)
+
+
+# --- dense check --------------------------------------------------------------------------
+
+
+def test_a_map_agrees_with_itself() -> None:
+    result = register(DATABASE, DATABASE, associations(0, SE2(), 30, 0, jitter=0.0))
+    assert result.correlation == pytest.approx(1.0, abs=1e-6)
+    # All cells, but for those of the last row and column by rounding.
+    assert result.overlap_area == pytest.approx(81 * 81 * 0.01, rel=0.03)
+    assert result.dissimilarity == pytest.approx(0.0, abs=1.0)
+
+
+def test_turned_vectors_agree_and_unturned_ones_would_not() -> None:
+    half_turn = SE2(yaw=math.pi)
+    matches = associations(0, half_turn, 30, 0, jitter=0.0)
+    assert register(map_of(half_turn), DATABASE, matches).correlation > 0.99
+    # A map that claims to be turned, but whose slopes are not.
+    liar = replace(map_of(half_turn), slope=-map_of(half_turn).slope)
+    assert register(liar, DATABASE, matches).correlation < -0.99
+
+
+def test_unrelated_ground_does_not_agree() -> None:
+    stranger = map_of(SE2(), Ground.random(99, shortest=1.0))
+    result = register(stranger, DATABASE, associations(0, SE2(), 30, 0, jitter=0.0))
+    assert abs(result.correlation) < 0.4
+    assert result.score < 7
+    assert result.dissimilarity > 1e6
+
+
+def test_untrusted_cells_are_left_out() -> None:
+    half = DATABASE.variance.copy()
+    half[:, :40] = DATABASE.signal_std**2
+    masked = replace(DATABASE, variance=half)
+    matches = associations(0, SE2(), 30, 0, jitter=0.0)
+    whole = register(DATABASE, DATABASE, matches)
+    for query, database in ((masked, DATABASE), (DATABASE, masked)):
+        result = register(query, database, matches)
+        assert result.overlap_area == pytest.approx(whole.overlap_area / 2, rel=0.05)
+        assert result.correlation > 0.999
+
+
+def test_maps_that_do_not_meet_share_nothing() -> None:
+    away = SE2(30.0, 0.0, 0.0)
+    matches = associations(0, away, 10, 0, jitter=0.0)
+    result = register(DATABASE, DATABASE, matches)
+    assert (result.overlap_area, result.correlation, result.score) == (0.0, 0.0, 0.0)
+    assert result.dissimilarity == 0.0
+
+
+@settings(max_examples=10)
+@given(T_database_query=motions)
+def test_the_fields_of_the_check_are_their_formulas(T_database_query: SE2) -> None:
+    """Cell by cell, with NumPy's own interpolation."""
+    query = map_of(SE2(0.2, 0.1, 0.3))  # not the same ground under the motion: h is large
+    matches = associations(0, T_database_query, 30, 0, jitter=0.0)
+    result = register(query, DATABASE, matches)
+    assert result.T_database_query is not None
+    pixels = GRID.to_pixel(result.T_database_query.inverse().apply(GRID.positions))
+    inside = ((pixels >= 0) & (pixels <= 80)).all(axis=1)
+    pixels = pixels[inside]
+    low = np.minimum(np.floor(pixels).astype(int), 79)
+    u, v = (pixels - low).T
+
+    def sample(field: Array) -> Array:
+        column, row = low.T
+        return (
+            (1 - u) * (1 - v) * field[row, column]
+            + u * (1 - v) * field[row, column + 1]
+            + (1 - u) * v * field[row + 1, column]
+            + u * v * field[row + 1, column + 1]
+        )
+
+    there = np.column_stack([sample(query.slope[..., k]) for k in (0, 1)])
+    here = DATABASE.slope.reshape(-1, 2)[inside]
+    variances = sample(query.variance) * DATABASE.variance.ravel()[inside]
+    h = np.sum((np.hypot(*there.T) - np.hypot(*here.T)) ** 2 / variances)
+    turned = result.T_database_query.rotate(there)
+    a, b = turned - turned.mean(axis=0), here - here.mean(axis=0)
+    correlation = np.sum(a * b) / np.sqrt(np.sum(a * a) * np.sum(b * b))
+    area = inside.sum() * 0.01
+    # cv2.remap interpolates in 32nds of a pixel, and cells on the rim may fall either way.
+    assert result.overlap_area == pytest.approx(area, rel=0.05)
+    assert result.correlation == pytest.approx(correlation, abs=0.03)
+    assert result.dissimilarity == pytest.approx(h, rel=0.06)
+    patches = result.overlap_area / (2 * math.pi * 0.3**2)
+    assert result.score == closure_score(patches, result.correlation, result.num_inliers)
+
+
+def test_thinning_leaves_the_fields_as_they_are() -> None:
+    fine = Grid(GRID.origin, 0.02, (401, 401))
+    true = SE2(0.4, -0.3, 0.6)
+    matches = associations(0, true, 30, 0, jitter=0.0)
+    coarse_result = register(map_of(true), DATABASE, matches)
+    fine_result = register(map_of(true, grid=fine), map_of(SE2(), grid=fine), matches)
+    assert fine_result.overlap_area == pytest.approx(coarse_result.overlap_area, rel=0.05)
+    assert fine_result.correlation == pytest.approx(coarse_result.correlation, abs=0.02)
+
+
+@given(st.floats(0.1, 1000), st.floats(-1, 1), st.integers(0, 500))
+def test_the_score_rises_with_all_it_is_made_of(
+    patches: float, correlation: float, num: int
+) -> None:
+    score = closure_score(patches, correlation, num)
+    assert score >= 0
+    assert closure_score(patches * 2, correlation, num) >= score
+    assert closure_score(patches, min(1.0, correlation + 0.1), num) >= score
+    assert closure_score(patches, correlation, num + 1) >= score
+    if correlation <= 0:
+        assert score == 0
+    else:
+        assert score == pytest.approx(correlation**2 * math.sqrt(patches) * math.log(1 + num))
