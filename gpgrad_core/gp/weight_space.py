@@ -38,9 +38,9 @@ from gpgrad_core.progress import Progress
 
 Array = NDArray[np.float64]
 
-RIPPLE = 0.08
+RIPPLE = 0.05
 """Ripple of the lattice kernel times information of the data that is let pass: the standard
-deviation is then within about 2 % (measured: 0.3 x this), and the mean takes two or three steps."""
+deviation is then within 2 % (measured: 0.3 x this), and the mean takes two or three steps."""
 DROPPED = 0.05
 """Largest entry left out of Q beside its band, relative to the prior precision."""
 SPACINGS = (0.5, 0.8)
