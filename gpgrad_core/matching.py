@@ -69,7 +69,10 @@ def _squared_distances(
     with its cross-check. float32 is exact for bits, and for SIFT's whole numbers up to 255.
     """
     a, b = _as_vectors(query), _as_vectors(database)
-    squared = np.sum(a * a, axis=1)[:, None] + np.sum(b * b, axis=1) - 2 * (a @ b.T)
+    squared = a @ b.T
+    squared *= -2  # in place: the matrix is large
+    squared += np.einsum("ij,ij->i", a, a)[:, None]
+    squared += np.einsum("ij,ij->i", b, b)
     return np.maximum(squared, 0, out=squared)
 
 

@@ -280,8 +280,9 @@ class _DenseCheck:
         if len(query) < 2:
             return area, 0.0
         database = self._slope[common]
-        query = query - query.mean(axis=0)
-        database = database - database.mean(axis=0)
+        # As matrix products: NumPy's own means of long arrays of pairs are ten times slower.
+        share = np.full(len(query), 1 / len(query))
+        query, database = query - share @ query, database - share @ database
         energy = float(np.sqrt(np.vdot(query, query) * np.vdot(database, database)))
         return area, float(np.vdot(query, database)) / energy if energy > 0 else 0.0
 
