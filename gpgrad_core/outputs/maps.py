@@ -1,11 +1,11 @@
-"""Gradient maps as files: arrays (``.npz``), a raster (``.tif``), a picture (``.png``)."""
+"""Gradient maps as files: arrays (``.npz``), raster (``.tif``), picture (``.png``), mesh."""
 
 from html import escape
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy.typing import NDArray
 
 from gpgrad_core.errors import InputError
@@ -15,7 +15,7 @@ from gpgrad_core.types import Array, GradientMap
 Picture = UInt8[NDArray[np.uint8], "height width 3"]
 """Blue, green, red, as OpenCV has it."""
 
-MAP_ENDINGS = (".npz", ".tif", ".tiff", ".png")
+MAP_ENDINGS = (".npz", ".tif", ".tiff", ".png", ".ply", ".glb", ".obj")
 
 PANEL_WIDTH, PANEL_HEIGHT = 460, 460
 MARGIN, BAR_WIDTH, HEADER = 12, 14, 30
@@ -34,11 +34,11 @@ def write_map(
     """Write a map in the format of the path's ending.
 
     Args:
-        path: ``.npz``, ``.tif``, ``.tiff`` or ``.png``.
+        path: ``.npz``; ``.tif`` or ``.tiff``; ``.png``; ``.ply``, ``.glb`` or ``.obj`` for a mesh.
         gradient_map: What to write.
         name: Of the submap, for the picture's title.
-        max_std_ratio: Cells less sure than this are left grey in the picture; files of numbers
-            hold every cell.
+        max_std_ratio: Cells less sure than this are left grey in the picture, and out of a mesh;
+            files of numbers hold every cell.
 
     Raises:
         InputError: If the ending is another, the picture would be too large to draw, or the file
@@ -52,6 +52,8 @@ def write_map(
                 _write_arrays(unfinished, gradient_map)
             case ".png":
                 _write_picture(unfinished, draw_map(gradient_map, name, max_std_ratio))
+            case ".ply" | ".glb" | ".obj":
+                _write_mesh(unfinished, gradient_map, max_std_ratio)
             case _:
                 _write_raster(unfinished, gradient_map)
 
@@ -109,6 +111,40 @@ def _write_raster(path: Path, gradient_map: GradientMap) -> None:
             (42112, "s", 0, f"<GDALMetadata>{items}</GDALMetadata>", True),
         ],
     )
+
+
+def mesh_map(
+    gradient_map: GradientMap, max_std_ratio: float
+) -> tuple[Float[Array, "v 3"], Int[NDArray[np.intp], "f 3"]]:
+    """Make the terrain's surface: a vertex a cell [m], two triangles a square of trusted cells.
+
+    Raises:
+        InputError: If no four neighbouring cells are trusted.
+    """
+    grid = gradient_map.grid
+    trusted = gradient_map.trusted(max_std_ratio)
+    whole = trusted[:-1, :-1] & trusted[:-1, 1:] & trusted[1:, :-1] & trusted[1:, 1:]
+    if not whole.any():
+        raise InputError(
+            f"no part of the map is known to {max_std_ratio:g} of its signal_std: raise "
+            "features.max_std_ratio, or the length-scale"
+        )
+    row, column = np.nonzero(whole)
+    corner = row * grid.shape[1] + column
+    right, above = corner + 1, corner + grid.shape[1]
+    faces = np.concatenate(  # anticlockwise seen from above: normals point up
+        [np.column_stack([corner, right, above]), np.column_stack([right, above + 1, above])]
+    )
+    vertices = np.column_stack([grid.positions, gradient_map.elevation.ravel()])
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return vertices[used], renumbered.reshape(faces.shape)
+
+
+def _write_mesh(path: Path, gradient_map: GradientMap, max_std_ratio: float) -> None:
+    import trimesh  # noqa: PLC0415 - for this format only; it would slow down every start
+
+    vertices, faces = mesh_map(gradient_map, max_std_ratio)
+    trimesh.Trimesh(vertices, faces, process=False).export(path)
 
 
 def _write_picture(path: Path, picture: Picture) -> None:

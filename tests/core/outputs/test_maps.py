@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image, ImageSequence
 
 from gpgrad_core.errors import InputError
@@ -109,6 +110,30 @@ def test_flat_ground_can_be_drawn() -> None:
     grid = Grid((0.0, 0.0), 0.1, (5, 8))
     flat = GradientMap(grid, np.zeros((5, 8)), np.ones((5, 8)), np.zeros((5, 8, 2)), 1.0, 0.3)
     assert draw_map(flat).dtype == np.uint8
+
+
+@pytest.mark.parametrize("ending", ["ply", "glb", "obj"])
+def test_a_mesh_is_the_trusted_surface(
+    gradient_map: GradientMap, tmp_path: Path, ending: str
+) -> None:
+    path = tmp_path / f"map.{ending}"
+    write_map(path, gradient_map, max_std_ratio=1.0)
+    mesh = trimesh.load_mesh(path)
+    grid = gradient_map.grid
+    rows, columns = grid.shape
+    assert len(mesh.faces) == 2 * (rows - 1) * (columns - 1)
+    heights = dict(
+        zip(map(tuple, np.round(grid.positions, 4)), gradient_map.elevation.ravel(), strict=True)
+    )
+    for x, y, z in mesh.vertices[::7]:
+        assert z == pytest.approx(heights[round(x, 4), round(y, 4)], abs=1e-4)
+    assert (mesh.face_normals[:, 2] > 0).all()
+
+
+def test_a_mesh_of_nothing_is_refused(gradient_map: GradientMap, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no part of the map is known"):
+        write_map(tmp_path / "map.ply", gradient_map, max_std_ratio=1e-6)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_cannot_be_drawn_or_named_is_refused(
