@@ -1,0 +1,92 @@
+"""How far a fast fit is from the dense one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpgrad_core.gp.binning import bin_points
+from gpgrad_core.gp.dense import fit_dense, infer_elevation, infer_slope, infer_variance
+from gpgrad_core.gp.inference import Posterior, Solver, fit_gp
+from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.types import Grid
+
+Array = NDArray[np.float64]
+
+TRUSTED = 0.3
+"""Cells whose standard deviation is at most this share of signal_std."""
+
+
+@dataclass(frozen=True)
+class Fields:
+    elevation: Array
+    std: Array
+    slope: Array
+
+    @classmethod
+    def fast(cls, posterior: Posterior, grid: Grid) -> "Fields":
+        elevation, variance, slope = posterior.sample(grid)
+        return cls(elevation, np.sqrt(variance), slope)
+
+    @classmethod
+    def dense(
+        cls, points: Array, kernel: SquaredExponential, noise: float | Array, grid: Grid
+    ) -> "Fields":
+        posterior = fit_dense(points, kernel, noise)
+        elevation, variance, slope = (
+            infer(posterior, grid.positions)
+            for infer in (infer_elevation, infer_variance, infer_slope)
+        )
+        rows, columns = grid.shape
+        return cls(
+            elevation.reshape(rows, columns),
+            np.sqrt(np.maximum(variance, 1e-12 * kernel.signal_std**2)).reshape(rows, columns),
+            slope.reshape(rows, columns, 2),
+        )
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of the fast path to the oracle."""
+
+    elevation: float  # rms, in units of the noise
+    slope: float  # rms, relative to the slopes' rms
+    std: float  # largest relative one of a trusted cell
+    num_trusted: int
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def compare(
+    points: Array,
+    kernel: SquaredExponential,
+    noise: float | Array,
+    grid: Grid,
+    solver: Solver = "lattice",
+    binned_to: float | None = None,
+) -> Errors:
+    """Compare both ways; bins go to the fast one only, for the oracle is to see all points."""
+    exact = Fields.dense(points, kernel, noise, grid)
+    if binned_to is None:
+        posterior = fit_gp(points, kernel, noise, solver=solver)
+    else:
+        means, counts = bin_points(points, binned_to)
+        mean = float(points[:, 2].mean())
+        posterior = fit_gp(means, kernel, noise / np.sqrt(counts), mean=mean, solver=solver)
+    fast = Fields.fast(posterior, grid)
+    trusted = exact.std <= TRUSTED * kernel.signal_std
+    std = np.abs(fast.std / exact.std - 1)[trusted]
+    return Errors(
+        rms(fast.elevation - exact.elevation) / float(np.median(noise)),
+        rms(fast.slope - exact.slope) / rms(exact.slope),
+        float(std.max(initial=0.0)),
+        int(trusted.sum()),
+    )
+
+
+def grid_beyond(points: Array, beyond: float, resolution: float) -> Grid:
+    """Lay a grid that goes on past the points."""
+    low, high = points[:, :2].min(axis=0) - beyond, points[:, :2].max(axis=0) + beyond
+    return Grid.covering(np.array([low, high]), resolution)
