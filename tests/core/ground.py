@@ -23,7 +23,7 @@ class Ground:
         cls, seed: int, *, shortest: float = 0.8, longest: float = 6.0, std: float = 0.15
     ) -> "Ground":
         rng = np.random.default_rng(seed)
-        waves = 120
+        waves = 80
         wave_lengths = np.exp(rng.uniform(np.log(shortest), np.log(longest), waves))
         headings = rng.uniform(0, 2 * np.pi, waves)
         vectors = 2 * np.pi / wave_lengths * np.array([np.cos(headings), np.sin(headings)])

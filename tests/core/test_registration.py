@@ -271,7 +271,7 @@ def test_the_fields_of_the_check_are_their_formulas(T_database_query: SE2) -> No
 
 
 def test_thinning_leaves_the_fields_as_they_are() -> None:
-    fine = Grid(GRID.origin, 0.02, (401, 401))
+    fine = Grid(GRID.origin, 0.04, (201, 201))
     true = SE2(0.4, -0.3, 0.6)
     matches = associations(0, true, 30, 0, jitter=0.0)
     coarse_result = register(map_of(true), DATABASE, matches)

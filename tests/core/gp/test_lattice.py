@@ -78,7 +78,7 @@ def test_too_many_nodes_are_refused_with_their_number_and_the_cure() -> None:
     with pytest.raises(InputError) as caught:
         fit_lattice(points, SquaredExponential(0.2, 0.02), 0.05)
     message = str(caught.value)
-    for part in ("0.02 m is too short", "400 m x 300 m", "nodes", "raise the length-scale"):
+    for part in ("0.02 m is too short", "400 m x 300 m", "nodes", "raise", "cut the cloud"):
         assert part in message
     assert "\n" not in message
 
@@ -93,5 +93,6 @@ def test_what_rounding_cannot_solve_is_refused_with_the_cure(
     with pytest.raises(InputError) as caught:
         fit_lattice(points, SquaredExponential(signal_std, length_scale), noise)
     message = str(caught.value)
-    assert "raise the noise or lower the length-scale" in message
+    for part in ("noise", "raise", "lower the length-scale"):
+        assert part in message
     assert "\n" not in message
