@@ -90,8 +90,8 @@ def map_grid(submap: Submap, resolution: float) -> Grid:
 def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = silent) -> Posterior:
     """Fit the GP of Eq. (1) to a submap's points.
 
-    Clouds so dense that it pays are binned to an eighth of a length-scale: means stand for
-    their points with the noise of a mean.
+    Clouds so dense that it pays are binned to an eighth of a length-scale or less: means stand
+    for their points with the noise of a mean.
 
     Raises:
         InputError: If the GP would be too large or cannot be solved.
@@ -105,7 +105,9 @@ def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = sile
     if signal_std is None:
         # A perfectly flat cloud has none; then the noise is all there is.
         signal_std = max(float(points[:, 2].std()), 0.01 * params.noise_std)
-    binned, counts = bin_points(points, params.length_scale / 8)
+    # What the ground bends within a cell must stay far below the noise.
+    flat_enough = float(np.sqrt(params.noise_std / (5 * signal_std)))
+    binned, counts = bin_points(points, params.length_scale * min(1 / 8, flat_enough))
     if len(binned) > len(points) / 2:
         binned, counts = points, np.ones(len(points))
     kernel = SquaredExponential(signal_std, params.length_scale)

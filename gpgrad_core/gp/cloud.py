@@ -34,11 +34,6 @@ class Cloud:
         """Keep some points."""
         return Cloud(self.xy[chosen], self.heights[chosen], self.noise_variance[chosen])
 
-    @property
-    def least_noise(self) -> float:
-        """Smallest standard deviation of a height [m], for messages."""
-        return float(np.sqrt(self.noise_variance.min()))
-
     def residual_rms(self, residual: Float[Array, "n"]) -> float:
         """Size of a residual of the heights [m], in units of the noise."""
         return float(np.sqrt(np.mean(residual**2 / self.noise_variance)))

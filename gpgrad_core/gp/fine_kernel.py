@@ -1,4 +1,4 @@
-"""The kernel to rounding, as bumps on a fine lattice: products with it cost little."""
+"""The kernel itself, as bumps on a lattice fine enough: products with it cost little."""
 
 from dataclasses import dataclass
 
@@ -6,13 +6,16 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
+from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.spacing import lattice_spacing
 from gpgrad_core.gp.splat import Axis, Splat, gaussian, gaussian_slope
 
 Array = NDArray[np.float64]
 
-SPACING = 0.5
-"""In length-scales. The lattice kernel's relative ripple, 2 exp(-π² / (2 SPACING²)), is 5e-9."""
+RIPPLE = 1e-3
+"""Ripple of the lattice kernel times information of the data: the mean is then as near to exact,
+in units of the noise."""
 MARGIN = 3.5
 """Length-scales by which the lattice reaches beyond the points."""
 
@@ -47,16 +50,17 @@ class MeanField:
 class FineKernel:
     """``K(X, X)`` of scattered points X, as a factor and its transpose."""
 
-    def __init__(self, xy: Float[Array, "n 2"], kernel: SquaredExponential) -> None:
-        """Prepare for points sorted by y [m]."""
+    def __init__(self, cloud: Cloud, kernel: SquaredExponential) -> None:
+        """Prepare for a cloud's points."""
         length = kernel.length_scale
-        low, high = xy.min(axis=0), xy.max(axis=0)
+        spacing = lattice_spacing(cloud, kernel, RIPPLE)
+        low, high = cloud.xy.min(axis=0), cloud.xy.max(axis=0)
         self._x, self._y = (
-            Axis.covering(low[k], high[k], SPACING * length, MARGIN * length) for k in (0, 1)
+            Axis.covering(low[k], high[k], spacing, MARGIN * length) for k in (0, 1)
         )
         self._length_scale = length
-        self._scale = kernel.signal_std**2 * 2 * SPACING**2 / np.pi
-        self._splat = Splat(xy, self._x, self._y, length)
+        self._scale = kernel.signal_std**2 * 2 * (spacing / length) ** 2 / np.pi
+        self._splat = Splat(cloud.xy, self._x, self._y, length)
 
     def times(self, values: Float[Array, "n"]) -> Float[Array, "n"]:
         """``K(X, X) values``."""

@@ -20,8 +20,9 @@ from gpgrad_core.gp.block_tridiagonal import NotPositiveDefiniteError
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.spacing import check_solvable, lattice_spacing
 from gpgrad_core.gp.threads import num_workers, single_threaded_blas
-from gpgrad_core.gp.weight_space import MARGIN, VarianceReduction, WeightSpace, lattice_spacing
+from gpgrad_core.gp.weight_space import MARGIN, RIPPLE, VarianceReduction, WeightSpace
 from gpgrad_core.progress import Cancelled, Progress, silent
 from gpgrad_core.types import Grid
 
@@ -34,7 +35,6 @@ MEAN_TOLERANCE = 0.005
 """Conjugate gradients stop at this residual of the heights, in units of the noise (rms)."""
 MAX_STEPS = 50
 MAX_STRIPS = 256
-MAX_NODES = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +99,8 @@ def fit_lattice(
     """
     offset = float(points[:, 2].mean()) if mean is None else mean
     cloud = Cloud.of(points, noise_std, offset)
-    spacing = lattice_spacing(cloud, kernel)
-    _check_size(cloud, kernel, spacing)
+    check_solvable(cloud, kernel)
+    spacing = lattice_spacing(cloud, kernel, RIPPLE)
     halo = HALO * kernel.length_scale
     stretches = list(pairwise(_strip_edges(cloud.xy[:, 0], halo, MARGIN * kernel.length_scale)))
     report = _SharedProgress(progress, len(stretches))
@@ -149,25 +149,14 @@ def _fit_strip(
         weight_space = WeightSpace(cloud, kernel, spacing, lambda done: report.advance(0.6 * done))
     except NotPositiveDefiniteError as error:
         raise InputError(
-            f"the GP cannot be solved at length-scale {kernel.length_scale:g} m with noise "
-            f"{cloud.least_noise:g} m: raise the noise or lower the length-scale"
+            f"the GP cannot be solved at length-scale {kernel.length_scale:g} m with so little "
+            "noise: raise noise_std or lower the length-scale"
         ) from error
     reduction = weight_space.variance_reduction()
-    fine = FineKernel(cloud.xy, kernel)
+    fine = FineKernel(cloud, kernel)
     mean = fine.field(_solve_exactly(cloud, fine, weight_space))
     report.advance(0.4)
     return Strip(*stretch, mean, reduction)
-
-
-def _check_size(cloud: Cloud, kernel: SquaredExponential, spacing: float) -> None:
-    width, height = cloud.xy.max(axis=0) - cloud.xy.min(axis=0)
-    nodes = (width / spacing + 1) * (height / spacing + 1)
-    if nodes > MAX_NODES:
-        raise InputError(
-            f"length-scale {kernel.length_scale:g} m is too short for a cloud of "
-            f"{width:,.0f} m x {height:,.0f} m: the GP would need {nodes:,.0f} nodes, more than "
-            f"the {MAX_NODES:,} allowed; raise the length-scale or cut the cloud into submaps"
-        )
 
 
 def _strip_edges(x: Float[Array, "n"], overlap: float, margin: float) -> Float[Array, "edges"]:
@@ -210,6 +199,6 @@ def _solve_exactly(
         energy, previous = residual @ step, energy
         direction = step + (energy / previous) * direction
     raise InputError(
-        f"the GP did not converge in {MAX_STEPS} steps with noise "
-        f"{cloud.least_noise:g} m: raise the noise or lower the length-scale"
+        f"the GP did not converge in {MAX_STEPS} steps with so little noise: raise noise_std or "
+        "lower the length-scale"
     )

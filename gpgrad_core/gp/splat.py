@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-REACH = 4.8
-"""Widths beyond which a Gaussian exp(-d²) is left out: 1e-10 of its height."""
+REACH = 5.5
+"""Widths beyond which a Gaussian exp(-d²) is left out: 7e-14 of its height."""
 POINTS_PER_CHUNK = 256
 
 

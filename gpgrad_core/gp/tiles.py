@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.spacing import check_solvable
 from gpgrad_core.gp.threads import num_workers, single_threaded_blas
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.types import Grid
@@ -131,9 +132,13 @@ def fit_tiles(
     Returns:
         The posterior; None if the sweeps do not converge, which dense clouds with little noise
         can bring about: take `fit_lattice` for these.
+
+    Raises:
+        InputError: If the GP would be too large, or the noise too small to be solved for.
     """
     offset = float(points[:, 2].mean()) if mean is None else mean
     cloud = Cloud.of(points, noise_std, offset)
+    check_solvable(cloud, kernel)
     tiling = _Tiling.over(cloud.xy, TILE * kernel.length_scale)
     owner = tiling.owner(cloud.xy)
     groups = tiling.members(cloud.xy, HALO * kernel.length_scale)
@@ -150,7 +155,7 @@ def fit_tiles(
         weights = _sweep(cloud, kernel, batches)
     if weights is None:
         return None
-    field = FineKernel(cloud.xy, kernel).field(weights)
+    field = FineKernel(cloud, kernel).field(weights)
     progress(1.0)
     return TilePosterior(kernel, offset, field, cloud.xy, tiling, tuple(batches))
 

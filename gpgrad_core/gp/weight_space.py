@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from gpgrad_core.gp.block_tridiagonal import Factor, invert_pivot
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.spacing import information
 from gpgrad_core.gp.splat import Axis, Splat, gaussian
 from gpgrad_core.progress import Progress
 
@@ -43,8 +44,6 @@ RIPPLE = 0.05
 deviation is then within 2 % (measured: 0.3 x this), and the mean takes two or three steps."""
 DROPPED = 0.05
 """Largest entry left out of Q beside its band, relative to the prior precision."""
-SPACINGS = (0.5, 0.8)
-"""Least and largest spacing of the lattice, in length-scales."""
 MARGIN = 2.5
 """Length-scales by which the lattice reaches beyond the points: exp(-2 x 2.5²) is 4e-6."""
 
@@ -85,7 +84,7 @@ class WeightSpace:
         Args:
             cloud: Points sorted by y.
             kernel: Covariance of the terrain.
-            spacing: Of the lattice [m]; see `lattice_spacing`.
+            spacing: Of the lattice [m].
             advance: Called with the further fraction done, once a block.
 
         Raises:
@@ -224,19 +223,3 @@ def _span(reached: Bool[NDArray[np.bool_], "columns"]) -> slice:
     """Columns from the first to the last that is reached; one of them if none is."""
     columns = np.flatnonzero(reached)
     return slice(int(columns[0]), int(columns[-1]) + 1) if len(columns) else slice(0, 1)
-
-
-def information(cloud: Cloud, kernel: SquaredExponential) -> float:
-    """Largest precision that the data bring to one bump, relative to its prior: s² max G."""
-    low = cloud.xy.min(axis=0)
-    cells = np.floor((cloud.xy - low) / kernel.length_scale).astype(np.int64)
-    _, owner = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True)
-    densest = np.bincount(owner, weights=1 / cloud.noise_variance).max()
-    return float(kernel.signal_std**2 * densest * np.pi / 2)
-
-
-def lattice_spacing(cloud: Cloud, kernel: SquaredExponential) -> float:
-    """Lattice spacing whose ripple times the information of the data is `RIPPLE` [m]."""
-    ripple = RIPPLE / max(information(cloud, kernel), 1.0)
-    ratio = np.pi / np.sqrt(2 * np.log(2 / ripple))
-    return kernel.length_scale * float(np.clip(ratio, *SPACINGS))
