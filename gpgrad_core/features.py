@@ -123,7 +123,8 @@ def _as_descriptors(
 ) -> NDArray[np.float32] | NDArray[np.uint8]:
     """Give descriptors their type; an image without keypoints has none of any."""
     if described is None:
-        described = np.zeros((0, detector.descriptorSize()), np.uint8)
+        kind = np.float32 if detector.descriptorType() == cv2.CV_32F else np.uint8
+        described = np.zeros((0, detector.descriptorSize()), kind)
     if described.dtype == np.float32:
         return np.asarray(described, np.float32)
     return np.asarray(described, np.uint8)

@@ -13,6 +13,9 @@ from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.types import GradientMap, Grid, Submap
 
+BINNED_FROM = 10_000
+"""Points of a cloud from which on binning can save more than it costs."""
+
 
 @dataclass(frozen=True)
 class TerrainParams:
@@ -90,8 +93,8 @@ def map_grid(submap: Submap, resolution: float) -> Grid:
 def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = silent) -> Posterior:
     """Fit the GP of Eq. (1) to a submap's points.
 
-    Clouds so dense that it pays are binned to an eighth of a length-scale or less: means stand
-    for their points with the noise of a mean.
+    Large clouds, where it at least halves them, are binned to an eighth of a length-scale or
+    less: means stand for their points with the noise of a mean.
 
     Raises:
         InputError: If the GP would be too large or cannot be solved.
@@ -105,14 +108,15 @@ def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = sile
     if signal_std is None:
         # A perfectly flat cloud has none; then the noise is all there is.
         signal_std = max(float(points[:, 2].std()), 0.01 * params.noise_std)
-    # What the ground bends within a cell must stay far below the noise.
-    flat_enough = float(np.sqrt(params.noise_std / (5 * signal_std)))
-    binned, counts = bin_points(points, params.length_scale * min(1 / 8, flat_enough))
-    if len(binned) > len(points) / 2:
-        binned, counts = points, np.ones(len(points))
+    noise_std = np.full(len(points), params.noise_std)
+    if len(points) >= BINNED_FROM:
+        # What the ground bends within a cell must stay far below the noise.
+        flat_enough = float(np.sqrt(params.noise_std / (5 * signal_std)))
+        binned, counts = bin_points(points, params.length_scale * min(1 / 8, flat_enough))
+        if len(binned) <= len(points) / 2:
+            points, noise_std = binned, params.noise_std / np.sqrt(counts)
     kernel = SquaredExponential(signal_std, params.length_scale)
-    noise_std = params.noise_std / np.sqrt(counts)
-    return fit_gp(binned, kernel, noise_std, mean=mean, progress=progress)
+    return fit_gp(points, kernel, noise_std, mean=mean, progress=progress)
 
 
 def sample_map(submap: Submap, posterior: Posterior, resolution: float) -> GradientMap:

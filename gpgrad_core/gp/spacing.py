@@ -1,14 +1,10 @@
 """How fine a lattice must be to stand for the kernel, and what is too fine to be solved."""
 
 import numpy as np
-from jaxtyping import Float
-from numpy.typing import NDArray
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
-
-Array = NDArray[np.float64]
 
 SPACINGS = (0.4, 0.8)
 """Least and largest spacing, in length-scales; at the least the ripple is 8e-14."""
@@ -50,7 +46,7 @@ def check_solvable(cloud: Cloud, kernel: SquaredExponential) -> None:
             f"points in a length-scale of {kernel.length_scale:g} m: raise it "
             f"{np.ceil(np.sqrt(excess) * 10) / 10:g}-fold or more, or lower the length-scale"
         )
-    sides: Float[Array, 2] = cloud.xy.max(axis=0) - cloud.xy.min(axis=0)
+    sides = cloud.xy.max(axis=0) - cloud.xy.min(axis=0)
     nodes = float(np.prod(sides / (SPACINGS[0] * kernel.length_scale) + 1))
     if nodes > MOST_NODES:
         least = kernel.length_scale * np.sqrt(nodes / MOST_NODES)

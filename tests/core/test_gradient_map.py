@@ -202,7 +202,7 @@ def test_more_noise_trusts_points_less() -> None:
 
 
 def test_dense_clouds_are_binned_and_hardly_change() -> None:
-    points = cloud(11, 6000, (2.0, 2.0), noise=0.03)
+    points = cloud(11, 12_000, (2.0, 2.0), noise=0.03)
     made = infer_gradient_map(
         Submap.from_points(points), MapParams(length_scale=0.5, resolution=0.05)
     )

@@ -68,16 +68,16 @@ class Pairs:
 @pytest.mark.parametrize("name", LEAST_AVERAGE_PRECISION)
 def test_pairs_rank_as_well_as_promised(name: str, real_data: Path) -> None:
     dataset = load_dataset(real_data / name)
-    start, start_cpu = time.perf_counter(), time.process_time()
+    start = time.perf_counter()
     result = detect_loop_closures(dataset)
-    seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - start_cpu
+    seconds = time.perf_counter() - start
     pairs = Pairs.of(result, real_data / name / "pairs_iou.csv")
     rules = {
         "IoU > 0.3": pairs.box_overlap > 0.3,
         "IoU > 0.1": pairs.box_overlap > 0.1,
         "surface > 0.2": pairs.surface_overlap > 0.2,
     }
-    print(f"\n{name}: {len(dataset.submaps)} submaps, {seconds:.1f} s, CPU {cpu_seconds:.1f} s")  # noqa: T201
+    print(f"\n{name}: {len(dataset.submaps)} submaps, {seconds:.1f} s")  # noqa: T201
     for rule, positive in rules.items():
         average, recall = pairs.rank(positive)
         print(f"  {rule:14} AP {average:.3f}  R100 {recall:.3f}  ({positive.sum()})")  # noqa: T201
@@ -88,9 +88,7 @@ def test_pairs_rank_as_well_as_promised(name: str, real_data: Path) -> None:
     )
     assert pairs.rank(rules["IoU > 0.3"])[0] >= LEAST_AVERAGE_PRECISION[name]
     assert not (pairs.accepted & apart).any()
-    # Work of so many CPU seconds in all takes no longer than that on a machine that does nothing
-    # else; so a busy one is no reason to fail.
-    assert min(seconds, cpu_seconds) <= MOST_SECONDS
+    assert seconds <= MOST_SECONDS
 
 
 def test_ranking_is_scored_as_by_hand() -> None:
