@@ -28,9 +28,9 @@ from gpgrad_core.types import Grid
 
 Array = NDArray[np.float64]
 
-HALO = 6.0
+HALO = 7.0
 """Length-scales of neighbouring points that a strip sees beside its own. Measured at the seam
-itself: elevation within 0.015 of the noise, slope within 0.7 %; with one less, thrice that."""
+itself: elevation within 0.008 of the noise, slope within 0.3 %; with one less, twice that."""
 MEAN_TOLERANCE = 0.005
 """Conjugate gradients stop at this residual of the heights, in units of the noise (rms)."""
 MAX_STEPS = 50

@@ -64,7 +64,7 @@ class ViewerPage:
         browser: Browser,
         url: str,
         *,
-        size: tuple[int, int] = (1100, 720),
+        size: tuple[int, int] = (960, 600),
         script: str | None = None,
     ) -> None:
         """Open the page and wait for the first verdict and picture.

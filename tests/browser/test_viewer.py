@@ -30,7 +30,7 @@ def expect_change(page: "ViewerPage", act: Callable[[], None], *, verdict: bool 
 
 
 def test_the_demo_opens_as_a_stranger_finds_it(open_viewer: Open) -> None:
-    page = open_viewer(PipelineParams())
+    page = open_viewer(PipelineParams(), size=(1100, 720))
     assert page.accepted()
     assert "query 007" in page.verdict()
     assert "Up to date" in page.status()
