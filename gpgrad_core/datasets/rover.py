@@ -1,4 +1,4 @@
-"""A simulated rover: the route it drives, and what its stereo camera sees from one place."""
+"""A simulated rover: the route it drives, and what its sensor sees from one place."""
 
 from dataclasses import dataclass
 
@@ -16,6 +16,7 @@ STEP = 0.05  # between the points of a track [m]
 ANGULAR_STEP = 0.008  # between neighbouring rays [rad]
 RAY_STEP = 0.02  # along a ray, over the ground [m]
 LOWEST, HIGHEST = -1.2, 0.15  # elevation angles that the camera sees, level rover [rad]
+LOWEST_RING, HIGHEST_RING = -0.5, 0.35  # elevation angles of the LiDAR's rings [rad]
 WHEELBASE = 0.8  # wheels stand half of it ahead, behind and to either side [m]
 PATCH = 8  # side of a patch in which stereo fails as one [rays]
 
@@ -105,7 +106,7 @@ def _headings(xy: Float[Array, "n 2"]) -> Float[Array, "n"]:
 def scan(
     terrain: HeightField, stop: Stop, params: SimulationParams, rng: Generator
 ) -> Float[Array, "n 3"]:
-    """Measure the ground from one stop, as a panned stereo camera would.
+    """Measure the ground from one stop, as a panned stereo camera or a LiDAR would.
 
     Rays go out over a fan of azimuths. Along each azimuth the ground's elevation angle is
     sampled outwards; a ray meets the ground where that angle first reaches its own, so all rays
@@ -114,7 +115,7 @@ def scan(
     Args:
         terrain: The ground.
         stop: Where the rover stands.
-        params: Camera and noise.
+        params: Sensor and noise.
         rng: Source of noise and drop-outs.
 
     Returns:
@@ -128,9 +129,11 @@ def scan(
     eye = np.array([stop.x, stop.y, heights.mean() + params.camera_height])
 
     # The fan is wider than the view, because a tilted rover sees a tilted part of it.
-    half = 0.5 * params.field_of_view + 0.3
+    lidar = params.sensor == "lidar"
+    half = np.pi if lidar else 0.5 * params.field_of_view + 0.3
+    lowest, highest = (LOWEST_RING, HIGHEST_RING) if lidar else (LOWEST, HIGHEST)
     azimuths = np.arange(-half, half, ANGULAR_STEP)
-    angles = np.arange(LOWEST - 0.5, min(HIGHEST + 0.5, 1.4), ANGULAR_STEP)
+    angles = np.arange(lowest - 0.5, min(highest + 0.5, 1.4), ANGULAR_STEP)
     ranges, hit = _march(terrain, eye, stop.yaw + azimuths, np.tan(angles), params.max_range)
 
     azimuth, angle = np.meshgrid(azimuths, angles, indexing="ij")
@@ -145,13 +148,17 @@ def scan(
     side = np.cos(roll) * left + np.sin(roll) * top
     top = np.cos(roll) * top - np.sin(roll) * left
     elevation = np.arcsin(np.clip(top, -1.0, 1.0))
-    seen = (np.abs(np.arctan2(side, nose)) <= 0.5 * params.field_of_view) & (
-        (elevation >= LOWEST) & (elevation <= HIGHEST)
-    )
+    if lidar:
+        seen = _on_a_ring(elevation, params.lidar_rings)
+    else:
+        seen = (np.abs(np.arctan2(side, nose)) <= 0.5 * params.field_of_view) & (
+            (elevation >= lowest) & (elevation <= highest)
+        )
     distance = ranges / np.cos(angle)
     seen &= hit & (distance <= params.max_range) & _matched(ranges.shape, params.dropout_rate, rng)
 
-    std = params.noise_constant + params.noise_quadratic * distance**2
+    constant, quadratic = params.range_noise
+    std = constant + quadratic * distance**2
     measured = (distance + std * rng.standard_normal(distance.shape))[seen]
     forward, left, up = forward[seen], left[seen], up[seen]
     rays = np.column_stack([c * forward - s * left, s * forward + c * left, up])
@@ -177,8 +184,16 @@ def _march(
     return steps[before] + RAY_STEP * np.where(hit, share, 0.0), hit
 
 
+def _on_a_ring(elevation: Array, num_rings: int) -> NDArray[np.bool_]:
+    """Choose the rays nearest to the rings, which are evenly spread over the LiDAR's view."""
+    spacing = (HIGHEST_RING - LOWEST_RING) / (num_rings - 1)
+    ring = np.rint((elevation - LOWEST_RING) / spacing)
+    off = np.abs(elevation - LOWEST_RING - ring * spacing)
+    return (ring >= 0) & (ring < num_rings) & (off <= 0.5 * ANGULAR_STEP)
+
+
 def _matched(shape: tuple[int, ...], dropout_rate: float, rng: Generator) -> NDArray[np.bool_]:
-    """Draw where stereo finds a match: half of the failures are single, half whole patches."""
+    """Draw which rays find something: half of the failures are single, half whole patches."""
     keep = np.sqrt(1.0 - dropout_rate)
     single = rng.random(shape) < keep
     coarse = rng.random((shape[0] // PATCH + 1, shape[1] // PATCH + 1)) < keep

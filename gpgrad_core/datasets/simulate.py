@@ -56,7 +56,7 @@ def simulate_dataset(params: SimulationParams, progress: Progress = silent) -> D
             f"{params.route.replace('_', ' ')} route and back (gpgrad simulate, "
             f"seed {params.seed})."
         ),
-        sensor_noise={"constant": params.noise_constant, "quadratic": params.noise_quadratic},
+        sensor_noise=dict(zip(("constant", "quadratic"), params.range_noise, strict=True)),
     )
 
 
@@ -98,7 +98,7 @@ def _drift(truth: list[Pose], params: SimulationParams, rng: Generator) -> list[
 def _make_submap(
     terrain: HeightField, track: Track, index: int, params: SimulationParams
 ) -> Float[Array, "n 3"]:
-    """Put together what the camera saw from the stops of one submap."""
+    """Put together what the sensor saw from the stops of one submap."""
     rng = _stream(params.seed, SUBMAP_STREAM, index)
     start_distance = index * params.spacing
     start = track.at(start_distance)

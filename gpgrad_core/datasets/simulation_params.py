@@ -10,10 +10,11 @@ from gpgrad_core.bounds import Bounds, check_bounds
 
 @dataclass(frozen=True)
 class SimulationParams:
-    """Terrain, route, camera and odometry of a simulated rover.
+    """Terrain, route, sensor and odometry of a simulated rover.
 
     The defaults imitate submaps of a small rover with a panned stereo camera: boxes of about
-    11 m x 13 m, 30,000 points, range noise of 4 cm at 3 m and 13 cm at 6 m.
+    11 m x 13 m, 30,000 points, range noise of 4 cm at 3 m and 13 cm at 6 m. The other sensor is
+    a spinning LiDAR, which sees all around.
     """
 
     seed: Annotated[
@@ -42,7 +43,7 @@ class SimulationParams:
     ] = 1.0
     extent: Annotated[
         float,
-        Bounds(10.0, 120.0, 1.0, "m"),
+        Bounds(10.0, 240.0, 1.0, "m"),
         Doc("Side of the square of terrain; the route and all that is seen must fit."),
     ] = 44.0
     relief: Annotated[
@@ -50,6 +51,16 @@ class SimulationParams:
         Bounds(0.0, 5.0, 0.05, "m"),
         Doc("Standard deviation of the fractal ground's height."),
     ] = 0.35
+    hill_height: Annotated[
+        float,
+        Bounds(0.0, 20.0, 0.1, "m"),
+        Doc("Standard deviation of the smooth hills under the fractal ground; 0: there are none."),
+    ] = 0.0
+    hill_size: Annotated[
+        float,
+        Bounds(4.0, 200.0, 1.0, "m"),
+        Doc("From hill to hill; their slopes are about 5 times the height by this."),
+    ] = 16.0
     roughness: Annotated[
         float,
         Bounds(0.0, 1.0, 0.05),
@@ -70,35 +81,44 @@ class SimulationParams:
         Bounds(0.0, 5.0, 0.1, "1/m²"),
         Doc("Rocks of 10 cm to 1.2 m across per square metre, small ones far more often."),
     ] = 1.5
+    sensor: Annotated[
+        Literal["stereo", "lidar"],
+        Doc("A panned stereo camera, or a LiDAR that sees all around in rings."),
+    ] = "stereo"
     camera_height: Annotated[
         float,
         Bounds(0.2, 3.0, 0.1, "m"),
-        Doc("Of the camera above the ground under the rover."),
+        Doc("Of the sensor above the ground under the rover."),
     ] = 1.2
     field_of_view: Annotated[
         float,
         Bounds(0.3, 3.1, 0.1, "rad"),
-        Doc("Width of what the panned camera sees at one stop."),
+        Doc("Width of what the panned camera sees at one stop; a LiDAR sees all around."),
     ] = 2.1
+    lidar_rings: Annotated[
+        int,
+        Bounds(2, 128, 1, "rings"),
+        Doc("Rays of the LiDAR above one another."),
+    ] = 64
     max_range: Annotated[
         float,
-        Bounds(2.0, 20.0, 0.5, "m"),
-        Doc("Stereo finds nothing beyond this distance."),
+        Bounds(2.0, 60.0, 0.5, "m"),
+        Doc("The sensor finds nothing beyond this distance."),
     ] = 7.0
     noise_constant: Annotated[
         float,
         Bounds(0.0, 0.5, 0.001, "m"),
-        Doc("Standard deviation of a measured range at the camera."),
+        Doc("Standard deviation of a measured range at the sensor."),
     ] = 0.005
     noise_quadratic: Annotated[
         float,
         Bounds(0.0, 0.1, 0.0005, "1/m"),
-        Doc("Growth of that standard deviation with the square of the range."),
+        Doc("Growth of it with the square of the range, in stereo; a LiDAR's does not grow."),
     ] = 0.0035
     dropout_rate: Annotated[
         float,
         Bounds(0.0, 0.9, 0.05),
-        Doc("Share of the picture where stereo finds no match, in patches and single pixels."),
+        Doc("Share of the rays that find nothing, in patches and singly."),
     ] = 0.2
     submap_drift: Annotated[
         float,
@@ -125,6 +145,11 @@ class SimulationParams:
         Bounds(100, 1_000_000, 1000, "points"),
         Doc("A submap with more points is thinned to this many, at random."),
     ] = 30_000
+
+    @property
+    def range_noise(self) -> tuple[float, float]:
+        """Standard deviation of a range r [m]: the first [m] + the second [1/m] times r²."""
+        return self.noise_constant, self.noise_quadratic if self.sensor == "stereo" else 0.0
 
     def __post_init__(self) -> None:
         """Check the bounds."""

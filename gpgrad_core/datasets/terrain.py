@@ -15,6 +15,8 @@ RESOLUTION = 0.03
 """Side of a terrain cell [m]: finer than any submap voxel by default."""
 CRATER_DIAMETERS = (1.0, 8.0)
 ROCK_DIAMETERS = (0.1, 1.2)
+HILL_PERSISTENCE = 3.0
+"""Hills fall off so fast towards short waves that they bring steepness and no roughness."""
 CLEARANCE = 0.7
 """No rock comes closer to the rover's track than this [m]: it drives around them."""
 
@@ -44,6 +46,9 @@ def make_terrain(
     """
     size = int(np.ceil(params.extent / RESOLUTION)) + 1
     elevation = params.relief * fractal_field(size, 1.5 - params.roughness, rng)
+    if params.hill_height > 0:
+        hills = fractal_field(size, HILL_PERSISTENCE, rng, largest=params.hill_size)
+        elevation += params.hill_height * hills
     _add_ripples(elevation, params, rng)
     _add_craters(elevation, params, track, rng)
     _add_rocks(elevation, params, track, rng)
