@@ -1,0 +1,45 @@
+"""How well a detector does: precision and recall against the truth, and where it misplaces."""
+
+from gpgrad_core.evaluation.bootstrap import Interval
+from gpgrad_core.evaluation.judge import (
+    Evaluation,
+    MethodVerdict,
+    Ranked,
+    RuleVerdict,
+    Summary,
+    evaluate,
+)
+from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
+from gpgrad_core.evaluation.pose_error import PoseErrors, pose_errors
+from gpgrad_core.evaluation.precision_recall import (
+    PrecisionRecall,
+    average_precision,
+    best_f1,
+    precision_by_inliers,
+    precision_recall,
+    recall_at_full_precision,
+)
+from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
+
+__all__ = [
+    "Evaluation",
+    "EvaluationParams",
+    "Interval",
+    "Labels",
+    "MethodVerdict",
+    "PoseErrors",
+    "PrecisionRecall",
+    "Ranked",
+    "Rule",
+    "RuleVerdict",
+    "Summary",
+    "TruePairs",
+    "average_precision",
+    "best_f1",
+    "evaluate",
+    "measure_pairs",
+    "pose_errors",
+    "precision_by_inliers",
+    "precision_recall",
+    "recall_at_full_precision",
+]

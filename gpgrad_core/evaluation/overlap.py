@@ -1,0 +1,197 @@
+"""How far submaps truly overlap: what every pair is judged by."""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+
+from gpgrad_core.datasets.folder import index_of
+from gpgrad_core.errors import InputError
+from gpgrad_core.progress import Progress, silent
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Array, Dataset, Submap, read_only
+
+Index = NDArray[np.intp]
+
+CELL = 0.1
+"""Side of the cells whose common share is the overlap of two surfaces [m]."""
+
+FEWEST_COMMON_CELLS = 20
+"""On no more common cells than this a median height difference means nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class TruePairs:
+    """What the true poses say about every unordered pair of submaps.
+
+    Attributes:
+        ids: Names of the submaps that have a true pose, in the dataset's order.
+        world_xy: Where their origins lie in the world [m].
+        query: Index into `ids` of the later submap of each pair.
+        database: Index of the earlier one.
+        steps: How far apart the two are on the traverse: the difference of their numbers.
+        box_iou: Intersection over union of the boxes, Eq. (8).
+        surface_overlap: Common share of the cells of the submap that has fewer.
+        height_difference: Median difference in height on common cells [m]; NaN on too few.
+        T_database_query: True motions: they map the query's frame into the database's.
+        notes: What could not be judged, a line each.
+    """
+
+    ids: tuple[str, ...]
+    world_xy: Float[Array, "n 2"]
+    query: Int[Index, "p"]
+    database: Int[Index, "p"]
+    steps: Int[Index, "p"]
+    box_iou: Float[Array, "p"]
+    surface_overlap: Float[Array, "p"]
+    height_difference: Float[Array, "p"]
+    T_database_query: tuple[SE2, ...]
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for array in (self.world_xy, self.query, self.database, self.steps):
+            read_only(array)
+        for array in (self.box_iou, self.surface_overlap, self.height_difference):
+            read_only(array)
+
+    def __len__(self) -> int:
+        """Number of pairs."""
+        return len(self.query)
+
+    @property
+    def relative_yaw(self) -> Float[Array, "p"]:
+        """Turn from the query's heading to the database's [rad], in (-pi, pi]."""
+        return np.array([-motion.yaw for motion in self.T_database_query], dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Footprint:
+    """The ground that a submap covers in the world."""
+
+    low: Float[Array, "2"]  # corners of its box [m]
+    high: Float[Array, "2"]
+    cells: Int[NDArray[np.int64], "c"]  # keys of the cells that hold a point, ascending
+    heights: Float[Array, "c"]  # mean height of the points in each [m]
+
+
+def measure_pairs(dataset: Dataset, progress: Progress = silent) -> TruePairs:
+    """Measure how far the submaps of a dataset truly overlap, pair by pair.
+
+    Args:
+        dataset: With true poses.
+        progress: Called once a submap and once a row of pairs; may raise Cancelled.
+
+    Raises:
+        InputError: If fewer than two submaps have a true pose.
+    """
+    known = [submap for submap in dataset.submaps if submap.pose_true is not None]
+    if len(known) < 2:
+        raise InputError(
+            f"{dataset.name}: {len(known)} of {len(dataset.submaps)} submaps have a true pose, and "
+            "two are needed to judge a pair: add poses_gt.txt with rows "
+            "`index tx ty tz qx qy qz qw`"
+        )
+    footprints = _footprints(known, progress)
+    poses = [submap.pose_true.planar for submap in known if submap.pose_true is not None]
+    numbers = _numbers(known)
+    pairs = [(query, database) for database, query in combinations(range(len(known)), 2)]
+    pairs.sort()
+    measured = np.zeros((len(pairs), 3))
+    for k, (query, database) in enumerate(pairs):
+        measured[k] = _compare(footprints[query], footprints[database])
+        if database == 0:
+            progress(0.5 + 0.5 * k / len(pairs))
+    query, database = np.array(pairs, dtype=np.intp).T
+    return TruePairs(
+        ids=tuple(submap.id for submap in known),
+        world_xy=np.array([[pose.x, pose.y] for pose in poses]),
+        query=query,
+        database=database,
+        steps=np.abs(numbers[query] - numbers[database]),
+        box_iou=measured[:, 0].copy(),
+        surface_overlap=measured[:, 1].copy(),
+        height_difference=measured[:, 2].copy(),
+        T_database_query=tuple(poses[d].inverse() @ poses[q] for q, d in pairs),
+        notes=_notes(dataset),
+    )
+
+
+def box_iou(
+    first: tuple[Float[Array, "2"], Float[Array, "2"]],
+    second: tuple[Float[Array, "2"], Float[Array, "2"]],
+) -> float:
+    """Intersection over union of two axis-aligned boxes, Eq. (8).
+
+    Args:
+        first: Lowest and highest corner [m].
+        second: The same of the other box.
+
+    >>> square = np.zeros(2), np.ones(2)
+    >>> beside = np.array([0.5, 0.0]), np.array([1.5, 1.0])
+    >>> round(box_iou(square, beside), 3)
+    0.333
+    """
+    (low_a, high_a), (low_b, high_b) = first, second
+    sides = np.minimum(high_a, high_b) - np.maximum(low_a, low_b)
+    if (sides <= 0).any():
+        return 0.0
+    common = float(np.prod(sides))
+    return common / (float(np.prod(high_a - low_a)) + float(np.prod(high_b - low_b)) - common)
+
+
+def _footprints(submaps: list[Submap], progress: Progress) -> list[_Footprint]:
+    clouds: list[Array] = []
+    for submap in submaps:
+        assert submap.pose_true is not None
+        clouds.append(submap.pose_true.apply(submap.points))
+    corner = np.min([cloud[:, :2].min(axis=0) for cloud in clouds], axis=0)
+    reach = np.max([cloud[:, :2].max(axis=0) for cloud in clouds], axis=0)
+    first = np.floor(corner / CELL).astype(np.int64)
+    columns = int(np.floor(reach[0] / CELL)) - int(first[0]) + 1
+    footprints: list[_Footprint] = []
+    for k, cloud in enumerate(clouds):
+        column, row = (np.floor(cloud[:, :2] / CELL).astype(np.int64) - first).T
+        cells, members = np.unique(row * columns + column, return_inverse=True)
+        heights = np.bincount(members, cloud[:, 2]) / np.bincount(members)
+        xy = cloud[:, :2]
+        footprints.append(_Footprint(xy.min(axis=0), xy.max(axis=0), cells, heights))
+        progress(0.5 * (k + 1) / len(clouds))
+    return footprints
+
+
+def _compare(first: _Footprint, second: _Footprint) -> tuple[float, float, float]:
+    """Box IoU, surface overlap, median height difference [m]."""
+    iou = box_iou((first.low, first.high), (second.low, second.high))
+    # Cells reach beyond the points in them: boxes just apart can still share some.
+    if (first.low > second.high + CELL).any() or (second.low > first.high + CELL).any():
+        return iou, 0.0, np.nan
+    common, in_first, in_second = np.intersect1d(
+        first.cells, second.cells, assume_unique=True, return_indices=True
+    )
+    overlap = len(common) / min(len(first.cells), len(second.cells))
+    if len(common) <= FEWEST_COMMON_CELLS:
+        return iou, overlap, np.nan
+    difference = np.abs(first.heights[in_first] - second.heights[in_second])
+    return iou, overlap, float(np.median(difference))
+
+
+def _numbers(submaps: list[Submap]) -> Index:
+    """Places on the traverse: the numbers in the names, or the order where one has none."""
+    numbers = [index_of(submap.id) for submap in submaps]
+    if None in numbers:
+        return np.arange(len(submaps), dtype=np.intp)
+    return np.array(numbers, dtype=np.intp)
+
+
+def _notes(dataset: Dataset) -> tuple[str, ...]:
+    unknown = [submap.id for submap in dataset.submaps if submap.pose_true is None]
+    if not unknown:
+        return ()
+    few = ", ".join(unknown[:5]) + (", …" if len(unknown) > 5 else "")
+    return (
+        f"{len(unknown)} of {len(dataset.submaps)} submaps have no true pose ({few}): "
+        "their pairs are not judged",
+    )

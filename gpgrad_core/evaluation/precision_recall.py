@@ -1,0 +1,94 @@
+"""Precision and recall, Eq. (7), and the figures that sum a curve of them up."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import NDArray
+
+from gpgrad_core.types import Array, read_only
+
+Mask = NDArray[np.bool_]
+Counts = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class PrecisionRecall:
+    """Precision and recall as the threshold moves; a pair passes that reaches it.
+
+    Where nothing passes, precision is NaN: no match was named, right or wrong.
+    """
+
+    thresholds: Float[Array, "t"]
+    precision: Float[Array, "t"]
+    recall: Float[Array, "t"]
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for array in (self.thresholds, self.precision, self.recall):
+            read_only(array)
+
+
+def precision_recall(
+    score: Float[Array, "p"],
+    positive: Bool[Mask, "p"],
+    thresholds: Sequence[float] | None = None,
+) -> PrecisionRecall:
+    """Sweep the threshold on a score.
+
+        P = Tp / (Tp + Fp),  R = Tp / (Tp + Fn)    Le Gentil 2020, Eq. (7)
+
+    Pairs of one score pass or fail together: any order among them would be made up.
+
+    Args:
+        score: Of the judged pairs; higher is more likely the same place. -inf is allowed and
+            means that the pair was not even considered.
+        positive: Which of them truly are.
+        thresholds: Where to look; None takes every score that occurs, highest first.
+
+    Raises:
+        ValueError: If no pair is positive: there is nothing to recall.
+    """
+    total = int(np.sum(positive))
+    if total == 0:
+        raise ValueError("recall needs at least one positive pair")
+    at = np.unique(score)[::-1] if thresholds is None else np.array(thresholds, dtype=np.float64)
+    ascending = np.sort(score)
+    named = len(score) - np.searchsorted(ascending, at, side="left")
+    found = total - np.searchsorted(np.sort(score[positive]), at, side="left")
+    precision = np.full(len(at), np.nan)
+    np.divide(found, named, out=precision, where=named > 0)
+    return PrecisionRecall(at, precision, found / total)
+
+
+def precision_by_inliers(
+    num_inliers: Int[Counts, "p"], positive: Bool[Mask, "p"], most: int = 20
+) -> PrecisionRecall:
+    """Sweep the paper's threshold on the number of inliers, n = 1 … most (its Fig. 9)."""
+    return precision_recall(
+        num_inliers.astype(np.float64), positive, [float(n) for n in range(1, most + 1)]
+    )
+
+
+def average_precision(curve: PrecisionRecall) -> float:
+    """Area under the steps of a curve over every score: Σ (R_k - R_k-1) P_k."""
+    return float(np.sum(np.diff(curve.recall, prepend=0.0) * curve.precision))
+
+
+def recall_at_full_precision(curve: PrecisionRecall) -> float:
+    """Largest share of the true pairs that some threshold finds with no wrong one among them."""
+    return float(curve.recall[curve.precision == 1.0].max(initial=0.0))
+
+
+def best_f1(curve: PrecisionRecall) -> tuple[float, float]:
+    """Largest harmonic mean of precision and recall, and the threshold that has it.
+
+    Of several such thresholds, the highest: it names the fewest pairs.
+    """
+    both = np.nan_to_num(curve.precision) + curve.recall
+    product = 2 * np.nan_to_num(curve.precision) * curve.recall
+    f1 = np.divide(product, both, out=np.zeros_like(product), where=both > 0)
+    highest = np.flatnonzero(f1 == f1.max())
+    best = highest[np.argmax(curve.thresholds[highest])]
+    return float(f1[best]), float(curve.thresholds[best])

@@ -1,0 +1,151 @@
+"""What a method said of every pair, in the order in which the truth lists them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import NDArray
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation.overlap import TruePairs
+from gpgrad_core.outputs import ClosureReport, PairRecord
+from gpgrad_core.pipeline import DetectionResult
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Array, Dataset, LoopClosure, read_only
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """A method's verdicts on all pairs that can be judged.
+
+    Attributes:
+        score: What it ranks by; -inf for a pair that it does not list.
+        num_inliers: The paper's n.
+        accepted: Which pairs it takes for loop closures.
+        T_database_query: Where it places the query; None where it could not.
+        seconds: Time of each stage [s], as far as it is known.
+        notes: What had to be assumed, a line each.
+    """
+
+    score: Float[Array, "p"]
+    num_inliers: Int[NDArray[np.intp], "p"]
+    accepted: Bool[NDArray[np.bool_], "p"]
+    T_database_query: tuple[SE2 | None, ...]
+    seconds: dict[str, float] = field(default_factory=dict[str, float])
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for array in (self.score, self.num_inliers, self.accepted):
+            read_only(array)
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    query: str
+    database: str
+    score: float
+    num_inliers: int
+    accepted: bool
+    T_database_query: SE2 | None
+
+
+def rank_pairs(
+    detection: DetectionResult | ClosureReport, dataset: Dataset, pairs: TruePairs, name: str
+) -> Ranking:
+    """Bring a method's verdicts into the order of the true pairs.
+
+    A pair may stand either way round: its motion is turned to fit. A pair that is not listed
+    ranks below all that are, as one that was never considered.
+
+    Args:
+        detection: What a detector found, or what ``closures.json`` of any tool says.
+        dataset: What was searched.
+        pairs: Its true pairs.
+        name: Of the method, for error messages.
+
+    Raises:
+        InputError: If a pair names a submap that the dataset does not have, pairs one with
+            itself, comes twice, or has a score that is not a finite number.
+    """
+    rows = {
+        frozenset((pairs.ids[q], pairs.ids[d])): k
+        for k, (q, d) in enumerate(zip(pairs.query, pairs.database, strict=True))
+    }
+    known = {submap.id for submap in dataset.submaps}
+    score = np.full(len(pairs), -np.inf)
+    num_inliers = np.zeros(len(pairs), dtype=np.intp)
+    accepted = np.zeros(len(pairs), dtype=np.bool_)
+    motions: list[SE2 | None] = [None] * len(pairs)
+    listed: set[frozenset[str]] = set()
+    for verdict in _verdicts(detection):
+        both = frozenset((verdict.query, verdict.database))
+        _check(verdict, both, known, listed, dataset.name, name)
+        listed.add(both)
+        row = rows.get(both)
+        if row is None:
+            continue  # a submap without a true pose: the truth's notes tell of it
+        score[row], num_inliers[row] = verdict.score, verdict.num_inliers
+        accepted[row] = verdict.accepted
+        motion = verdict.T_database_query
+        turned_about = verdict.query != pairs.ids[pairs.query[row]]
+        motions[row] = motion.inverse() if motion and turned_about else motion
+    unlisted = int(np.sum(np.isneginf(score)))
+    notes = (
+        (f"{name} lists {len(pairs) - unlisted} of {len(pairs)} pairs: the others rank last",)
+        if unlisted
+        else ()
+    )
+    return Ranking(score, num_inliers, accepted, tuple(motions), dict(detection.seconds), notes)
+
+
+def _check(
+    verdict: _Verdict,
+    both: frozenset[str],
+    known: set[str],
+    listed: set[frozenset[str]],
+    dataset: str,
+    name: str,
+) -> None:
+    pair = f"{name}: pair {verdict.query}, {verdict.database}"
+    for strange in sorted(both - known):
+        raise InputError(
+            f"{pair}: {dataset} has no submap {strange!r}; evaluate it on the dataset that it was "
+            "made from"
+        )
+    if len(both) == 1:
+        raise InputError(f"{pair}: a submap cannot close a loop with itself; leave the pair out")
+    if both in listed:
+        raise InputError(f"{pair}: is listed twice; every pair may stand there once")
+    if not np.isfinite(verdict.score):
+        raise InputError(f"{pair}: the score must be a finite number, got {verdict.score!r}")
+
+
+def _verdicts(detection: DetectionResult | ClosureReport) -> Iterable[_Verdict]:
+    if isinstance(detection, ClosureReport):
+        return map(_of_record, detection.pairs)
+    return map(_of_closure, detection.closures)
+
+
+def _of_record(pair: PairRecord) -> _Verdict:
+    return _Verdict(
+        pair.query,
+        pair.database,
+        pair.score,
+        pair.num_inliers,
+        pair.accepted,
+        pair.T_database_query,
+    )
+
+
+def _of_closure(closure: LoopClosure) -> _Verdict:
+    found = closure.registration
+    return _Verdict(
+        closure.query_id,
+        closure.database_id,
+        found.score,
+        found.num_inliers,
+        closure.accepted,
+        found.T_database_query,
+    )

@@ -1,0 +1,134 @@
+"""Which pairs count as the same place, and which are left out of the count."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+from typing_extensions import Doc
+
+from gpgrad_core.bounds import Bounds, check_bounds
+from gpgrad_core.evaluation.overlap import CELL, TruePairs
+from gpgrad_core.types import Array, read_only
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class EvaluationParams:
+    """What a detection is judged by."""
+
+    min_overlap: Annotated[
+        float,
+        Bounds(0.0, 0.99, 0.05, "", slider=(0.0, 0.9)),
+        Doc("A pair is true if its boxes' intersection over union is above this (paper: Eq. 8)."),
+    ] = 0.3
+    min_surface_overlap: Annotated[
+        float,
+        Bounds(0.0, 0.99, 0.05, "", slider=(0.0, 0.9)),
+        Doc("By the second rule a pair is true if its surfaces share more than this."),
+    ] = 0.2
+    neighbours: Annotated[
+        int,
+        Bounds(0, 100_000, 1, "", slider=(0, 10)),
+        Doc("Pairs whose numbers differ by no more than this are left out; 0 keeps all."),
+    ] = 1
+    count_grey: Annotated[
+        bool,
+        Doc("Count pairs that touch without being true as false, instead of leaving them out."),
+    ] = False
+    num_resamples: Annotated[
+        int,
+        Bounds(0, 100_000, 100, ""),
+        Doc("Resamples of the submaps that the 95 % intervals are made from; 0 makes none."),
+    ] = 1000
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+    @property
+    def rules(self) -> tuple["Rule", "Rule"]:
+        """The paper's rule on boxes, and the one on surfaces."""
+        return (
+            Rule("box", self.min_overlap, self.neighbours, self.count_grey),
+            Rule("surface", self.min_surface_overlap, self.neighbours, self.count_grey),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """What a rule says of every pair."""
+
+    positive: Bool[Mask, "p"]  # truly the same place, and judged
+    judged: Bool[Mask, "p"]  # neither neighbours nor grey
+    grey: Bool[Mask, "p"]  # left out: touching, and not enough
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for mask in (self.positive, self.judged, self.grey):
+            read_only(mask)
+
+    @property
+    def negative(self) -> Bool[Mask, "p"]:
+        """Truly two places, and judged."""
+        return self.judged & ~self.positive
+
+
+@dataclass(frozen=True)
+class Rule:
+    """When a pair of submaps counts as the same place.
+
+    Attributes:
+        measure: ``box`` is the paper's Eq. (8). Boxes may overlap where the submaps hardly share
+            ground: ``surface`` is the common share of the cells of the smaller one.
+        threshold: A pair is true if the measure is above this.
+        neighbours: Pairs this close on the traverse are left out.
+        count_grey: Whether pairs that touch without being true count as false.
+    """
+
+    measure: Literal["box", "surface"]
+    threshold: float
+    neighbours: int = 1
+    count_grey: bool = False
+
+    @property
+    def name(self) -> str:
+        """In few words."""
+        what = "box IoU" if self.measure == "box" else "surface overlap"
+        return f"{what} > {self.threshold:g}"
+
+    @property
+    def statement(self) -> str:
+        """In full: no figure means anything without it."""
+        if self.measure == "box":
+            true = f"the boxes' intersection over union (Eq. 8) is above {self.threshold:g}"
+        else:
+            true = (
+                f"the submaps share more than {self.threshold:g} of the {100 * CELL:g} cm cells of "
+                "the smaller one"
+            )
+        if self.count_grey:
+            false = "every other pair is false"
+        else:
+            false = "false if the boxes do not touch; pairs between are grey and left out"
+        band = (
+            f"pairs with |i - j| <= {self.neighbours} are left out"
+            if self.neighbours
+            else "neighbours are counted too"
+        )
+        return f"A pair is true if {true}; {false}; {band}."
+
+    def measured(self, pairs: TruePairs) -> Float[Array, "p"]:
+        """The overlap that the rule looks at."""
+        return pairs.box_iou if self.measure == "box" else pairs.surface_overlap
+
+    def label(self, pairs: TruePairs) -> Labels:
+        """Say of every pair whether it is true, false or left out."""
+        far = pairs.steps > self.neighbours
+        true = self.measured(pairs) > self.threshold
+        between = ~true & (pairs.box_iou > 0)
+        if self.count_grey:
+            return Labels(true & far, far, np.zeros_like(far))
+        return Labels(true & far, far & ~between, far & between)
