@@ -6,7 +6,8 @@ import re
 import socket
 import sys
 import webbrowser
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import (
@@ -39,7 +40,10 @@ from gpgrad_core.datasets import (
     write_dataset,
 )
 from gpgrad_core.errors import InputError
+from gpgrad_core.gp.threads import num_workers
 from gpgrad_core.gradient_map import MapParams, infer_gradient_map
+from gpgrad_core.memo import Memo
+from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import (
     MAP_ENDINGS,
     check_graph,
@@ -50,20 +54,12 @@ from gpgrad_core.outputs import (
     write_map,
 )
 from gpgrad_core.parameters import preferred_parameters, read_parameters
-from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
+from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.types import Dataset
 from gpgrad_core.version import VERSION
 
 V = TypeVar("V")
-Detector: TypeAlias = Callable[[Dataset, PipelineParams, Progress], DetectionResult]
-
-DETECTORS: dict[str, Detector] = {
-    "gradient": lambda dataset, params, progress: detect_loop_closures(
-        dataset, params, progress=progress
-    ),
-}
-"""What ``--method`` may name."""
 
 FAILED, INTERRUPTED = 2, 130
 DESCRIPTION = (
@@ -118,25 +114,31 @@ class Detect:
 
     dataset: Annotated[tyro.conf.Positional[Path], Doc("Dataset folder or folder of clouds.")]
     out: Annotated[Path, Doc("File to write: closures.json.")]
-    method: Annotated[str, Doc(f"How to detect: {', '.join(DETECTORS)}.")] = "gradient"
+    method: Annotated[str, Doc(f"How to detect: {', '.join(METHODS)}.")] = "gradient"
     g2o: Annotated[Path | None, Doc("Also write the pose graph to this .g2o file.")] = None
     params: ParamsFile = None
     pipeline: AllParams = field(default_factory=PipelineParams)
 
     def run(self, given: Sequence[str]) -> None:
         """Detect and write."""
-        if self.method not in DETECTORS:
-            raise InputError(f"unknown --method {self.method!r}; known: {', '.join(DETECTORS)}")
+        method = find_method(self.method)
         check_output(self.out, (".json",))
         if self.g2o:
             check_output(self.g2o, (".g2o",))
         dataset = _load(self.dataset)
-        params = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
+        asked = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
+        params = method.adapt(asked)
         if self.g2o:
             check_graph(dataset)
-        with _progress("pairs") as progress:
-            result = DETECTORS[self.method](dataset, params, progress)
-        report = report_closures(dataset, result, params, method=self.method)
+        with _progress("pairs") as progress, ThreadPoolExecutor(num_workers()) as executor:
+            result = detect_loop_closures(
+                dataset,
+                params,
+                detector=method.detector(params, Memo()),
+                executor=executor,
+                progress=progress,
+            )
+        report = report_closures(dataset, result, params, method=method.name)
         write_closures(self.out, report)
         if self.g2o:
             write_graph(self.g2o, dataset, result.closures)

@@ -37,6 +37,10 @@ class Memo:
         self._bytes = 0
         self._lock = threading.RLock()
 
+    def __reduce__(self) -> tuple[type["Memo"], tuple[int]]:
+        """Arrive in another process as an empty memo of the same size."""
+        return Memo, (self._max_bytes,)
+
     @property
     def num_bytes(self) -> int:
         """Bytes of arrays held now."""

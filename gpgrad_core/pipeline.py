@@ -1,8 +1,11 @@
 """The order of the stages; the only file that knows it."""
 
+from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from time import perf_counter
+from typing import TypeAlias
 
+from gpgrad_core.all_pairs import compare_all
 from gpgrad_core.features import FeatureParams, detect_features, select_trusted
 from gpgrad_core.gradient_map import MapParams, fit_terrain, map_grid, sample_map
 from gpgrad_core.loop_closure import ClosureParams, classify
@@ -15,6 +18,7 @@ from gpgrad_core.types import (
     Features,
     GradientMap,
     LoopClosure,
+    LoopDetector,
     Matches,
     Registration,
     Submap,
@@ -70,8 +74,12 @@ def infer_map(
 def infer_features(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> Features:
-    """Make a submap's keypoints, keeping the untrusted ones apart for when the mask moves."""
-    gradient_map = infer_map(submap, params, memo, progress)
+    """Make a submap's keypoints."""
+    return extract_kept(infer_map(submap, params, memo, progress), params, memo)
+
+
+def extract_kept(gradient_map: GradientMap, params: PipelineParams, memo: Memo) -> Features:
+    """Draw a map's keypoints, keeping the untrusted ones apart for when the mask moves."""
     detected = memo(detect_features, gradient_map, params.features.detector)
     return memo(select_trusted, detected, params.features)
 
@@ -120,10 +128,66 @@ def register_pair(
     )
 
 
+MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], GradientMap]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """All that the comparison needs of one submap."""
+
+    gradient_map: GradientMap
+    features: Features
+
+
+@dataclass(frozen=True, eq=False)
+class MapDetector:
+    """The pipeline as a `LoopDetector`; and, with other maps or images, some of its rivals.
+
+    Attributes:
+        params: Of all stages.
+        memo: Keeps what was made of each submap; empty at first in another process.
+        make_map: Makes a submap's map; a function of a module, so that it can be pickled.
+        drawn_from: The map whose ``gradient`` is the image that keypoints are drawn from.
+    """
+
+    params: PipelineParams
+    memo: Memo
+    make_map: MapMaker = infer_map
+    drawn_from: Callable[[GradientMap], GradientMap] | None = None
+
+    def __call__(self, query: Submap, database: Submap) -> Registration:
+        """Register the query to the database."""
+        return self.compare(self.extract(self.infer(query)), self.extract(self.infer(database)))
+
+    def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
+        """Make the map."""
+        return self.make_map(submap, self.params, self.memo, progress)
+
+    def extract(self, made: GradientMap, progress: Progress = silent) -> View:
+        """Draw the keypoints."""
+        image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
+        features = extract_kept(image, self.params, self.memo)
+        progress(1.0)
+        return View(made, features)
+
+    def compare(self, query: View, database: View) -> Registration:
+        """Match and register."""
+        matches = self.memo(match_features, query.features, database.features, self.params.matching)
+        return self.memo(
+            register,
+            query.gradient_map,
+            database.gradient_map,
+            matches,
+            self.params.registration,
+        )
+
+
 def detect_loop_closures(
     dataset: Dataset,
     params: PipelineParams | None = None,
     *,
+    detector: LoopDetector | None = None,
+    executor: Executor | None = None,
     memo: Memo | None = None,
     progress: Progress = silent,
 ) -> DetectionResult:
@@ -131,39 +195,29 @@ def detect_loop_closures(
 
     Args:
         dataset: Submaps in order.
-        params: Of all stages.
-        memo: To share results with other calls; None keeps what this call needs.
-        progress: Called once a map and once a pair; may raise Cancelled.
+        params: Of all stages; of the verdict only, where a detector is given.
+        detector: Another way to register pairs; None is the pipeline.
+        executor: Threads or processes to share the work out to; None does it all here. The
+            answer is the same. For processes the detector must be picklable.
+        memo: To share results with other calls; None keeps what this call needs. Processes do
+            not fill it.
+        progress: Called from this thread now and then; may raise Cancelled.
 
     Raises:
         InputError: If a submap's map cannot be made.
     """
     params = params or PipelineParams()
-    memo = memo or Memo()
+    if detector is None:
+        detector = MapDetector(params, memo or Memo())
     submaps = dataset.submaps
-    start = perf_counter()
-    for k, submap in enumerate(submaps):
-        infer_map(submap, params, memo, part(progress, *_share(k, len(submaps), 0.0, 0.4)))
-    maps_done = perf_counter()
-    for k, submap in enumerate(submaps):
-        infer_features(submap, params, memo)
-        progress(_share(k, len(submaps), 0.4, 0.5)[1])
-    features_done = perf_counter()
-    pairs = [(query, database) for i, query in enumerate(submaps) for database in submaps[:i]]
-    closures: list[LoopClosure] = []
-    for k, (query, database) in enumerate(pairs):
-        closures.append(register_pair(query, database, params, memo).closure)
-        progress(_share(k, len(pairs), 0.5, 1.0)[1])
-    done = perf_counter()
-    seconds = {
-        "maps": maps_done - start,
-        "features": features_done - maps_done,
-        "pairs": done - features_done,
-        "total": done - start,
-    }
-    return DetectionResult(tuple(closures), seconds)
-
-
-def _share(k: int, count: int, start: float, stop: float) -> tuple[float, float]:
-    """Stretch of the whole that step k of count takes up."""
-    return start + (stop - start) * k / count, start + (stop - start) * (k + 1) / count
+    found, seconds = compare_all(submaps, detector, executor, progress)
+    closures = tuple(
+        classify(
+            registration,
+            params.closure,
+            query_id=submaps[query].id,
+            database_id=submaps[database].id,
+        )
+        for (query, database), registration in found
+    )
+    return DetectionResult(closures, seconds)

@@ -2,7 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -327,6 +327,7 @@ class LoopClosure:
     reason: str
 
 
+@runtime_checkable
 class LoopDetector(Protocol):
     """Any way of registering a pair of submaps: the pipeline, and every baseline."""
 

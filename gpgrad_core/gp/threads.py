@@ -4,13 +4,34 @@ import os
 import threading
 from collections.abc import Generator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 
 from threadpoolctl import ThreadpoolController
 
+_own_share: ContextVar[int | None] = ContextVar("_own_share", default=None)
+
 
 def num_workers() -> int:
-    """Threads to use: the cores this process may run on, or ``GPGRAD_THREADS``."""
+    """Threads to use: the cores this process may run on, or ``GPGRAD_THREADS``.
+
+    Within `at_most_workers`, at most as many as given there.
+    """
+    share = _own_share.get()
+    return _all_workers() if share is None else min(share, _all_workers())
+
+
+@contextmanager
+def at_most_workers(count: int) -> Generator[None]:
+    """Hold what this thread runs to some threads, because others run beside it."""
+    token = _own_share.set(count)
+    try:
+        yield
+    finally:
+        _own_share.reset(token)
+
+
+def _all_workers() -> int:
     asked = os.environ.get("GPGRAD_THREADS", "")
     if asked.isdigit() and int(asked) > 0:
         return int(asked)

@@ -1,0 +1,64 @@
+"""The ways of detecting loop closures, by the names that users give them."""
+
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.memo import Memo
+from gpgrad_core.pipeline import MapDetector, PipelineParams
+from gpgrad_core.types import LoopDetector
+
+
+def _as_given(params: PipelineParams) -> PipelineParams:
+    return params
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """A way of detecting loop closures.
+
+    Attributes:
+        name: What ``--method`` calls it.
+        summary: What it does, in a line.
+        detector: Makes its detector, which keeps what it makes of each submap in the memo.
+        adapt: Turns the parameters asked for into those that the method runs with.
+        package: Module that it needs beyond gpgrad's own dependencies.
+        extra: Extra of gpgrad that brings the package.
+    """
+
+    name: str
+    summary: str
+    detector: Callable[[PipelineParams, Memo], LoopDetector]
+    adapt: Callable[[PipelineParams], PipelineParams] = _as_given
+    package: str = ""
+    extra: str = ""
+
+    @property
+    def installed(self) -> bool:
+        """Whether the package it needs is there."""
+        return not self.package or importlib.util.find_spec(self.package) is not None
+
+
+METHODS: dict[str, Method] = {
+    method.name: method
+    for method in (Method("gradient", "Keypoints on Gaussian-process gradient maps.", MapDetector),)
+}
+"""Every method by its name."""
+
+
+def find_method(name: str) -> Method:
+    """Find a method by its name.
+
+    Raises:
+        InputError: If there is none of that name, or the package it needs is not installed.
+    """
+    method = METHODS.get(name)
+    if method is None:
+        raise InputError(f"unknown --method {name!r}; known: {', '.join(METHODS)}")
+    if not method.installed:
+        raise InputError(
+            f"--method {name} needs the package {method.package}: "
+            f"pip install 'gpgrad[{method.extra}]'"
+        )
+    return method
