@@ -1,7 +1,9 @@
 """Judge detections by the truth: the verb `evaluate`."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 from jaxtyping import Float
@@ -137,6 +139,16 @@ class Evaluation:
     methods: tuple[MethodVerdict, ...]
 
     @property
+    def file_names(self) -> tuple[str, ...]:
+        """Names of the methods that are fit for files, each only once."""
+        names: list[str] = []
+        for method in self.methods:
+            plain = re.sub(r"[^\w-]+", "_", method.name).strip("_") or "method"
+            name = next(one for one in _numbered(plain) if one not in names)
+            names.append(name)
+        return tuple(names)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What was left out or assumed, a line each."""
         return self.pairs.notes + tuple(note for one in self.methods for note in one.ranking.notes)
@@ -252,3 +264,8 @@ def _judge(
         by_overlap=break_down(rule.measured(pairs), OVERLAP_EDGES, touching, accepted, errors),
         by_yaw=break_down(np.abs(pairs.relative_yaw), YAW_EDGES, positive, accepted, errors),
     )
+
+
+def _numbered(name: str) -> Iterator[str]:
+    yield name
+    yield from (f"{name}_{k}" for k in count(2))

@@ -1,0 +1,105 @@
+"""The affinity matrix: what truly overlaps, beside what a method scores."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
+from matplotlib.colors import PowerNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator
+from numpy.typing import NDArray
+
+from gpgrad_core.evaluation.figures.style import new_figure, verdicts
+from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict
+from gpgrad_core.evaluation.overlap import TruePairs
+from gpgrad_core.types import Array
+
+Mask = NDArray[np.bool_]
+
+MOST_NAMES = 15
+"""More names of submaps along an axis would run into one another."""
+LEFT_OUT = "#F6DFC8"  # a tint: the scores are grey, the rings are of full colours
+
+
+def draw_affinity(evaluation: Evaluation, method: MethodVerdict) -> Figure:
+    """Draw the true overlap of all pairs beside their scores, ringed by what became of them."""
+    pairs, rule, labels = evaluation.pairs, evaluation.rules[0], evaluation.labels[0]
+    figure = new_figure(
+        13.0, 6.8, f"{evaluation.dataset}, {method.name}: what truly overlaps, and what it scores"
+    )
+    truth, scores = figure.subplots(1, 2)
+    neighbours = pairs.steps <= rule.neighbours
+    listed = np.isfinite(method.ranking.score)
+    score = np.where(listed, method.ranking.score, np.nan)
+    band = f" (tinted: |i - j| <= {rule.neighbours}, left out)" if rule.neighbours else ""
+
+    # Submaps that neighbour one another would outshine all others.
+    image = truth.imshow(
+        _matrix(pairs, pairs.box_iou, ~neighbours), cmap="viridis", vmin=0.0, origin="lower"
+    )
+    figure.colorbar(image, ax=truth, label="box IoU (Eq. 8)", shrink=0.8)
+    _ring(truth, pairs, labels.positive, "white", f"true: {rule.name}")
+    truth.set_title(f"truth: overlap of the boxes{band}", fontsize=10)
+
+    # By its root: a few sure pairs would leave all others black.
+    shown = score[listed & ~neighbours]
+    low, high = (float(shown.min()), float(shown.max())) if len(shown) else (0.0, 1.0)
+    image = scores.imshow(
+        _matrix(pairs, score, ~neighbours),
+        cmap="gray",
+        norm=PowerNorm(0.5, low, high if high > low else low + 1.0),
+        origin="lower",
+    )
+    figure.colorbar(image, ax=scores, label="score (colour goes by its root)", shrink=0.8)
+    for label, chosen, colour in verdicts(method, labels):
+        _ring(scores, pairs, chosen, colour, f"{label}: {int(np.sum(chosen))}")
+    scores.set_title(f"score of {method.name}{band}", fontsize=10)
+
+    for panel in (truth, scores):
+        panel.set_facecolor(LEFT_OUT)
+        _name_submaps(panel, pairs)
+        panel.legend(
+            loc="upper center",
+            bbox_to_anchor=(0.5, -0.12),
+            ncols=4,
+            fontsize=8,
+            facecolor="#888888",
+            labelcolor="white",
+        )
+    return figure
+
+
+def _matrix(
+    pairs: TruePairs, values: Float[Array, "p"], shown: Bool[Mask, "p"]
+) -> Float[Array, "n n"]:
+    """Both halves filled; NaN on the diagonal and for what is not to be shown."""
+    matrix = np.full((len(pairs.ids), len(pairs.ids)), np.nan)
+    values = np.where(shown, values, np.nan)
+    matrix[pairs.query, pairs.database] = values
+    matrix[pairs.database, pairs.query] = values
+    return matrix
+
+
+def _ring(panel: Axes, pairs: TruePairs, chosen: Bool[Mask, "p"], colour: str, label: str) -> None:
+    """Ring pairs in both halves."""
+    query, database = pairs.query[chosen], pairs.database[chosen]
+    panel.plot(
+        np.r_[query, database],
+        np.r_[database, query],
+        "o",
+        markersize=max(2.0, 180 / len(pairs.ids)),
+        markerfacecolor="none",
+        markeredgecolor=colour,
+        label=label,
+    )
+
+
+def _name_submaps(panel: Axes, pairs: TruePairs) -> None:
+    every = -(-len(pairs.ids) // MOST_NAMES)
+    places = list(range(0, len(pairs.ids), every))
+    names = [pairs.ids[place] for place in places]
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(FixedLocator(places))
+        axis.set_ticklabels(names)
+        axis.set_tick_params(labelsize=7)
+    panel.set_xlabel("submap")
+    panel.set_ylabel("submap")

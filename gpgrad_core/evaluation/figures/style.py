@@ -1,0 +1,57 @@
+"""What all figures have in common."""
+
+from typing import TypedDict
+
+import numpy as np
+from jaxtyping import Bool
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from gpgrad_core.evaluation.judge import MethodVerdict
+from gpgrad_core.evaluation.rules import Labels
+
+Mask = NDArray[np.bool_]
+
+# Okabe and Ito's colours: told apart by colour-blind readers too.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31")
+DASHES = ("-", "--", "-.", ":")
+TRUE, FALSE, GREY, MISSED = "#009E73", "#D7191C", "#E69F00", "#0072B2"
+
+
+class Style(TypedDict):
+    """How one method's line looks, in every figure."""
+
+    color: str
+    linestyle: str
+
+
+def style_of(number: int) -> Style:
+    """Tell methods apart by colour, and once the colours are used up by dashes."""
+    dashes = DASHES[number // len(COLOURS) % len(DASHES)]
+    return {"color": COLOURS[number % len(COLOURS)], "linestyle": dashes}
+
+
+def new_figure(width: float, height: float, title: str) -> Figure:
+    """Make an empty figure that draws itself without a screen.
+
+    Args:
+        width: In inches, of 110 pixels.
+        height: In inches.
+        title: Above all panels.
+    """
+    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=13)
+    return figure
+
+
+def verdicts(method: MethodVerdict, labels: Labels) -> tuple[tuple[str, Bool[Mask, "p"], str], ...]:
+    """What a method makes of the pairs: name, which pairs, colour; the gravest last, on top."""
+    accepted = method.ranking.accepted
+    return (
+        ("true, missed", labels.positive & ~accepted, MISSED),
+        ("accepted, grey", accepted & labels.grey, GREY),
+        ("accepted, true", accepted & labels.positive, TRUE),
+        ("accepted, FALSE", accepted & labels.negative, FALSE),
+    )

@@ -1,0 +1,246 @@
+"""What an evaluation leaves in its folder: ``report.json``, ``report.md`` and figures."""
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+import numpy as np
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict, RuleVerdict
+from gpgrad_core.evaluation.overlap import TruePairs
+from gpgrad_core.evaluation.precision_recall import PrecisionRecall
+from gpgrad_core.evaluation.rules import Labels, Rule
+from gpgrad_core.evaluation.text import describe
+from gpgrad_core.outputs import ClosureReport, replacing, write_closures
+from gpgrad_core.progress import Progress, silent
+from gpgrad_core.version import VERSION
+
+
+class Picture(Protocol):
+    """What can be saved as a picture: a figure of matplotlib, say."""
+
+    def savefig(self, fname: Path) -> None:
+        """Write it; the ending says how."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A part of the report that something else than the ranking of pairs fills.
+
+    Attributes:
+        key: Where ``report.json`` holds it.
+        content: What it holds there; numbers, texts, lists and tables by name.
+        text: Its Markdown, from its heading on.
+        figures: Pictures by the name of their file, without the ending.
+    """
+
+    key: str
+    content: Mapping[str, Any]
+    text: str
+    figures: Mapping[str, Picture] = field(default_factory=dict[str, Picture])
+
+
+def check_directory(directory: Path | str) -> Path:
+    """Check that a report can be written there, before the long work that fills it.
+
+    Raises:
+        InputError: If it is a file, or cannot be made or written to.
+    """
+    directory = Path(directory)
+    if directory.exists() and not directory.is_dir():
+        raise InputError(f"{directory}: is a file; give the name of a folder for the report")
+    parent = directory if directory.is_dir() else directory.absolute().parent
+    if not parent.is_dir():
+        raise InputError(
+            f"{directory}: cannot write: there is no folder {directory.parent}; make it first"
+        )
+    if not os.access(parent, os.W_OK):
+        raise InputError(f"{directory}: cannot write: no permission to write to {parent}")
+    return directory
+
+
+def write_report(
+    directory: Path | str,
+    evaluation: Evaluation,
+    *,
+    closures: Mapping[str, ClosureReport] | None = None,
+    sections: Sequence[Section] = (),
+    progress: Progress = silent,
+) -> tuple[Path, ...]:
+    """Write a report into a folder; it is made if it is not there.
+
+    Each file is written whole or not at all, the report itself last: it never tells of a figure
+    that is missing. Other files in the folder are left alone.
+
+    Args:
+        directory: The folder.
+        evaluation: What to tell.
+        closures: What each method found, to be kept beside the report as
+            ``closures_METHOD.json``; by the names that the evaluation has for them.
+        sections: What to tell besides.
+        progress: Called once a figure; may raise Cancelled.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InputError: If the folder cannot be made or written to.
+    """
+    # Matplotlib takes half a second to load: only what draws should wait for it.
+    from gpgrad_core.evaluation.figures import draw_figures  # noqa: PLC0415
+
+    directory = check_directory(directory)
+    directory.mkdir(exist_ok=True)
+    written: list[Path] = []
+    closures = closures or {}
+    for method, name in zip(evaluation.methods, evaluation.file_names, strict=True):
+        if method.name in closures:
+            written.append(directory / f"closures_{name}.json")
+            write_closures(written[-1], closures[method.name])
+    figures: dict[str, Picture] = dict(draw_figures(evaluation))
+    for section in sections:
+        figures.update(section.figures)
+    for k, (name, figure) in enumerate(figures.items()):
+        written.append(directory / f"{name}.png")
+        with replacing(written[-1]) as unfinished:
+            figure.savefig(unfinished)
+        progress((k + 1) / len(figures))
+    text = "\n".join([describe(evaluation, list(figures)), *(part.text for part in sections)])
+    with replacing(directory / "report.md") as unfinished:
+        unfinished.write_text(text.rstrip() + "\n", encoding="utf-8")
+    content = report_evaluation(evaluation)
+    content |= {section.key: _plain(section.content) for section in sections}
+    content["figures"] = [f"{name}.png" for name in figures]
+    with replacing(directory / "report.json") as unfinished:
+        unfinished.write_text(
+            json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+            encoding="utf-8",
+        )
+    return (*written, directory / "report.md", directory / "report.json")
+
+
+def report_evaluation(evaluation: Evaluation) -> dict[str, Any]:
+    """Gather what ``report.json`` tells: lengths in metres, angles in radians, null for unknown."""
+    return cast(
+        "dict[str, Any]",
+        _plain(
+            {
+                "dataset": evaluation.dataset,
+                "gpgrad": VERSION,
+                "seed": evaluation.seed,
+                "params": asdict(evaluation.params),
+                "notes": evaluation.notes,
+                "rules": [
+                    _rule(rule, labels)
+                    for rule, labels in zip(evaluation.rules, evaluation.labels, strict=True)
+                ],
+                "methods": [_method(evaluation, method) for method in evaluation.methods],
+                "pairs": _pairs(evaluation.pairs, evaluation),
+            }
+        ),
+    )
+
+
+def _rule(rule: Rule, labels: Labels) -> dict[str, Any]:
+    return {
+        "name": rule.name,
+        "measure": rule.measure,
+        "threshold": rule.threshold,
+        "statement": rule.statement,
+        "true": int(np.sum(labels.positive)),
+        "false": int(np.sum(labels.negative)),
+        "grey": int(np.sum(labels.grey)),
+    }
+
+
+def _method(evaluation: Evaluation, method: MethodVerdict) -> dict[str, Any]:
+    return {
+        "name": method.name,
+        "seconds": method.ranking.seconds,
+        "accepted": int(np.sum(method.ranking.accepted)),
+        "rules": {
+            rule.measure: _verdict(verdict)
+            for rule, verdict in zip(evaluation.rules, method.rules, strict=True)
+        },
+    }
+
+
+def _verdict(verdict: RuleVerdict) -> dict[str, Any]:
+    content: dict[str, Any] = {
+        "accepted_true": verdict.accepted_true,
+        "accepted_false": verdict.accepted_false,
+        "accepted_grey": verdict.accepted_grey,
+        "accepted_grey_near": verdict.accepted_grey_near,
+        "missed": verdict.missed,
+        "near": verdict.near,
+        "pose_error": asdict(verdict.pose_error),
+        "by_overlap": [asdict(one) for one in verdict.by_overlap],
+        "by_yaw": [asdict(one) for one in verdict.by_yaw],
+        "ranked": None,
+    }
+    ranked = verdict.ranked
+    if ranked is not None:
+        content["ranked"] = {
+            "average_precision": asdict(ranked.average_precision),
+            "recall_at_full_precision": asdict(ranked.recall_at_full_precision),
+            "f1": asdict(ranked.f1) | {"threshold": ranked.f1_threshold},
+            "lead": ranked.lead and asdict(ranked.lead),
+            "average_precision_by_inliers": ranked.average_precision_by_inliers,
+            "recall_at_full_precision_by_inliers": ranked.recall_at_full_precision_by_inliers,
+            "by_score": _curve(ranked.by_score),
+            "by_inliers": _curve(ranked.by_inliers),
+        }
+    return content
+
+
+def _curve(curve: PrecisionRecall) -> dict[str, Any]:
+    return {
+        "thresholds": curve.thresholds,
+        "precision": curve.precision,
+        "recall": curve.recall,
+    }
+
+
+def _pairs(pairs: TruePairs, evaluation: Evaluation) -> list[dict[str, Any]]:
+    return [
+        {
+            "query": pairs.ids[pairs.query[k]],
+            "database": pairs.ids[pairs.database[k]],
+            "box_iou": pairs.box_iou[k],
+            "surface_overlap": pairs.surface_overlap[k],
+            "height_difference": pairs.height_difference[k],
+            "T_database_query": asdict(pairs.T_database_query[k]),
+            "methods": {
+                method.name: {
+                    "score": method.ranking.score[k],
+                    "num_inliers": method.ranking.num_inliers[k],
+                    "accepted": method.ranking.accepted[k],
+                    "offset_error": method.errors.offset[k],
+                    "turn_error": method.errors.turn[k],
+                }
+                for method in evaluation.methods
+            },
+        }
+        for k in range(len(pairs))
+    ]
+
+
+def _plain(value: object) -> object:
+    """Turn into what JSON knows: nine digits, and null for what is not a finite number."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in cast("Mapping[Any, object]", value).items()}
+    if isinstance(value, np.ndarray):
+        return _plain(cast("object", value.tolist()))
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in cast("Sequence[object]", value)]
+    if isinstance(value, np.generic):
+        return _plain(cast("object", value.item()))
+    if isinstance(value, float):
+        return float(f"{value:.9g}") if math.isfinite(value) else None
+    return value
