@@ -40,6 +40,17 @@ from gpgrad_core.datasets import (
     write_dataset,
 )
 from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation import (
+    Evaluation,
+    EvaluationParams,
+    check_directory,
+    evaluate,
+    measure_pairs,
+    rank_pairs,
+    read_rivals,
+    run_methods,
+    write_report,
+)
 from gpgrad_core.gp.threads import num_workers
 from gpgrad_core.gradient_map import MapParams, infer_gradient_map
 from gpgrad_core.memo import Memo
@@ -150,6 +161,61 @@ class Detect:
 
 
 @dataclass(frozen=True)
+class Evaluate:
+    """Judge methods by the true poses: precision and recall, pose errors, figures."""
+
+    dataset: Annotated[tyro.conf.Positional[Path], Doc("Dataset folder with poses_gt.txt.")]
+    out: Annotated[Path, Doc("Folder for report.md, report.json and figures; made if need be.")]
+    method: Annotated[
+        tuple[str, ...],
+        Doc(
+            f"Methods to run, of: {', '.join(METHODS)}. Without any, and without --closures: "
+            "gradient."
+        ),
+    ] = ()
+    closures: Annotated[
+        tuple[Path, ...], Doc("Files of closures to judge besides, as `gpgrad detect` writes them.")
+    ] = ()
+    seed: Annotated[
+        int | None, Doc("Seed of every random choice; None takes that of the parameters, 0.")
+    ] = None
+    evaluation: Annotated[EvaluationParams, tyro.conf.arg(name="")] = field(
+        default_factory=EvaluationParams
+    )
+    params: ParamsFile = None
+    pipeline: AllParams = field(default_factory=PipelineParams)
+
+    def run(self, given: Sequence[str]) -> None:
+        """Detect with each method, judge and write."""
+        names = self.method if self.method or self.closures else ("gradient",)
+        methods = [find_method(name) for name in names]
+        check_directory(self.out)
+        rivals = read_rivals(self.closures, taken=names)
+        dataset = _load(self.dataset)
+        params = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
+        if self.seed is not None:
+            params = replace(params, registration=replace(params.registration, seed=self.seed))
+        pairs = measure_pairs(dataset)
+        for name, report in rivals.items():
+            rank_pairs(report, dataset, pairs, name)  # a wrong file should not cost an hour
+        with _progress("evaluate") as progress, ThreadPoolExecutor(num_workers()) as executor:
+            found = run_methods(dataset, methods, params, executor=executor, progress=progress)
+        evaluation = evaluate(
+            dataset,
+            found | rivals,
+            self.evaluation,
+            pairs=pairs,
+            seed=params.registration.seed,
+        )
+        with _progress("figures") as progress:
+            write_report(self.out, evaluation, closures=found, progress=progress)
+        for note in evaluation.notes:
+            _warn(note)
+        for line in (*_told(evaluation), str(self.out / "report.md")):
+            _say(line)
+
+
+@dataclass(frozen=True)
 class Map:
     """Infer one cloud's elevation, its variance, and both slopes."""
 
@@ -199,10 +265,11 @@ class Simulate:
         _say(f"{len(dataset.submaps)} submaps: {self.directory}")
 
 
-Verb: TypeAlias = View | Detect | Map | Simulate
+Verb: TypeAlias = View | Detect | Evaluate | Map | Simulate
 VERBS: dict[str, type[Verb]] = {
     "view": View,
     "detect": Detect,
+    "evaluate": Evaluate,
     "map": Map,
     "simulate": Simulate,
 }
@@ -296,6 +363,24 @@ def _load(path: Path) -> Dataset:
     for note in dataset.notes:
         _warn(note)
     return dataset
+
+
+def _told(evaluation: Evaluation) -> list[str]:
+    """What an evaluation found, a line a method."""
+    rule, lines = evaluation.rules[0], list[str]()
+    for method in evaluation.methods:
+        verdict = method.rules[0]
+        line = f"{method.name}: "
+        if verdict.ranked:
+            line += (
+                f"AP {verdict.ranked.average_precision.value:.3f}, "
+                f"R100 {verdict.ranked.recall_at_full_precision.value:.3f}, "
+            )
+        lines.append(
+            f"{line}accepts {verdict.accepted_true} true and {verdict.accepted_false} false pairs, "
+            f"misses {verdict.missed} ({rule.name})"
+        )
+    return lines
 
 
 def _say(line: str) -> None:

@@ -13,6 +13,13 @@ from gpgrad_core.datasets import (
     write_dataset,
 )
 from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation import (
+    Evaluation,
+    EvaluationParams,
+    PrecisionRecall,
+    evaluate,
+    write_report,
+)
 from gpgrad_core.features import DetectorParams, FeatureParams, extract_features
 from gpgrad_core.gradient_map import MapParams, infer_gradient_map
 from gpgrad_core.loop_closure import ClosureParams, classify
@@ -55,6 +62,8 @@ __all__ = [
     "Dataset",
     "DetectionResult",
     "DetectorParams",
+    "Evaluation",
+    "EvaluationParams",
     "FeatureParams",
     "Features",
     "GradientMap",
@@ -69,6 +78,7 @@ __all__ = [
     "PairResult",
     "PipelineParams",
     "Pose",
+    "PrecisionRecall",
     "Registration",
     "RegistrationParams",
     "SimulationParams",
@@ -77,6 +87,7 @@ __all__ = [
     "classify",
     "demo_path",
     "detect_loop_closures",
+    "evaluate",
     "extract_features",
     "infer_gradient_map",
     "load_cloud",
@@ -93,4 +104,5 @@ __all__ = [
     "write_dataset",
     "write_graph",
     "write_map",
+    "write_report",
 ]

@@ -1,6 +1,7 @@
 """How well a detector does: precision and recall against the truth, and where it misplaces."""
 
 from gpgrad_core.evaluation.bootstrap import Interval
+from gpgrad_core.evaluation.experiment import read_rivals, run_methods
 from gpgrad_core.evaluation.judge import (
     Evaluation,
     MethodVerdict,
@@ -19,6 +20,13 @@ from gpgrad_core.evaluation.precision_recall import (
     precision_recall,
     recall_at_full_precision,
 )
+from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
+from gpgrad_core.evaluation.report import (
+    Section,
+    check_directory,
+    report_evaluation,
+    write_report,
+)
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
 
 __all__ = [
@@ -30,16 +38,24 @@ __all__ = [
     "PoseErrors",
     "PrecisionRecall",
     "Ranked",
+    "Ranking",
     "Rule",
     "RuleVerdict",
+    "Section",
     "Summary",
     "TruePairs",
     "average_precision",
     "best_f1",
+    "check_directory",
     "evaluate",
     "measure_pairs",
     "pose_errors",
     "precision_by_inliers",
     "precision_recall",
+    "rank_pairs",
+    "read_rivals",
     "recall_at_full_precision",
+    "report_evaluation",
+    "run_methods",
+    "write_report",
 ]

@@ -1,11 +1,13 @@
-"""Run methods on a dataset, one after the other, each from nothing."""
+"""Gather what is to be judged: methods run here, and files that others wrote."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import Executor
+from pathlib import Path
 
+from gpgrad_core.errors import InputError
 from gpgrad_core.memo import Memo
 from gpgrad_core.methods import Method
-from gpgrad_core.outputs import ClosureReport, report_closures
+from gpgrad_core.outputs import ClosureReport, read_closures, report_closures
 from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
 from gpgrad_core.progress import Progress, part, silent
 from gpgrad_core.types import Dataset
@@ -32,8 +34,15 @@ def run_methods(
 
     Returns:
         What each found, by its name, as its ``closures.json`` would tell it.
+
+    Raises:
+        InputError: If a method is given twice, or a submap cannot be used by one.
     """
     params = params or PipelineParams()
+    names = [method.name for method in methods]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"method {name!r} is given twice; give it once")
     reports: dict[str, ClosureReport] = {}
     for k, method in enumerate(methods):
         adapted = method.adapt(params)
@@ -46,3 +55,30 @@ def run_methods(
         )
         reports[method.name] = report_closures(dataset, result, adapted, method=method.name)
     return reports
+
+
+def read_rivals(paths: Sequence[Path], taken: Collection[str] = ()) -> dict[str, ClosureReport]:
+    """Read files of closures, each under a name of its own.
+
+    Args:
+        paths: Each as ``closures.json``, of any tool.
+        taken: Names that others have already.
+
+    Returns:
+        What the files hold, by the name of the method; where several would have the same, by
+        that and the path.
+
+    Raises:
+        InputError: If a file is given twice, or is not one of closures.
+        OSError: If a file cannot be read.
+    """
+    reports = [read_closures(path) for path in paths]
+    methods = [*taken, *(report.method for report in reports)]
+    rivals: dict[str, ClosureReport] = {}
+    for path, report in zip(paths, reports, strict=True):
+        alone = methods.count(report.method) == 1
+        name = report.method if alone else f"{report.method} ({path})"
+        if name in rivals:
+            raise InputError(f"{path}: is given twice; give it once")
+        rivals[name] = report
+    return rivals

@@ -159,6 +159,7 @@ def evaluate(
     detections: Mapping[str, DetectionResult | ClosureReport],
     params: EvaluationParams | None = None,
     *,
+    pairs: TruePairs | None = None,
     seed: int = 0,
     progress: Progress = silent,
 ) -> Evaluation:
@@ -169,6 +170,7 @@ def evaluate(
         detections: What each method found, by its name: results of `detect_loop_closures`, or
             what `read_closures` read from any tool's file.
         params: What to judge by.
+        pairs: What `measure_pairs` says of the dataset, if it is known already.
         seed: Of the resamples that the intervals are made from.
         progress: Called as the overlaps are measured; may raise Cancelled.
 
@@ -179,7 +181,7 @@ def evaluate(
     params = params or EvaluationParams()
     if not detections:
         raise InputError("nothing to evaluate: give at least one method or file of closures")
-    pairs = measure_pairs(dataset, progress)
+    pairs = pairs or measure_pairs(dataset, progress)
     rankings = {
         name: rank_pairs(detection, dataset, pairs, name) for name, detection in detections.items()
     }

@@ -127,6 +127,7 @@ def _left_out(rule: Rule, *, grey: bool = True) -> str:
 
 
 def _ranking(ranked: Sequence[tuple[str, Ranked]]) -> list[str]:
+    several = len(ranked) > 1
     rows = [
         (
             name,
@@ -134,14 +135,14 @@ def _ranking(ranked: Sequence[tuple[str, Ranked]]) -> list[str]:
             _summary(one.recall_at_full_precision),
             _summary(one.f1),
             f"{one.f1_threshold:.3g}",
-            "first" if one.lead is None else _summary(one.lead, sign=True),
             f"{one.average_precision_by_inliers:.3f}",
             f"{one.recall_at_full_precision_by_inliers:.3f}",
+            *(("first" if one.lead is None else _summary(one.lead, sign=True),) if several else ()),
         )
         for name, one in ranked
     ]
-    header = ("method", "AP", "R100", "F1", "at score", "lead", "AP by inliers", "R100 by inliers")
-    return _table(header, rows)
+    header = ("method", "AP", "R100", "F1", "at score", "AP by inliers", "R100 by inliers")
+    return _table((*header, "lead") if several else header, rows)
 
 
 def _by_inliers(ranked: Sequence[tuple[str, Ranked]]) -> list[str]:

@@ -24,7 +24,10 @@ def draw_affinity(evaluation: Evaluation, method: MethodVerdict) -> Figure:
     """Draw the true overlap of all pairs beside their scores, ringed by what became of them."""
     pairs, rule, labels = evaluation.pairs, evaluation.rules[0], evaluation.labels[0]
     figure = new_figure(
-        13.0, 6.8, f"{evaluation.dataset}, {method.name}: what truly overlaps, and what it scores"
+        13.0,
+        6.2,
+        f"{evaluation.dataset}, {method.name}: what truly overlaps, and what it scores",
+        squares=True,
     )
     truth, scores = figure.subplots(1, 2)
     neighbours = pairs.steps <= rule.neighbours

@@ -89,12 +89,16 @@ def draw_against_inliers(evaluation: Evaluation) -> Figure:
         _describe(above, rule, labels)
         above.set_ylabel("precision (no mark: nothing passes)")
         below.set_ylabel("recall")
-        below.axhline(np.nan, color=CHANCE, linewidth=1, label="chance (precision)")
-        _add_legend(below, stars=False)
         below.set_ylim(-0.02, 1.04)
         below.grid(alpha=0.3)
         below.set_xlabel("fewest inliers n that a loop closure needs")
         below.xaxis.set_major_locator(FixedLocator([1, 5, 10, 15, 20]))
+    # Of the panel that has the most lines: by one rule there may be nothing to rank.
+    handles, names = max(
+        (one.get_legend_handles_labels() for one in upper), key=lambda x: len(x[0])
+    )
+    names = ["chance" if name.startswith("chance:") else name for name in names]
+    figure.legend(handles, names, fontsize=8, loc="outside lower center", ncols=4)
     return figure
 
 

@@ -32,15 +32,17 @@ def style_of(number: int) -> Style:
     return {"color": COLOURS[number % len(COLOURS)], "linestyle": dashes}
 
 
-def new_figure(width: float, height: float, title: str) -> Figure:
+def new_figure(width: float, height: float, title: str, *, squares: bool = False) -> Figure:
     """Make an empty figure that draws itself without a screen.
 
     Args:
         width: In inches, of 110 pixels.
         height: In inches.
         title: Above all panels.
+        squares: Whether the panels keep their shape; they are then moved close together.
     """
-    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
+    layout = "compressed" if squares else "constrained"
+    figure = Figure(figsize=(width, height), dpi=110, layout=layout)
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=13)
     return figure
