@@ -4,6 +4,12 @@ import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from gpgrad_core.baselines.chance import chance_detector
+from gpgrad_core.baselines.elevation import elevation_detector
+from gpgrad_core.baselines.fpfh import fgr_detector, fpfh_detector
+from gpgrad_core.baselines.outcome import judged_by_inliers
+from gpgrad_core.baselines.shot import shot_detector
+from gpgrad_core.baselines.smoothed import smoothed_detector
 from gpgrad_core.errors import InputError
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import MapDetector, PipelineParams
@@ -42,7 +48,15 @@ class Method:
 
 METHODS: dict[str, Method] = {
     method.name: method
-    for method in (Method("gradient", "Keypoints on Gaussian-process gradient maps.", MapDetector),)
+    for method in (
+        Method("gradient", "Keypoints on Gaussian-process gradient maps.", MapDetector),
+        Method("elevation", "The same, keypoints on the elevation image.", elevation_detector),
+        Method("smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector),
+        Method("fpfh", "FPFH and RANSAC.", fpfh_detector, judged_by_inliers),
+        Method("fgr", "FPFH and fast global registration.", fgr_detector, judged_by_inliers),
+        Method("shot", "SHOT on curved keypoints, RANSAC.", shot_detector, judged_by_inliers),
+        Method("chance", "A score at random.", chance_detector, judged_by_inliers),
+    )
 }
 """Every method by its name."""
 

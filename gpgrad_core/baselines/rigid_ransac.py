@@ -1,0 +1,110 @@
+"""RANSAC for motions in space over associations of 3D keypoints, as the paper's Sec. VII-C."""
+
+from math import log
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+CONFIDENCE = 0.99
+"""Probability of having drawn a sample without outliers at which RANSAC stops; the paper's."""
+MAX_TRIALS = 50_000
+BATCH = 5_000
+SIMILAR_EDGES = 0.9
+"""Triangles match if each side has at least this share of the other's; as Open3D's examples."""
+REFITS = 3
+
+
+def ransac_se3(
+    query: Float[Array, "m 3"],
+    database: Float[Array, "m 3"],
+    radius: float,
+    seed: int,
+) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "m"]] | None:
+    """Find the rigid motion that most associations agree with.
+
+    Args:
+        query: Keypoints [m], query frame.
+        database: The associated keypoints [m], database frame.
+        radius: An association is an inlier if its keypoints meet within this distance [m].
+        seed: Of the random triples.
+
+    Returns:
+        The motion, which maps the query's frame into the database's, refitted to its inliers,
+        and which associations these are; None where no three support one.
+    """
+    num = len(query)
+    if num < 3:
+        return None
+    rng = np.random.default_rng(seed)
+    best, most = None, 2
+    needed, tried = float(MAX_TRIALS), 0
+    while tried < needed:
+        tried += BATCH
+        triples = _similar_triples(rng.integers(num, size=(BATCH, 3)), query, database)
+        if len(triples) == 0:
+            continue
+        motions = fit_rigid(query[triples], database[triples])
+        counts = np.count_nonzero(_errors(motions, query, database) <= radius**2, axis=1)
+        k = int(np.argmax(counts))
+        if counts[k] > most:
+            best, most = motions[k], int(counts[k])
+            good_sample = (most / num) ** 3
+            needed = min(MAX_TRIALS, log(1 - CONFIDENCE) / log(max(1 - good_sample, 1e-12)))
+    return None if best is None else _refitted(best, query, database, radius)
+
+
+def _similar_triples(
+    triples: NDArray[np.int64], query: Float[Array, "m 3"], database: Float[Array, "m 3"]
+) -> NDArray[np.int64]:
+    """Keep the triples that span about the same triangle in both clouds."""
+    similar = np.ones(len(triples), bool)
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        first, second = triples[:, a], triples[:, b]
+        in_query = np.linalg.norm(query[first] - query[second], axis=1)
+        in_database = np.linalg.norm(database[first] - database[second], axis=1)
+        shorter, longer = np.minimum(in_query, in_database), np.maximum(in_query, in_database)
+        similar &= (shorter >= SIMILAR_EDGES * longer) & (shorter > 0)
+    return triples[similar]
+
+
+def fit_rigid(
+    query: Float[Array, "t k 3"], database: Float[Array, "t k 3"]
+) -> Float[Array, "t 4 4"]:
+    """Fit t rigid motions to k associations each, least squares, by the SVD of Arun 1987."""
+    middle_query, middle_database = query.mean(axis=1), database.mean(axis=1)
+    covariance = np.einsum(
+        "tki,tkj->tij", query - middle_query[:, None], database - middle_database[:, None]
+    )
+    u, _, vt = np.linalg.svd(covariance)
+    v, ut = vt.transpose(0, 2, 1).copy(), u.transpose(0, 2, 1)
+    v[:, :, 2] *= np.sign(np.linalg.det(v @ ut))[:, None]  # a turn, not a mirror
+    motions = np.broadcast_to(np.eye(4), (len(query), 4, 4)).copy()
+    motions[:, :3, :3] = v @ ut
+    motions[:, :3, 3] = middle_database - np.einsum("tij,tj->ti", v @ ut, middle_query)
+    return motions
+
+
+def _errors(
+    motions: Float[Array, "t 4 4"], query: Float[Array, "m 3"], database: Float[Array, "m 3"]
+) -> Float[Array, "t m"]:
+    """Squared distances [m²] between associated keypoints under each motion."""
+    moved = np.einsum("tij,mj->tmi", motions[:, :3, :3], query) + motions[:, None, :3, 3]
+    return np.sum((moved - database) ** 2, axis=2)
+
+
+def _refitted(
+    motion: Float[Array, "4 4"],
+    query: Float[Array, "m 3"],
+    database: Float[Array, "m 3"],
+    radius: float,
+) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "m"]] | None:
+    inliers = np.zeros(len(query), bool)
+    for _ in range(REFITS):
+        inliers = _errors(motion[None], query, database)[0] <= radius**2
+        if np.sum(inliers) < 3:
+            return None
+        motion = fit_rigid(query[inliers][None], database[inliers][None])[0]
+    return motion, inliers
