@@ -19,8 +19,8 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, Registration, Submap
 from tests.core.ground import submap
 
-PARAMS = PipelineParams(map=MapParams(resolution=0.1))
-DATASET = Dataset("five", tuple(submap(k // 2, 600, (5.0, 5.0)) for k in range(5)))
+PARAMS = PipelineParams(map=MapParams(resolution=0.05))
+DATASET = Dataset("five", tuple(submap(k // 2, 900, (6.0, 6.0)) for k in range(5)))
 
 
 class Noting:
