@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from gpgrad_core.progress import Progress, silent
 from gpgrad_core.version import VERSION
 
 
+@runtime_checkable
 class Picture(Protocol):
     """What can be saved as a picture: a figure of matplotlib, say."""
 

@@ -1,0 +1,117 @@
+"""Curves by hand, against scikit-learn, and how ties are treated."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.metrics import average_precision_score, f1_score, precision_recall_curve
+
+from gpgrad_core.evaluation import (
+    average_precision,
+    best_f1,
+    precision_by_inliers,
+    precision_recall,
+    recall_at_full_precision,
+)
+from gpgrad_core.evaluation.bootstrap import resample
+
+# Few different scores, so that ties are common.
+rankings = st.lists(st.tuples(st.integers(-3, 6), st.booleans()), min_size=1, max_size=40).filter(
+    lambda rows: any(label for _, label in rows)
+)
+
+
+def split(rows: list[tuple[int, bool]]) -> tuple[np.ndarray, np.ndarray]:
+    scores, labels = zip(*rows, strict=True)
+    return np.array(scores, dtype=float), np.array(labels)
+
+
+def test_a_curve_by_hand() -> None:
+    # Right, wrong, right, wrong.
+    curve = precision_recall(np.array([5.0, 4.0, 3.0, 1.0]), np.array([True, False, True, False]))
+    assert curve.thresholds.tolist() == [5, 4, 3, 1]
+    assert curve.precision.tolist() == [1, 1 / 2, 2 / 3, 1 / 2]
+    assert curve.recall.tolist() == [1 / 2, 1 / 2, 1, 1]
+    assert average_precision(curve) == pytest.approx(0.5 * 1 + 0.5 * 2 / 3)
+    assert recall_at_full_precision(curve) == 0.5
+    assert best_f1(curve) == (pytest.approx(0.8), 3.0)
+
+
+def test_pairs_of_one_score_pass_together() -> None:
+    positive = np.array([True, False, True, False])
+    curve = precision_recall(np.array([5.0, 5.0, 3.0, 1.0]), positive)
+    assert curve.thresholds.tolist() == [5, 3, 1]
+    assert curve.precision.tolist() == [1 / 2, 2 / 3, 1 / 2]
+    assert recall_at_full_precision(curve) == 0.0
+    all_tied = precision_recall(np.zeros(4), positive)
+    assert average_precision(all_tied) == 0.5  # no better than chance, whatever their order
+
+
+def test_pairs_never_considered_rank_last() -> None:
+    curve = precision_recall(np.array([2.0, -np.inf, -np.inf]), np.array([True, True, False]))
+    assert curve.thresholds.tolist() == [2, -np.inf]
+    assert average_precision(curve) == pytest.approx(0.5 + 0.5 * 2 / 3)
+
+
+def test_where_nothing_passes_precision_is_unknown() -> None:
+    curve = precision_by_inliers(np.array([3, 2, 0]), np.array([True, False, True]), most=4)
+    assert curve.thresholds.tolist() == [1, 2, 3, 4]
+    assert curve.precision.tolist()[:3] == [0.5, 0.5, 1.0]
+    assert np.isnan(curve.precision[3])
+    assert curve.recall.tolist() == [0.5, 0.5, 0.5, 0.0]
+    assert recall_at_full_precision(curve) == 0.5
+
+
+def test_nothing_to_recall_is_an_error() -> None:
+    with pytest.raises(ValueError, match="at least one positive"):
+        precision_recall(np.zeros(3), np.zeros(3, dtype=bool))
+
+
+@given(rankings)
+def test_agrees_with_scikit_learn(rows: list[tuple[int, bool]]) -> None:
+    score, positive = split(rows)
+    curve = precision_recall(score, positive)
+    precision, recall, thresholds = precision_recall_curve(positive, score)
+    assert curve.thresholds.tolist() == thresholds[::-1].tolist()
+    np.testing.assert_allclose(curve.precision, precision[-2::-1])
+    np.testing.assert_allclose(curve.recall, recall[-2::-1])
+    assert average_precision(curve) == pytest.approx(average_precision_score(positive, score))
+    f1, threshold = best_f1(curve)
+    assert f1 == pytest.approx(f1_score(positive, score >= threshold))
+
+
+@given(rankings, st.randoms(use_true_random=False))
+def test_order_and_scale_do_not_matter(rows: list[tuple[int, bool]], random: object) -> None:
+    shuffled = list(rows)
+    random.shuffle(shuffled)  # pyright: ignore[reportAttributeAccessIssue]
+    first, second = precision_recall(*split(rows)), precision_recall(*split(shuffled))
+    assert first.precision.tolist() == second.precision.tolist()
+    score, positive = split(rows)
+    stretched = precision_recall(np.exp(score / 2), positive)
+    assert first.recall.tolist() == stretched.recall.tolist()
+
+
+@given(rankings)
+def test_a_resample_that_draws_each_pair_once_changes_nothing(rows: list[tuple[int, bool]]) -> None:
+    score, positive = split(rows)
+    curve = precision_recall(score, positive)
+    same = resample(score, positive, np.ones((2, len(score))))
+    assert same.average_precision == pytest.approx([average_precision(curve)] * 2)
+    assert same.recall_at_full_precision == pytest.approx([recall_at_full_precision(curve)] * 2)
+    assert same.f1 == pytest.approx([best_f1(curve)[0]] * 2)
+
+
+@given(rankings, st.integers(0, 2**31))
+def test_a_pair_drawn_twice_counts_as_two(rows: list[tuple[int, bool]], seed: int) -> None:
+    score, positive = split(rows)
+    weights = np.random.default_rng(seed).integers(0, 4, (1, len(score)))
+    drawn = np.repeat(np.arange(len(score)), weights[0])
+    sampled = resample(score, positive, weights.astype(float))
+    if positive[drawn].any():
+        curve = precision_recall(score[drawn], positive[drawn])
+        assert sampled.average_precision[0] == pytest.approx(average_precision(curve))
+        assert sampled.recall_at_full_precision[0] == pytest.approx(recall_at_full_precision(curve))
+        assert sampled.f1[0] == pytest.approx(best_f1(curve)[0])
+    else:
+        assert np.isnan(sampled.average_precision[0])
+        assert np.isnan(sampled.recall_at_full_precision[0])

@@ -1,0 +1,184 @@
+"""What lies in the folder of a report."""
+
+import json
+import re
+from pathlib import Path
+
+import cv2
+import pytest
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation import (
+    Evaluation,
+    EvaluationParams,
+    Section,
+    check_directory,
+    evaluate,
+    figures,
+    write_report,
+)
+from gpgrad_core.outputs import read_closures
+from gpgrad_core.pipeline import DetectionResult
+from gpgrad_core.progress import Cancelled
+from gpgrad_core.types import Dataset
+from tests.core.evaluation.conftest import RIGHT, record, report
+
+OTHER = report(record("003", "000", 2.0, RIGHT, accepted=True))
+
+
+@pytest.fixture(scope="module")
+def evaluation(dataset: Dataset, result: DetectionResult) -> Evaluation:
+    return evaluate(dataset, {"mine": result, "other": OTHER}, EvaluationParams(num_resamples=20))
+
+
+@pytest.fixture(scope="module")
+def folder(evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A whole report, drawn once: it takes some seconds."""
+    path = tmp_path_factory.mktemp("out") / "report"
+    write_report(path, evaluation, closures={"other": OTHER})
+    return path
+
+
+class Blank:
+    """A picture that is drawn at once."""
+
+    def savefig(self, fname: Path) -> None:
+        fname.write_bytes(b"blank")
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    blanks = {name: Blank() for name in ("first", "second", "third")}
+    monkeypatch.setattr(figures, "draw_figures", lambda evaluation: dict(blanks))  # noqa: ARG005
+
+
+def test_the_folder_holds_what_was_promised(folder: Path) -> None:
+    names = {path.name for path in folder.iterdir()}
+    curves = {"precision_recall.png", "precision_recall_by_inliers.png", "precision_by_inliers.png"}
+    each = {f"{what}_{name}.png" for what in ("affinity", "loops") for name in ("mine", "other")}
+    assert names == {"report.md", "report.json", "closures_other.json"} | curves | each
+    for name in curves | each:
+        picture = cv2.imread(str(folder / name))
+        assert picture is not None
+        assert min(picture.shape[:2]) > 400
+        assert picture.std() > 5  # not blank
+    assert read_closures(folder / "closures_other.json").pairs == OTHER.pairs
+
+
+def test_the_json_holds_the_figures(folder: Path) -> None:
+    content = json.loads((folder / "report.json").read_text())
+    assert content["dataset"] == "squares"
+    assert [rule["name"] for rule in content["rules"]] == ["box IoU > 0.3", "surface overlap > 0.2"]
+    assert [(rule["true"], rule["false"], rule["grey"]) for rule in content["rules"]] == [
+        (1, 4, 1),
+        (2, 4, 0),
+    ]
+    mine, other = content["methods"]
+    assert mine["name"] == "mine"
+    assert mine["seconds"]["total"] == 1.75
+    assert mine["accepted"] == 3
+    ranked = mine["rules"]["box"]["ranked"]
+    assert ranked["average_precision"]["value"] == 1.0
+    assert ranked["by_score"]["thresholds"][0] == 9.0
+    assert ranked["by_inliers"]["thresholds"] == list(range(1, 21))
+    assert ranked["lead"] is None
+    assert other["rules"]["box"]["ranked"]["lead"]["value"] == 0.0
+    assert other["rules"]["box"]["ranked"]["by_score"]["thresholds"] == [2.0, None]
+    assert len(content["pairs"]) == 10
+    (pair,) = [p for p in content["pairs"] if (p["query"], p["database"]) == ("003", "000")]
+    assert pair["methods"]["mine"]["offset_error"] == pytest.approx(0.05)
+    assert pair["methods"]["other"]["offset_error"] == pytest.approx(0, abs=1e-9)
+    assert content["notes"] == ["other lists 1 of 10 pairs: the others rank last"]
+    assert all((folder / name).exists() for name in content["figures"])
+
+
+def test_every_table_names_its_rule(folder: Path) -> None:
+    text = (folder / "report.md").read_text()
+    tables = re.findall(r"((?:^\|.*\n)+)", text, flags=re.MULTILINE)
+    assert len(tables) == 2 * 5 + 1
+    before = re.split(r"(?:^\|.*\n)+", text, flags=re.MULTILINE)
+    for heading in before[:-2]:  # the last table is of times
+        assert re.search(r"\*.*left out.*\*\n\n$", heading), heading
+    widths = {len({row.count("|") for row in table.splitlines()}) for table in tables}
+    assert widths == {1}  # no row is longer than its header
+    for name in re.findall(r"\]\((.*?)\)", text):
+        assert (folder / name).exists()
+    assert "Note: other lists 1 of 10 pairs" in text
+    assert "| mine | 1 | 1 | 1 | 1 | 0 | 5.0 cm |" in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_same_seed_gives_the_same_report(
+    dataset: Dataset, result: DetectionResult, evaluation: Evaluation, tmp_path: Path
+) -> None:
+    again = evaluate(dataset, {"mine": result, "other": OTHER}, evaluation.params)
+    write_report(tmp_path / "first", evaluation)
+    write_report(tmp_path / "again", again)
+    for name in ("report.md", "report.json"):
+        assert (tmp_path / "first" / name).read_text() == (tmp_path / "again" / name).read_text()
+
+
+def test_without_true_pairs_there_is_a_report_all_the_same(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    params = EvaluationParams(min_overlap=0.95, min_surface_overlap=0.95)
+    write_report(tmp_path, evaluate(dataset, {"mine": result}, params))
+    assert "No pair is true by this rule" in (tmp_path / "report.md").read_text()
+    assert not (tmp_path / "precision_recall.png").exists()
+    assert (tmp_path / "loops_mine.png").exists()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_section_is_told_where_the_rest_is(evaluation: Evaluation, tmp_path: Path) -> None:
+    section = Section("calibration", {"coverage": 0.68}, "## Calibration\n\nGood.\n")
+    write_report(tmp_path, evaluation, sections=[section])
+    assert json.loads((tmp_path / "report.json").read_text())["calibration"] == {"coverage": 0.68}
+    assert (tmp_path / "report.md").read_text().endswith("## Calibration\n\nGood.\n")
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_stop_leaves_the_older_report(evaluation: Evaluation, tmp_path: Path) -> None:
+    def stop(fraction: float) -> None:
+        if fraction > 0.5:
+            raise Cancelled
+
+    (tmp_path / "report.md").write_text("older")
+    with pytest.raises(Cancelled):
+        write_report(tmp_path, evaluation, progress=stop)
+    assert (tmp_path / "report.md").read_text() == "older"
+    assert not (tmp_path / "report.json").exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"report.md", "first.png", "second.png"}
+
+
+class Spoilt:
+    """A picture that cannot be drawn to its end."""
+
+    def savefig(self, fname: Path) -> None:
+        fname.write_bytes(b"half of a")
+        raise OSError("no space left")
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_failure_leaves_no_half_of_a_figure(evaluation: Evaluation, tmp_path: Path) -> None:
+    section = Section("s", {}, "", {"spoilt": Spoilt()})
+    with pytest.raises(OSError, match="no space left"):
+        write_report(tmp_path, evaluation, sections=[section])
+    assert {path.name for path in tmp_path.iterdir()} == {"first.png", "second.png", "third.png"}
+
+
+def test_where_nothing_can_be_written_is_said_before_the_work(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(InputError, match="is a file; give the name of a folder"):
+        check_directory(file)
+    with pytest.raises(InputError, match=r"there is no folder .*no; make it first"):
+        check_directory(tmp_path / "no" / "report")
+    assert check_directory(tmp_path / "new") == tmp_path / "new"
+    assert not (tmp_path / "new").exists()
+
+
+def test_figures_leave_matplotlibs_state_alone() -> None:
+    folder = Path(figures.__file__).parent
+    sources = [path.read_text(encoding="utf-8") for path in folder.glob("*.py")]
+    assert len(sources) > 3
+    assert not any("pyplot" in source or "rcParams" in source for source in sources)

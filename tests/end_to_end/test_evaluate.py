@@ -1,0 +1,108 @@
+"""`gpgrad evaluate`, as a process."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.end_to_end.process import ROOT, Run, environment
+
+
+@pytest.fixture(scope="module")
+def known(traverse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small traverse, with its truth."""
+    folder = tmp_path_factory.mktemp("known") / "traverse"
+    shutil.copytree(traverse, folder)
+    shutil.copy(folder / "poses_odom.txt", folder / "poses_gt.txt")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def report(gpgrad: Run, known: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("out") / "report"
+    finished = gpgrad("evaluate", known, "--out", folder, "--seed", "3", "--num-resamples", "10")
+    assert finished.code == 0, finished.err
+    assert finished.err == ""
+    told, where = finished.out.splitlines()
+    assert told.startswith("gradient: AP 1.000, R100 1.000, accepts 1 true and 0 false pairs")
+    assert where == str(folder / "report.md")
+    return folder
+
+
+def test_the_revisit_is_judged(report: Path) -> None:
+    content = json.loads((report / "report.json").read_text())
+    assert content["seed"] == 3
+    (method,) = content["methods"]
+    box = method["rules"]["box"]
+    assert (box["accepted_true"], box["accepted_false"], box["missed"]) == (1, 0, 0)
+    assert box["pose_error"]["median_offset"] < 0.1
+    assert box["pose_error"]["near"] == 1.0
+    assert {path.suffix for path in report.iterdir()} == {".json", ".md", ".png"}
+
+
+def test_what_was_found_can_be_judged_again_otherwise(
+    gpgrad: Run, known: Path, report: Path, tmp_path: Path
+) -> None:
+    found = json.loads((report / "closures_gradient.json").read_text())
+    assert found["params"]["registration"]["seed"] == 3
+    found["method"] = "a tool of mine"
+    found["pairs"] = [pair for pair in found["pairs"] if pair["query"] == "003"]
+    mine = tmp_path / "mine.json"
+    mine.write_text(json.dumps(found))
+    finished = gpgrad(
+        *("evaluate", known, "--out", tmp_path / "again", "--min-overlap", "0.99"),
+        *("--closures", report / "closures_gradient.json", mine, "--neighbours", "0"),
+    )
+    assert finished.code == 0, finished.err
+    assert finished.err == "gpgrad: a tool of mine lists 3 of 6 pairs: the others rank last\n"
+    content = json.loads((tmp_path / "again" / "report.json").read_text())
+    assert [method["name"] for method in content["methods"]] == ["gradient", "a tool of mine"]
+    assert content["rules"][0]["true"] == 0  # none overlaps so far
+    assert content["rules"][1]["true"] == 1
+    first, second = (method["rules"]["surface"] for method in content["methods"])
+    assert first["pose_error"] == second["pose_error"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--method", "magic"), "unknown --method 'magic'"),
+        (("--min-overlap", "2"), "min_overlap must be from 0 to 0.99"),
+    ],
+)
+def test_wrong_usage_is_one_line(
+    gpgrad: Run, known: Path, tmp_path: Path, arguments: tuple[str, ...], said: str
+) -> None:
+    assert said in gpgrad("evaluate", known, "--out", tmp_path / "r", *arguments).refusal
+    assert not (tmp_path / "r").exists()
+
+
+def test_missing_truth_says_which_file_is_needed(
+    gpgrad: Run, traverse: Path, tmp_path: Path
+) -> None:
+    said = gpgrad("evaluate", traverse, "--out", tmp_path / "r").refusal
+    assert "add poses_gt.txt" in said
+    assert not (tmp_path / "r").exists()
+
+
+def test_an_interrupt_leaves_nothing(known: Path, tmp_path: Path) -> None:
+    out = tmp_path / "r"
+    with subprocess.Popen(
+        [sys.executable, "-m", "app", "evaluate", str(known), "--out", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(),
+        cwd=ROOT,
+    ) as process:
+        time.sleep(1.0)  # at whatever point: while loading, detecting or drawing
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert not out.exists() or not list(out.glob(".*"))
