@@ -169,8 +169,8 @@ class Evaluate:
     method: Annotated[
         tuple[str, ...],
         Doc(
-            f"Methods to run, of: {', '.join(METHODS)}. Without any, and without --closures: "
-            "gradient."
+            f"Methods to run, of: {', '.join(METHODS)}; gradient if neither methods nor files of "
+            "closures are given."
         ),
     ] = ()
     closures: Annotated[

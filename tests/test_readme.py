@@ -83,5 +83,5 @@ def test_flags_of_the_commands_exist(verb: str) -> None:
 
 def test_flags_in_the_text_exist() -> None:
     said = run_gpgrad("detect", "--help").out
-    for flag in set(re.findall(r"`(--(?:map|closure|features|matching)[\w.-]+)", README)):
+    for flag in set(re.findall(r"`(--(?:map|closure|features|matching)\.[\w.-]+)", README)):
         assert flag in said
