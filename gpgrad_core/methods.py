@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from gpgrad_core.baselines.chance import chance_detector
 from gpgrad_core.baselines.elevation import elevation_detector
 from gpgrad_core.baselines.fpfh import fgr_detector, fpfh_detector
+from gpgrad_core.baselines.kiss_matcher import kiss_matcher_detector
+from gpgrad_core.baselines.map_closures import map_closures_detector
 from gpgrad_core.baselines.outcome import judged_by_inliers
 from gpgrad_core.baselines.shot import shot_detector
 from gpgrad_core.baselines.smoothed import smoothed_detector
@@ -55,6 +57,22 @@ METHODS: dict[str, Method] = {
         Method("fpfh", "FPFH and RANSAC.", fpfh_detector, judged_by_inliers),
         Method("fgr", "FPFH and fast global registration.", fgr_detector, judged_by_inliers),
         Method("shot", "SHOT on curved keypoints, RANSAC.", shot_detector, judged_by_inliers),
+        Method(
+            "kiss-matcher",
+            "KISS-Matcher, of the extra 'peers'.",
+            kiss_matcher_detector,
+            judged_by_inliers,
+            package="kiss_matcher",
+            extra="peers",
+        ),
+        Method(
+            "map-closures",
+            "MapClosures, of the extra 'peers'.",
+            map_closures_detector,
+            judged_by_inliers,
+            package="map_closures",
+            extra="peers",
+        ),
         Method("chance", "A score at random.", chance_detector, judged_by_inliers),
     )
 }

@@ -1,0 +1,57 @@
+"""MapClosures (Gupta 2024): ORB on images of the density of points, and RANSAC in the plane."""
+
+import importlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from gpgrad_core.baselines.cloud_detector import CloudDetector
+from gpgrad_core.baselines.outcome import outcome, seen_from_above
+from gpgrad_core.memo import Memo
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.types import Registration, Submap
+
+Array = NDArray[np.float64]
+
+PACKAGE = "map_closures"
+RESOLUTION = 1 / 6
+"""Side of a cell in length-scales: 5 cm at the default; made for cities, its own is 50 cm."""
+DATABASE_ID, QUERY_ID = 0, 100
+"""Far apart: maps of neighbouring numbers are not compared by the package."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points as the package takes them."""
+
+    points: Float[Array, "n 3"]  # [m]
+
+
+def map_closures_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Cloud]:
+    """Make MapClosures; it must be installed."""
+    return CloudDetector(_cloud, _register, params, memo)
+
+
+def _cloud(submap: Submap, params: PipelineParams) -> Cloud:  # noqa: ARG001 - as all rivals
+    return Cloud(np.array(submap.points))
+
+
+def _register(query: Cloud, database: Cloud, params: PipelineParams) -> Registration:
+    """Ask a database of one map for the query; the score is the number of inliers."""
+    # By name, because it is an extra: the default install does without.
+    module: Any = importlib.import_module(f"{PACKAGE}.map_closures")
+    config = module.MapClosuresConfig(density_map_resolution=RESOLUTION * params.map.length_scale)
+    finder = module.MapClosures(config)
+    finder.get_closures(DATABASE_ID, database.points)
+    candidates = finder.get_top_k_closures(QUERY_ID, query.points, 1)
+    if not candidates:
+        return outcome(None, np.zeros(0, bool))
+    # Its pose maps the older map, the database, into the query.
+    pose: Any = candidates[0].pose
+    T_database_query: Array = np.linalg.inv(np.asarray(pose, dtype=np.float64))
+    middle = query.points.mean(axis=0, keepdims=True)
+    inliers = np.ones(candidates[0].number_of_inliers, bool)
+    return outcome(seen_from_above(T_database_query, middle), inliers)
