@@ -122,6 +122,5 @@ def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = sile
 def sample_map(submap: Submap, posterior: Posterior, resolution: float) -> GradientMap:
     """Sample a fitted GP over its submap's bounding box."""
     grid = map_grid(submap, resolution)
-    elevation, variance, slope = posterior.sample(grid)
     kernel = posterior.kernel
-    return GradientMap(grid, elevation, variance, slope, kernel.signal_std, kernel.length_scale)
+    return GradientMap(grid, *posterior.sample(grid), kernel.signal_std, kernel.length_scale)

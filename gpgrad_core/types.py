@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -63,6 +64,8 @@ class Submap:
         pose_true: Where it truly lies in the world, for evaluation and display only.
         pose_odometry: Where the robot believed it lay.
         num_dropped: Rows of the source that were not finite and were left out.
+        colors: Red, green and blue of each point in [0, 1], for rivals that use them.
+        images: Files of what a camera saw there, for rivals that use them.
     """
 
     id: str
@@ -71,6 +74,8 @@ class Submap:
     pose_true: Pose | None = None
     pose_odometry: Pose | None = None
     num_dropped: int = 0
+    colors: Float[Array, "n 3"] | None = None
+    images: tuple[Path, ...] = ()
 
     @classmethod
     def from_points(
@@ -80,6 +85,7 @@ class Submap:
         *,
         pose_true: Pose | None = None,
         pose_odometry: Pose | None = None,
+        colors: Float[NDArray[np.floating], "n 3"] | None = None,
     ) -> "Submap":
         """Make a submap of points, dropping rows that are not finite.
 
@@ -88,6 +94,7 @@ class Submap:
             id: Its name, which error messages use.
             pose_true: See the class.
             pose_odometry: See the class.
+            colors: See the class.
 
         Raises:
             InputError: If there are fewer than three finite points, or all lie on one line.
@@ -110,8 +117,21 @@ class Submap:
                 "a terrain needs points that span an area"
             )
         read_only(kept)
-        digest = hashlib.blake2b(kept.tobytes(), digest_size=16).hexdigest()
-        return cls(id, kept, digest, pose_true, pose_odometry, num_dropped=int(np.sum(~finite)))
+        digest = hashlib.blake2b(kept.tobytes(), digest_size=16)
+        seen = None
+        if colors is not None:
+            seen = np.array(colors[finite], dtype=np.float64)
+            read_only(seen)
+            digest.update(seen.tobytes())
+        return cls(
+            id,
+            kept,
+            digest.hexdigest(),
+            pose_true,
+            pose_odometry,
+            num_dropped=int(np.sum(~finite)),
+            colors=seen,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,6 +249,7 @@ class GradientMap:
     elevation: Float[Array, "rows columns"]  # posterior mean [m], Eq. (2)
     variance: Float[Array, "rows columns"]  # posterior variance of it [m²], Eq. (3)
     slope: Float[Array, "rows columns 2"]  # (dz/dx, dz/dy) [m/m], Eqs. (4), (5)
+    slope_variance: Float[Array, "rows columns 2"]  # posterior variance of either [m²/m²]
     signal_std: float  # standard deviation of the terrain before any point is seen [m]
     length_scale: float  # distance over which its height stays alike [m]
     gradient: Float[Array, "rows columns"] = field(init=False)  # steepness [m/m]
@@ -238,8 +259,15 @@ class GradientMap:
         """Derive the image that keypoints are drawn from, once."""
         object.__setattr__(self, "gradient", np.hypot(self.slope[..., 0], self.slope[..., 1]))
         object.__setattr__(self, "std", np.sqrt(self.variance))
-        for array in (self.elevation, self.variance, self.slope, self.gradient, self.std):
-            read_only(array)
+        for field_of_grid in (
+            self.elevation,
+            self.variance,
+            self.slope,
+            self.slope_variance,
+            self.gradient,
+            self.std,
+        ):
+            read_only(field_of_grid)
 
     def trusted(self, max_std_ratio: float) -> Bool[NDArray[np.bool_], "rows columns"]:
         """Say which cells lie close enough to points: std / signal_std <= max_std_ratio.
@@ -301,6 +329,8 @@ class Registration:
         overlap_area: Trusted area that both maps share under it [m²].
         correlation: Of the two slope fields over that area, in [-1, 1].
         score: How likely the pair is a loop closure; what ranking uses.
+        z_offset: What is to be added to the query's heights to lie on the database [m].
+        covariance: Of x [m], y [m] and yaw [rad] of the motion; None where it is not known.
     """
 
     T_database_query: SE2 | None
@@ -309,6 +339,8 @@ class Registration:
     overlap_area: float
     correlation: float
     score: float
+    z_offset: float = 0.0
+    covariance: Float[Array, "3 3"] | None = None
 
     @property
     def num_inliers(self) -> int:

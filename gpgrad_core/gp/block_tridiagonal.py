@@ -6,9 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.lapack import dpotrf, dpotri, spotrf, spotri
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
+
+LARGEST_LEAF = 64
+"""Rows of a block that LAPACK inverts outright."""
 
 
 class NotPositiveDefiniteError(ArithmeticError):
@@ -28,10 +31,10 @@ class Factor:
 
     def solve(self, right: list[Float[Array, "_"]]) -> list[Float[Array, "_"]]:
         """Solve for one right-hand side, cut into blocks."""
-        forward = [right[0]]
+        forward: list[Array] = [right[0]]
         for gain, block in zip(self.gains, right[1:], strict=True):
             forward.append(block - gain @ forward[-1])
-        solution = [self.inverses[-1] @ forward[-1]]  # last block first
+        solution: list[Array] = [self.inverses[-1] @ forward[-1]]  # last block first
         for i in reversed(range(len(self.gains))):
             solution.append(self.inverses[i] @ forward[i] - self.gains[i].T @ solution[-1])
         return solution[::-1]
@@ -47,22 +50,46 @@ class Factor:
         diagonal = self.inverses[last]
         yield last, diagonal, None
         for i in reversed(range(last)):
-            below = -diagonal @ self.gains[i]
+            below = diagonal @ self.gains[i]
+            np.negative(below, out=below)
             diagonal = self.inverses[i] - self.gains[i].T @ below
             yield i, diagonal, below
 
 
 def invert_pivot(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
-    """Invert a symmetric positive definite block; the argument is overwritten.
+    """Invert a symmetric positive definite block, by halves: nearly all of it is matrix products.
+
+    LAPACK's own inversion runs at a tenth of the speed of a product at these sizes.
 
     Raises:
         NotPositiveDefiniteError: If it is not positive definite to rounding.
     """
+    size = len(pivot)
+    if size <= LARGEST_LEAF:
+        return _invert_leaf(pivot)
+    half = size // 2
+    first = invert_pivot(pivot[:half, :half])
+    gain = pivot[half:, :half] @ first
+    second = invert_pivot(pivot[half:, half:] - gain @ pivot[half:, :half].T)
+    inverse = np.empty_like(pivot)
+    below = second @ gain
+    inverse[half:, half:] = second
+    inverse[:half, :half] = first
+    inverse[:half, :half] += gain.T @ below
+    np.negative(below, out=below)
+    inverse[half:, :half] = below
+    inverse[:half, half:] = below.T
+    return inverse
+
+
+def _invert_leaf(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
+    single = pivot.dtype == np.float32
+    factorise, invert = (spotrf, spotri) if single else (dpotrf, dpotri)
     # The transpose of a symmetric C-ordered array is the F-ordered array that LAPACK wants.
-    factor, failed = dpotrf(pivot.T, lower=1, overwrite_a=1, clean=0)
+    factor, failed = factorise(pivot.T, lower=1, clean=0)
     if failed:
         raise NotPositiveDefiniteError(f"pivot {failed} is not positive")
-    inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
+    inverse, _ = invert(factor, lower=1, overwrite_c=1)
     lower = np.tril(inverse, -1)
     lower += lower.T
     np.einsum("ii->i", lower)[:] = np.diagonal(inverse)

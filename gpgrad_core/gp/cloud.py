@@ -3,15 +3,18 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+POINTS_TOGETHER = 256
+"""Points of a square patch that are sorted next to each other: chunks for matrix products."""
+
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points sorted by y, heights about zero, each with its own noise."""
+    """Points in patches, neighbours together; heights about zero, each with its own noise."""
 
     xy: Float[Array, "n 2"]  # [m]
     heights: Float[Array, "n"]  # [m]
@@ -21,19 +24,36 @@ class Cloud:
     def of(
         cls, points: Float[Array, "n 3"], noise_std: float | Float[Array, "n"], mean: float
     ) -> "Cloud":
-        """Sort points [m], take the mean [m] off."""
-        by_y = np.argsort(points[:, 1], kind="stable")
-        noise = np.broadcast_to(noise_std, len(points))[by_y]
-        return cls(points[by_y, :2], points[by_y, 2] - mean, noise**2)
+        """Sort points [m] patch by patch, take the mean [m] off."""
+        order = _patch_by_patch(points[:, :2])
+        noise = np.broadcast_to(noise_std, len(points))[order]
+        return cls(points[order, :2], points[order, 2] - mean, noise**2)
 
     def __len__(self) -> int:
         """Number of points."""
         return len(self.xy)
 
-    def select(self, chosen: Bool[NDArray[np.bool_], "n"]) -> "Cloud":
+    def select(self, chosen: Bool[NDArray[np.bool_], "n"] | Int[NDArray[np.intp], "k"]) -> "Cloud":
         """Keep some points."""
         return Cloud(self.xy[chosen], self.heights[chosen], self.noise_variance[chosen])
 
     def residual_rms(self, residual: Float[Array, "n"]) -> float:
         """Size of a residual of the heights [m], in units of the noise."""
         return float(np.sqrt(np.mean(residual**2 / self.noise_variance)))
+
+
+def _patch_by_patch(xy: Float[Array, "n 2"]) -> Int[NDArray[np.intp], "n"]:
+    """Order of the points by square patches, row by row of these, every other row backwards.
+
+    Any run of consecutive points then lies close together, wherever it starts and ends.
+    """
+    low = xy.min(axis=0)
+    width, height = np.maximum(xy.max(axis=0) - low, 1e-9)
+    num_patches = max(1.0, len(xy) / POINTS_TOGETHER)
+    # On a narrow cloud the patches are as wide as it is, and shorter.
+    side = max(np.sqrt(width * height / num_patches), max(width, height) / num_patches)
+    column, row = ((xy - low) / side).astype(np.int64).T
+    last = column.max()
+    along = np.where(row % 2 == 0, column, last - column)
+    # Within a patch by y, so that equal patches of another cloud have the same order.
+    return np.lexsort((xy[:, 0], xy[:, 1], row * (last + 1) + along))

@@ -75,3 +75,17 @@ def infer_slope(posterior: DensePosterior, query_xy: Float[Array, "q 2"]) -> Flo
         variance must mask it.
     """
     return (posterior.kernel.gradient(query_xy, posterior.points_xy) @ posterior.weights).T
+
+
+def infer_slope_variance(
+    posterior: DensePosterior, query_xy: Float[Array, "q 2"]
+) -> Float[Array, "q 2"]:
+    """Posterior variance of the slope along x and along y [m²/m²]; the paper leaves it out.
+
+    The linear operator of Eqs. (4), (5) passes through Eq. (3) as it does through Eq. (2):
+
+        var(dz/dx) = signal_std² / length_scale² - |L⁻¹ dK(X, x*)/dx|²
+    """
+    rows = posterior.kernel.gradient(query_xy, posterior.points_xy)
+    whitened = [solve_triangular(posterior.factor, along.T, lower=True) for along in rows]
+    return posterior.kernel.slope_std**2 - np.stack([np.sum(w**2, axis=0) for w in whitened], -1)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.spacing import lattice_spacing
+from gpgrad_core.gp.spacing import gaussian_reach, lattice_spacing
 from gpgrad_core.gp.splat import Axis, Splat, gaussian, gaussian_slope
 
 Array = NDArray[np.float64]
@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 RIPPLE = 1e-3
 """Ripple of the lattice kernel times information of the data: the mean is then as near to exact,
 in units of the noise."""
+CUT = 1e-4
+"""Height at which bumps are cut off, times information: far below the ripple."""
 MARGIN = 3.5
 """Length-scales by which the lattice reaches beyond the points."""
 
@@ -50,17 +52,18 @@ class MeanField:
 class FineKernel:
     """``K(X, X)`` of scattered points X, as a factor and its transpose."""
 
-    def __init__(self, cloud: Cloud, kernel: SquaredExponential) -> None:
+    def __init__(self, cloud: Cloud, kernel: SquaredExponential, information: float) -> None:
         """Prepare for a cloud's points."""
         length = kernel.length_scale
-        spacing = lattice_spacing(cloud, kernel, RIPPLE)
+        spacing = lattice_spacing(length, information, RIPPLE)
         low, high = cloud.xy.min(axis=0), cloud.xy.max(axis=0)
         self._x, self._y = (
             Axis.covering(low[k], high[k], spacing, MARGIN * length) for k in (0, 1)
         )
         self._length_scale = length
         self._scale = kernel.signal_std**2 * 2 * (spacing / length) ** 2 / np.pi
-        self._splat = Splat(cloud.xy, self._x, self._y, length)
+        reach = gaussian_reach(information, CUT)
+        self._splat = Splat(cloud.xy, self._x, self._y, length, reach)
 
     def times(self, values: Float[Array, "n"]) -> Float[Array, "n"]:
         """``K(X, X) values``."""

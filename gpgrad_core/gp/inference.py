@@ -12,9 +12,9 @@ from gpgrad_core.types import Array
 
 Solver = Literal["auto", "lattice", "tiles"]
 
-MOST_POINTS_A_TILE = 260
+MOST_POINTS_A_TILE = 200
 """Above this many points in its fullest tile, neighbours included, the lattice is faster
-(measured at 5,000 points in 10 m x 10 m: the tiles win up to a length-scale of 0.12 m)."""
+(measured at 5,000 points in 10 m x 10 m: the tiles win up to a length-scale of 0.11 m)."""
 
 
 Posterior: TypeAlias = LatticePosterior | TilePosterior

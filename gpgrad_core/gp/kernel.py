@@ -23,6 +23,11 @@ class SquaredExponential:
     signal_std: float
     length_scale: float
 
+    @property
+    def slope_std(self) -> float:
+        """Standard deviation of the terrain's slope along any direction [m/m]."""
+        return self.signal_std / self.length_scale
+
     def __call__(self, a_xy: Float[Array, "a 2"], b_xy: Float[Array, "b 2"]) -> Float[Array, "a b"]:
         """Covariance of the heights at two sets of positions [m²]."""
         x = _bump(a_xy[:, 0], b_xy[:, 0], self.length_scale)

@@ -1,18 +1,18 @@
 """The exact GP for dense clouds: weight space for its factor, the kernel itself for its mean.
 
-The lattice of `weight_space` gives the variance, and a solver that is nearly right. The mean is
-not left to it: small noise amplifies a ripple in the kernel. Conjugate gradients on the kernel
-itself, with the lattice as their preconditioner, correct it in two or three steps. Wide clouds
-are cut into strips that see enough of their neighbours, so that cost is linear in area.
+The lattice of `weight_space`, in strips that see enough of their neighbours, gives the variance;
+cost is linear in area. The mean is not left to it: small noise amplifies a ripple in the kernel,
+and the mean is less local than the variance. It is solved for over all strips at once, on the
+kernel itself, with the strips as the preconditioner: three or four steps.
 """
 
 import threading
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
 from gpgrad_core.errors import InputError
@@ -20,31 +20,50 @@ from gpgrad_core.gp.block_tridiagonal import NotPositiveDefiniteError
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.spacing import check_solvable, lattice_spacing
+from gpgrad_core.gp.solution import TerrainFields
+from gpgrad_core.gp.spacing import (
+    MEAN_TOLERANCE,
+    check_solvable,
+    information,
+    lattice_spacing,
+)
 from gpgrad_core.gp.threads import num_workers, single_threaded_blas
-from gpgrad_core.gp.weight_space import MARGIN, RIPPLE, VarianceReduction, WeightSpace
+from gpgrad_core.gp.weight_space import MARGIN, RIPPLE, VarianceReduction, WeightSpace, band_of
 from gpgrad_core.progress import Cancelled, Progress, silent
 from gpgrad_core.types import Grid
 
 Array = NDArray[np.float64]
 
-HALO = 7.0
-"""Length-scales of neighbouring points that a strip sees beside its own. Measured at the seam
-itself: elevation within 0.008 of the noise, slope within 0.3 %; with one less, twice that."""
-MEAN_TOLERANCE = 0.005
-"""Conjugate gradients stop at this residual of the heights, in units of the noise (rms)."""
+HALO = 4.0
+"""Length-scales of neighbouring points that a strip sees beside its own, for the variance."""
+PANEL_HALO = 7.0
+"""Length-scales of neighbouring points that a panel's mean is solved with beside its own: at the
+seam itself it is then within 0.008 of the noise, and its slope within 0.3 %."""
+MOST_PANEL_BYTES = 1 << 29
+"""Of the factors that are held at once while the mean of a panel is solved for."""
+FIXED_COST = 20.0**3
+"""What a strip costs however narrow it is; its cost beside that is its columns cubed."""
 MAX_STEPS = 50
-MAX_STRIPS = 256
+MAX_STRIPS = 1024
 
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """The fitted GP over one stretch of x."""
+    """The variance over one stretch of x."""
 
     low: float  # this strip answers for low <= x < high [m]
     high: float
-    mean: MeanField
     reduction: VarianceReduction
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """The mean over one stretch of x: as many strips as are solved together."""
+
+    low: float  # this panel answers for low <= x < high [m]
+    high: float
+    mean: MeanField
+    strips: tuple[Strip, ...]  # from low to high x; the prior holds where there is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,27 +72,41 @@ class LatticePosterior:
 
     kernel: SquaredExponential
     mean: float  # taken off before, added after [m]
-    strips: tuple[Strip, ...]  # from low to high x; the prior holds where there is none
+    panels: tuple[Panel, ...]  # from low to high x
 
-    def sample(
-        self, grid: Grid
-    ) -> tuple[
-        Float[Array, "rows columns"], Float[Array, "rows columns"], Float[Array, "rows columns 2"]
-    ]:
-        """Infer elevation [m], variance [m²] and slope [m/m] at every cell, Eqs. (2)-(5)."""
-        prior = self.kernel.signal_std**2
-        elevation = np.full(grid.shape, self.mean)
-        variance = np.full(grid.shape, prior)
-        slope = np.zeros((*grid.shape, 2))
-        for strip in self.strips:
-            first, last = np.searchsorted(grid.x, (strip.low, strip.high))
-            x, own = grid.x[first:last], slice(first, last)
-            height, slope[:, own, 0], slope[:, own, 1] = strip.mean.sample(x, grid.y)
-            elevation[:, own] += height
-            variance[:, own] -= strip.reduction.sample(x, grid.y)
-        # Rounding may leave a hair below zero or above the prior.
-        np.clip(variance, 1e-12 * prior, prior, out=variance)
-        return elevation, variance, slope
+    @property
+    def strips(self) -> tuple[Strip, ...]:
+        """Strips of all panels, from low to high x."""
+        return tuple(strip for panel in self.panels for strip in panel.strips)
+
+    def sample(self, grid: Grid) -> TerrainFields:
+        """Infer elevation [m], slope [m/m] and their variances at every cell, Eqs. (2)-(5)."""
+        fields = TerrainFields.prior(grid, self.kernel, self.mean)
+
+        def mean(panel: Panel) -> None:
+            own = _columns(grid, panel)
+            height, slope_x, slope_y = panel.mean.sample(grid.x[own], grid.y)
+            fields.elevation[:, own] += height
+            fields.slope[:, own, 0] = slope_x
+            fields.slope[:, own, 1] = slope_y
+
+        def variance(strip: Strip) -> None:
+            own = _columns(grid, strip)
+            of_height, of_slope = strip.reduction.sample(grid.x[own], grid.y)
+            fields.variance[:, own] -= of_height
+            fields.slope_variance[:, own] -= of_slope
+
+        with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
+            tasks = [executor.submit(mean, panel) for panel in self.panels]
+            tasks += [executor.submit(variance, strip) for strip in self.strips]
+        for task in tasks:
+            task.result()
+        return fields.within_prior(self.kernel)
+
+
+def _columns(grid: Grid, stretch: Strip | Panel) -> slice:
+    first, last = np.searchsorted(grid.x, (stretch.low, stretch.high))
+    return slice(int(first), int(last))
 
 
 def fit_lattice(
@@ -99,22 +132,18 @@ def fit_lattice(
     """
     offset = float(points[:, 2].mean()) if mean is None else mean
     cloud = Cloud.of(points, noise_std, offset)
-    check_solvable(cloud, kernel)
-    spacing = lattice_spacing(cloud, kernel, RIPPLE)
-    halo = HALO * kernel.length_scale
-    stretches = list(pairwise(_strip_edges(cloud.xy[:, 0], halo, MARGIN * kernel.length_scale)))
-    report = _SharedProgress(progress, len(stretches))
-
-    def fit(stretch: tuple[float, float]) -> Strip | None:
-        x = cloud.xy[:, 0]
-        near = (x >= stretch[0] - halo) & (x < stretch[1] + halo)
-        if not near.any():
-            return None
-        return _fit_strip(stretch, cloud.select(near), kernel, spacing, report)
-
+    bits = information(cloud, kernel)
+    check_solvable(cloud, kernel, bits)
+    spacing = lattice_spacing(kernel.length_scale, bits, RIPPLE)
+    edges = _strip_edges(cloud.xy, kernel.length_scale, spacing)
+    groups = _panels(cloud.xy, edges, kernel.length_scale, spacing, bits)
+    report = _SharedProgress(progress, len(edges) - 1)
+    panels: list[Panel] = []
     with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
-        strips = tuple(strip for strip in executor.map(fit, stretches) if strip is not None)
-    return LatticePosterior(kernel, offset, strips)
+        for group in groups:
+            fitter = _PanelFitter(kernel, bits, spacing, report, executor)
+            panels.append(fitter.fit(cloud, group))
+    return LatticePosterior(kernel, offset, tuple(panels))
 
 
 class _SharedProgress:
@@ -138,67 +167,160 @@ class _SharedProgress:
                 raise
 
 
-def _fit_strip(
-    stretch: tuple[float, float],
-    cloud: Cloud,
-    kernel: SquaredExponential,
-    spacing: float,
-    report: _SharedProgress,
-) -> Strip:
-    try:
-        weight_space = WeightSpace(cloud, kernel, spacing, lambda done: report.advance(0.6 * done))
-    except NotPositiveDefiniteError as error:
+@dataclass(frozen=True, eq=False)
+class _Preconditioner:
+    """A strip while the mean is solved for."""
+
+    members: Int[NDArray[np.intp], "m"]  # points that it sees
+    owned: Bool[NDArray[np.bool_], "m"]  # of these, those that it writes
+    weight_space: WeightSpace
+
+
+@dataclass(frozen=True)
+class _PanelFitter:
+    """What all strips of a panel are fitted with."""
+
+    kernel: SquaredExponential
+    information: float
+    spacing: float  # [m]
+    report: _SharedProgress
+    executor: Executor
+
+    def fit(self, cloud: Cloud, edges: Float[Array, "edges"]) -> Panel:
+        """Fit the strips between edges, then the mean over all of them."""
+        halo = PANEL_HALO * self.kernel.length_scale
+        x = cloud.xy[:, 0]
+        seen = cloud.select((x >= edges[0] - halo) & (x < edges[-1] + halo))
+        # The outermost strips also solve for the points that the panel only sees.
+        inner = edges[1:-1]
+        owner = np.searchsorted(inner, seen.xy[:, 0], side="right")
+        stretches = list(pairwise(edges))
+
+        def fit_strip(k: int) -> tuple[_Preconditioner | None, Strip | None]:
+            return self._fit_strip(seen, owner, k, stretches[k])
+
+        fitted = list(self.executor.map(fit_strip, range(len(stretches))))
+        fine = FineKernel(seen, self.kernel, self.information)
+        weights = self._solve(seen, fine, [part for part, _ in fitted if part is not None])
+        strips = tuple(strip for _, strip in fitted if strip is not None)
+        return Panel(float(edges[0]), float(edges[-1]), fine.field(weights), strips)
+
+    def _fit_strip(
+        self,
+        cloud: Cloud,
+        owner: Int[NDArray[np.intp], "n"],
+        k: int,
+        stretch: tuple[float, float],
+    ) -> tuple[_Preconditioner | None, Strip | None]:
+        low, high = stretch
+        x, halo = cloud.xy[:, 0], HALO * self.kernel.length_scale
+        near = (owner == k) | ((x >= low - halo) & (x < high + halo))
+        if not near.any():
+            self.report.advance(1.0)
+            return None, None
+        members = np.flatnonzero(near)
+        try:
+            weight_space = WeightSpace(
+                cloud.select(members),
+                self.kernel,
+                self.information,
+                self.spacing,
+                lambda done: self.report.advance(0.6 * done),
+            )
+        except NotPositiveDefiniteError as error:
+            raise InputError(
+                f"the GP cannot be solved at length-scale {self.kernel.length_scale:g} m with so "
+                "little noise: raise noise_std or lower the length-scale"
+            ) from error
+        reduction = weight_space.variance_reduction()
+        self.report.advance(0.4)
+        part = _Preconditioner(members, owner[members] == k, weight_space)
+        return part, Strip(low, high, reduction)
+
+    def _solve(
+        self, cloud: Cloud, fine: FineKernel, parts: list[_Preconditioner]
+    ) -> Float[Array, "n"]:
+        """Solve ``(K + D) weights = heights`` by generalised conjugate residuals.
+
+        The preconditioner, in which every strip writes its own points only (restricted additive
+        Schwarz), is not symmetric: plain conjugate gradients would not do.
+        """
+        weights = np.zeros_like(cloud.heights)
+        residual = cloud.heights.copy()
+        if not residual.any():  # perfectly flat ground: nothing to solve, and no way to step
+            return weights
+        inverse_noise = 1 / cloud.noise_variance
+        steps: list[tuple[Array, Array]] = []  # directions and their images, these orthonormal
+        for _ in range(MAX_STEPS):
+            step = self._precondition(residual, parts)
+            image = fine.times(step) + cloud.noise_variance * step
+            for direction, earlier in steps:
+                along = (inverse_noise * earlier) @ image
+                image -= along * earlier
+                step -= along * direction
+            size = np.sqrt((inverse_noise * image) @ image)
+            if size == 0:
+                break
+            image /= size
+            step /= size
+            steps.append((step, image))
+            length = (inverse_noise * image) @ residual
+            weights += length * step
+            residual -= length * image
+            if cloud.residual_rms(residual) <= MEAN_TOLERANCE:
+                return weights
         raise InputError(
-            f"the GP cannot be solved at length-scale {kernel.length_scale:g} m with so little "
-            "noise: raise noise_std or lower the length-scale"
-        ) from error
-    reduction = weight_space.variance_reduction()
-    fine = FineKernel(cloud, kernel)
-    mean = fine.field(_solve_exactly(cloud, fine, weight_space))
-    report.advance(0.4)
-    return Strip(*stretch, mean, reduction)
+            f"the GP did not converge in {MAX_STEPS} steps with so little noise: raise noise_std "
+            "or lower the length-scale"
+        )
+
+    def _precondition(
+        self, residual: Float[Array, "n"], parts: list[_Preconditioner]
+    ) -> Float[Array, "n"]:
+        step = np.zeros_like(residual)
+
+        def solve(part: _Preconditioner) -> Float[Array, "owned"]:
+            return part.weight_space.precondition(residual[part.members])[part.owned]
+
+        for part, solved in zip(parts, self.executor.map(solve, parts), strict=True):
+            step[part.members[part.owned]] = solved
+        return step
 
 
-def _strip_edges(x: Float[Array, "n"], overlap: float, margin: float) -> Float[Array, "edges"]:
+def _strip_edges(
+    xy: Float[Array, "n 2"], length_scale: float, spacing: float
+) -> Float[Array, "edges"]:
     """Cut the stretch of x so that fitting all strips takes the least time.
 
-    A strip's cost grows with the cube of its width, and it must see ``overlap`` of each
-    neighbour and reach ``margin`` beyond: too few strips are wide, too many mostly overlap.
+    A strip's cost grows with the cube of its width, and it must see the halo of each neighbour
+    and reach the margin beyond: too few strips are wide, too many mostly overlap.
     """
-    low, high = float(x.min()), float(x.max())
-    width = high - low
-    counts = np.arange(1, 1 + min(MAX_STRIPS, int(width / overlap) + 1))
+    low, high = float(xy[:, 0].min()), float(xy[:, 0].max())
+    width, halo = high - low, HALO * length_scale
+    counts = np.arange(1, 1 + min(MAX_STRIPS, int(width / halo) + 1))
     rounds = np.ceil(counts / 2)  # as on two cores, anywhere: cuts must not depend on the machine
-    shared = overlap * np.minimum(counts - 1, 2) + 2 * margin
-    cost = rounds * (width / counts + shared) ** 3
+    shared = halo * np.minimum(counts - 1, 2) + 2 * MARGIN * length_scale
+    columns = (width / counts + shared) / spacing
+    cost = rounds * (columns**3 + FIXED_COST)
     edges = np.linspace(low, high, int(counts[np.argmin(cost)]) + 1)
     edges[0], edges[-1] = -np.inf, np.inf  # the outermost strips answer for all beyond
     return edges
 
 
-def _solve_exactly(
-    cloud: Cloud,
-    fine: FineKernel,
-    weight_space: WeightSpace,
-) -> Float[Array, "n"]:
-    """Solve ``(K + D) weights = heights`` by preconditioned conjugate gradients."""
-    weights = np.zeros_like(cloud.heights)
-    residual = cloud.heights.copy()
-    if not residual.any():  # perfectly flat ground: nothing to solve, and no way to step
-        return weights
-    direction = step = weight_space.precondition(residual)
-    energy = residual @ step
-    for _ in range(MAX_STEPS):
-        image = fine.times(direction) + cloud.noise_variance * direction
-        length = energy / (direction @ image)
-        weights += length * direction
-        residual -= length * image
-        if cloud.residual_rms(residual) <= MEAN_TOLERANCE:
-            return weights
-        step = weight_space.precondition(residual)
-        energy, previous = residual @ step, energy
-        direction = step + (energy / previous) * direction
-    raise InputError(
-        f"the GP did not converge in {MAX_STEPS} steps with so little noise: raise noise_std or "
-        "lower the length-scale"
-    )
+def _panels(
+    xy: Float[Array, "n 2"],
+    edges: Float[Array, "edges"],
+    length_scale: float,
+    spacing: float,
+    information: float,
+) -> list[Float[Array, "edges_of_panel"]]:
+    """Group strips so that the factors of a group fit the memory."""
+    sides = xy.max(axis=0) - xy.min(axis=0)
+    num_strips = len(edges) - 1
+    columns = (sides[0] / num_strips + 2 * (HALO + MARGIN) * length_scale) / spacing
+    rows = sides[1] / spacing
+    a_strip = 2 * rows * columns**2 * band_of(information, spacing / length_scale) * 4
+    together = max(1, int(MOST_PANEL_BYTES / a_strip))
+    num_panels = -(-num_strips // together)
+    cuts = np.linspace(0, num_strips, num_panels + 1).round().astype(int)
+    return [edges[a : b + 1] for a, b in pairwise(cuts)]

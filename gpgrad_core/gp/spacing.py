@@ -1,13 +1,18 @@
 """How fine a lattice must be to stand for the kernel, and what is too fine to be solved."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
 
+Array = NDArray[np.float64]
+
 SPACINGS = (0.4, 0.8)
 """Least and largest spacing, in length-scales; at the least the ripple is 8e-14."""
+MEAN_TOLERANCE = 0.005
+"""The heights are solved for until their residual is this, in units of the noise (rms)."""
 MOST_INFORMATION = 1e10
 """Beyond this, rounding errors of the solution are no longer far below the noise."""
 MOST_NODES = 16_000_000
@@ -20,26 +25,30 @@ def information(cloud: Cloud, kernel: SquaredExponential) -> float:
     cells = np.floor((cloud.xy - low) / kernel.length_scale).astype(np.int64)
     _, owner = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True)
     densest = np.bincount(owner, weights=1 / cloud.noise_variance).max()
-    return float(kernel.signal_std**2 * densest * np.pi / 2)
+    return max(float(kernel.signal_std**2 * densest * np.pi / 2), 1.0)
 
 
-def lattice_spacing(cloud: Cloud, kernel: SquaredExponential, ripple: float) -> float:
+def lattice_spacing(length_scale: float, information: float, ripple: float) -> float:
     """Find the spacing at which the lattice kernel's ripple, times the information, is this [m].
 
     The ripple of spacing h is 2 exp(-π² l² / (2 h²)) of the kernel's height.
     """
-    allowed = ripple / max(information(cloud, kernel), 1.0)
-    ratio = np.pi / np.sqrt(2 * np.log(2 / allowed))
-    return kernel.length_scale * float(np.clip(ratio, *SPACINGS))
+    ratio = np.pi / np.sqrt(2 * np.log(2 * information / ripple))
+    return length_scale * float(np.clip(ratio, *SPACINGS))
 
 
-def check_solvable(cloud: Cloud, kernel: SquaredExponential) -> None:
+def gaussian_reach(information: float, error: float) -> float:
+    """Widths beyond which a Gaussian exp(-d²), times the information, is below an error."""
+    return float(np.sqrt(np.log(information / error)))
+
+
+def check_solvable(cloud: Cloud, kernel: SquaredExponential, information: float) -> None:
     """Refuse what would run out of digits or of memory.
 
     Raises:
         InputError: Says which parameter to change, and to what.
     """
-    excess = information(cloud, kernel) / MOST_INFORMATION
+    excess = information / MOST_INFORMATION
     if excess > 1:
         raise InputError(
             f"noise_std is too small beside signal_std {kernel.signal_std:.2g} m with so many "

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-REACH = 5.5
-"""Widths beyond which a Gaussian exp(-d²) is left out: 7e-14 of its height."""
 POINTS_PER_CHUNK = 256
 
 
@@ -32,6 +30,17 @@ class Axis:
         """Positions [m]."""
         return self.start + self.spacing * np.arange(self.count, dtype=np.float64)
 
+    def within(self, at: Float[Array, "a"], reach: float) -> slice:
+        """Nodes from the first to the last within reach [m] of some positions [m]."""
+        first = int(np.floor((at.min() - reach - self.start) / self.spacing))
+        last = int(np.ceil((at.max() + reach - self.start) / self.spacing))
+        first = min(max(first, 0), self.count - 1)
+        return slice(first, max(min(last, self.count - 1), first) + 1)
+
+    def part(self, nodes: slice) -> "Axis":
+        """Some of the nodes."""
+        return Axis(self.start + nodes.start * self.spacing, self.spacing, nodes.stop - nodes.start)
+
     @property
     def halved(self) -> "Axis":
         """The same stretch at half the spacing: all midpoints of two nodes."""
@@ -40,7 +49,11 @@ class Axis:
 
 def gaussian(at: Float[Array, "a"], axis: Axis, width: float) -> Float[Array, "a count"]:
     """``exp(-(d / width)²)`` between positions and nodes."""
-    return np.exp(-(((at[:, None] - axis.nodes) / width) ** 2))
+    offsets = at[:, None] - axis.nodes
+    offsets *= 1 / width
+    np.square(offsets, out=offsets)
+    np.negative(offsets, out=offsets)
+    return np.exp(offsets, out=offsets)
 
 
 def gaussian_slope(at: Float[Array, "a"], axis: Axis, width: float) -> Float[Array, "a count"]:
@@ -52,43 +65,43 @@ def gaussian_slope(at: Float[Array, "a"], axis: Axis, width: float) -> Float[Arr
 class Splat:
     """The matrix ``exp(-|p - m|² / width²)`` of points p and nodes m, kept as its factors.
 
-    Points must be sorted by y: each chunk of them then meets a narrow band of lattice rows, and
-    both products are dense matrix products of that band.
+    Any run of consecutive points should lie close together: each chunk of them then meets a
+    small box of the lattice, and both products are dense matrix products of that box.
     """
 
-    def __init__(self, points_xy: Float[Array, "n 2"], x: Axis, y: Axis, width: float) -> None:
+    def __init__(
+        self, points_xy: Float[Array, "n 2"], x: Axis, y: Axis, width: float, reach: float
+    ) -> None:
         """Prepare the factors.
 
         Args:
-            points_xy: Positions [m], sorted by y.
+            points_xy: Positions [m].
             x: Columns of the lattice.
             y: Rows of the lattice.
             width: Of the Gaussian [m].
+            reach: Widths beyond which a Gaussian may be left out.
         """
         self._shape = (y.count, x.count)
         self._num_points = len(points_xy)
-        self._chunks: list[tuple[slice, slice, Array, Array]] = []
-        reach = REACH * width
+        self._chunks: list[tuple[slice, tuple[slice, slice], Array, Array]] = []
         for start in range(0, len(points_xy), POINTS_PER_CHUNK):
             points = slice(start, start + POINTS_PER_CHUNK)
-            at_x, at_y = points_xy[points, 0], points_xy[points, 1]
-            first = max(0, int(np.floor((at_y[0] - reach - y.start) / y.spacing)))
-            last = min(y.count, int(np.ceil((at_y[-1] + reach - y.start) / y.spacing)) + 1)
-            band = Axis(y.start + first * y.spacing, y.spacing, last - first)
-            self._chunks.append(
-                (points, slice(first, last), gaussian(at_y, band, width), gaussian(at_x, x, width))
-            )
+            at_x, at_y = points_xy[points].T
+            rows, columns = y.within(at_y, reach * width), x.within(at_x, reach * width)
+            along_y = gaussian(at_y, y.part(rows), width)
+            along_x = gaussian(at_x, x.part(columns), width)
+            self._chunks.append((points, (rows, columns), along_y, along_x))
 
     def to_nodes(self, values: Float[Array, "n"]) -> Float[Array, "rows columns"]:
         """Sum the points' values, spread by the Gaussian, at every node."""
         sums = np.zeros(self._shape)
-        for points, rows, along_y, along_x in self._chunks:
-            sums[rows] += along_y.T @ (along_x * values[points, None])
+        for points, box, along_y, along_x in self._chunks:
+            sums[box] += along_y.T @ (along_x * values[points, None])
         return sums
 
     def to_points(self, weights: Float[Array, "rows columns"]) -> Float[Array, "n"]:
         """Sum the nodes' weights, spread by the Gaussian, at every point."""
         sums = np.empty(self._num_points)
-        for points, rows, along_y, along_x in self._chunks:
-            sums[points] = np.einsum("pc,pc->p", along_y @ weights[rows], along_x)
+        for points, box, along_y, along_x in self._chunks:
+            sums[points] = np.einsum("pc,pc->p", along_y @ weights[box], along_x)
         return sums

@@ -23,8 +23,8 @@ from gpgrad_core.types import GradientMap, Grid
 from tests.core.ground import Ground, submap
 
 Array = NDArray[np.float64]
-Name = Literal["akaze", "sift"]
-DETECTORS: list[Name] = ["akaze", "sift"]
+Name = Literal["akaze", "kaze", "sift", "orb", "surf", "slope"]
+DETECTORS: list[Name] = ["akaze", "kaze", "sift", "orb", "surf", "slope"]
 
 
 def true_map(ground: Ground, grid: Grid, T_world_map: SE2, variance: float = 1e-4) -> GradientMap:
@@ -40,7 +40,9 @@ def true_map(ground: Ground, grid: Grid, T_world_map: SE2, variance: float = 1e-
         axis=-1,
     )
     elevation = height(np.zeros(2))
-    return GradientMap(grid, elevation, np.full(grid.shape, variance), slope, 0.15, 0.3)
+    return GradientMap(
+        grid, elevation, np.full(grid.shape, variance), slope, np.full_like(slope, 1e-3), 0.15, 0.3
+    )
 
 
 GRID = Grid((-5.0, -5.0), 0.05, (201, 201))
@@ -51,7 +53,17 @@ def ground() -> Ground:
     return Ground.random(2, shortest=0.6)
 
 
-@pytest.mark.parametrize(("name", "share"), [("akaze", 0.9), ("sift", 0.9)])
+@pytest.mark.parametrize(
+    ("name", "share"),
+    [
+        ("akaze", 0.9),
+        ("kaze", 0.9),
+        ("sift", 0.9),
+        ("orb", 0.8),
+        ("surf", 0.9),
+        ("slope", 0.95),
+    ],
+)
 @pytest.mark.parametrize("degrees", [0, 37, 180])
 def test_they_match_on_turned_ground(
     ground: Ground, name: Name, share: float, degrees: float
@@ -82,7 +94,8 @@ def test_a_bump_is_found_where_it_is_and_as_wide_as_it_is(
     slope = np.stack([steep, np.zeros(grid.shape)], axis=-1)
     flat = np.full(grid.shape, 1e-4)
     features = detect_features(
-        GradientMap(grid, np.zeros(grid.shape), flat, slope, 0.15, 0.3), DetectorParams(name)
+        GradientMap(grid, np.zeros(grid.shape), flat, slope, slope**2, 0.15, 0.3),
+        DetectorParams(name),
     )
     strongest = int(np.argmax(features.responses))
     np.testing.assert_allclose(features.positions[strongest], place, atol=0.03)
@@ -105,7 +118,9 @@ def test_the_std_ratio_is_that_of_the_cell(ground: Ground, name: Name) -> None:
     made = true_map(ground, GRID, SE2())
     ramp = np.linspace(0.01, 1.0, GRID.shape[1]) * made.signal_std
     variance = np.broadcast_to(ramp**2, GRID.shape).copy()
-    ramped = GradientMap(GRID, made.elevation, variance, made.slope, made.signal_std, 0.3)
+    ramped = GradientMap(
+        GRID, made.elevation, variance, made.slope, made.slope_variance, made.signal_std, 0.3
+    )
     features = detect_features(ramped, DetectorParams(name))
     column = np.rint(GRID.to_pixel(features.positions)[:, 0]).astype(int)
     np.testing.assert_allclose(features.std_ratios, ramp[column] / made.signal_std)
@@ -164,7 +179,7 @@ def test_tiny_maps_have_few_keypoints_or_none(
 @pytest.mark.parametrize("name", DETECTORS)
 def test_flat_ground_has_no_keypoints(name: Name) -> None:
     zeros = np.zeros(GRID.shape)
-    flat = GradientMap(GRID, zeros, zeros + 1e-4, np.zeros((*GRID.shape, 2)), 0.15, 0.3)
+    flat = GradientMap(GRID, zeros, zeros + 1e-4, *np.zeros((2, *GRID.shape, 2)), 0.15, 0.3)
     assert len(extract_features(flat, FeatureParams(detector=DetectorParams(name)))) == 0
 
 

@@ -6,7 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpgrad_core.gp.binning import bin_points
-from gpgrad_core.gp.dense import fit_dense, infer_elevation, infer_slope, infer_variance
+from gpgrad_core.gp.dense import (
+    fit_dense,
+    infer_elevation,
+    infer_slope,
+    infer_slope_variance,
+    infer_variance,
+)
 from gpgrad_core.gp.inference import Posterior, Solver, fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.types import Grid
@@ -22,26 +28,32 @@ class Fields:
     elevation: Array
     std: Array
     slope: Array
+    slope_std: Array
 
     @classmethod
     def fast(cls, posterior: Posterior, grid: Grid) -> "Fields":
-        elevation, variance, slope = posterior.sample(grid)
-        return cls(elevation, np.sqrt(variance), slope)
+        fields = posterior.sample(grid)
+        return cls(
+            fields.elevation, np.sqrt(fields.variance), fields.slope, np.sqrt(fields.slope_variance)
+        )
 
     @classmethod
     def dense(
         cls, points: Array, kernel: SquaredExponential, noise: float | Array, grid: Grid
     ) -> "Fields":
         posterior = fit_dense(points, kernel, noise)
-        elevation, variance, slope = (
+        elevation, variance, slope, slope_variance = (
             infer(posterior, grid.positions)
-            for infer in (infer_elevation, infer_variance, infer_slope)
+            for infer in (infer_elevation, infer_variance, infer_slope, infer_slope_variance)
         )
         rows, columns = grid.shape
         return cls(
             elevation.reshape(rows, columns),
             np.sqrt(np.maximum(variance, 1e-12 * kernel.signal_std**2)).reshape(rows, columns),
             slope.reshape(rows, columns, 2),
+            np.sqrt(np.maximum(slope_variance, 1e-12 * kernel.slope_std**2)).reshape(
+                rows, columns, 2
+            ),
         )
 
 
@@ -52,6 +64,8 @@ class Errors:
     elevation: float  # rms, in units of the noise
     slope: float  # rms, relative to the slopes' rms
     std: float  # largest relative one of a trusted cell
+    slope_std: float  # the same of the slopes'
+    std_anywhere: float  # largest relative one of any cell
     num_trusted: int
 
 
@@ -77,11 +91,14 @@ def compare(
         posterior = fit_gp(means, kernel, noise / np.sqrt(counts), mean=mean, solver=solver)
     fast = Fields.fast(posterior, grid)
     trusted = exact.std <= TRUSTED * kernel.signal_std
-    std = np.abs(fast.std / exact.std - 1)[trusted]
+    std = np.abs(fast.std / exact.std - 1)
+    slope_std = np.abs(fast.slope_std / exact.slope_std - 1)[trusted]
     return Errors(
         rms(fast.elevation - exact.elevation) / float(np.median(noise)),
         rms(fast.slope - exact.slope) / rms(exact.slope),
-        float(std.max(initial=0.0)),
+        float(std[trusted].max(initial=0.0)),
+        float(slope_std.max(initial=0.0)),
+        float(std.max()),
         int(trusted.sum()),
     )
 
