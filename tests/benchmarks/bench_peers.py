@@ -1,0 +1,138 @@
+"""The GP against its peers: ``python -m tests.benchmarks.bench_peers --json RAW.json``.
+
+Same points, same grid, same run, each method in a process of its own with all cores. Needs the
+extra `bench` (and `dev`); a peer that is not installed is left out, and the table says so. Linux
+only, for the peak memory.
+
+Tables go to standard output, the figure of cost to assets/pictures/gp_peers.png, all figures to
+the JSON. ``--parts`` measures some parts anew and takes the others from the JSON; so with none,
+``--parts``, it draws the tables and the figure once more. On two quiet cores everything takes
+about two hours: `table` and `ski` three quarters of an hour each, `points` and `area` as much
+together, `targets` five minutes. ``--quick`` runs it all in small, in a few minutes, to see
+that it works.
+"""
+
+import json
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from gpgrad_core.gp.threads import num_workers
+from tests.benchmarks.bench_gp import machine
+from tests.benchmarks.peers import tables
+from tests.benchmarks.peers.adapters import DENSE
+from tests.benchmarks.peers.cases import Answer
+from tests.benchmarks.peers.figure import draw
+from tests.benchmarks.peers.measure import Caps, Run, measure
+from tests.benchmarks.peers.plan import Part, PartName, full_plan, quick_plan
+
+PICTURE = Path(__file__).resolve().parents[2] / "assets" / "pictures" / "gp_peers.png"
+EVERYTHING: tuple[PartName, ...] = ("table", "ski", "points", "area", "targets")
+
+
+@dataclass(frozen=True)
+class Options:
+    """The GP against its peers: seconds, memory and error, as tables and a figure."""
+
+    json: Path | None = None
+    """Where the raw figures go, and from where parts come that are not measured."""
+    picture: Path | None = None
+    """Where the figure goes; if not named, assets/pictures/gp_peers.png (with quick, nowhere)."""
+    parts: tuple[PartName, ...] = EVERYTHING
+    """What to measure."""
+    methods: tuple[str, ...] = ()
+    """Measure these only; the dense form runs besides, for the errors. None: all."""
+    table_seconds: float = 900.0
+    """Most that one solution may take in `table`, `ski` and `targets`."""
+    quick: bool = False
+    """The same in small, to see that all of it works; its figures mean nothing."""
+
+
+def main(options: Options) -> int:
+    """Measure, write, and print; 1 if a target is missed."""
+    share_cores()
+    plan = quick_plan() if options.quick else full_plan(options.table_seconds)
+    stored = load(options.json)
+    for name in options.parts:
+        runs = measure_part(plan[name], options.methods)
+        stored[name] = {"machine": machine(), "runs": [run.as_dict() for run in runs]}
+        if options.json is not None:  # after each part: the others may take long
+            options.json.write_text(json.dumps(stored, indent=1) + "\n")
+    parts = {name: [Run.from_dict(run) for run in stored[name]["runs"]] for name in stored}
+    met = report(plan, parts, {name: stored[name]["machine"] for name in stored})
+    picture = options.picture or (None if options.quick else PICTURE)
+    points, area = parts.get("points", []), parts.get("area", [])
+    if picture is not None and (points or area):
+        where = stored["points" if points else "area"]["machine"]
+        draw(points, area, where, describe(plan["points"].caps), picture)
+    return int(not met and not options.quick)
+
+
+def share_cores() -> None:
+    """Give every library of the processes to come the same cores."""
+    for name in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
+        os.environ[f"{name}_NUM_THREADS"] = str(num_workers())
+
+
+def load(path: Path | None) -> dict:
+    """Read what was measured before, if there is any."""
+    return json.loads(path.read_text()) if path is not None and path.exists() else {}
+
+
+def measure_part(part: Part, only: tuple[str, ...]) -> list[Run]:
+    """Measure each method on each case, the oracle first; a table keeps the methods' order."""
+    wanted = [method for method in part.methods if not only or method in (*only, DENSE)]
+    gone_over: set[str] = set()
+    done: list[Run] = []
+    for case in part.cases:
+        oracle: Answer | None = None
+        for method in sorted(wanted, key=lambda method: method != DENSE):
+            spared = part.growing and method in gone_over
+            if method == DENSE and part.dense_cases is not None:
+                spared = case not in part.dense_cases
+            if spared:
+                continue
+            run, answer = measure(method, case, part.caps, oracle)
+            if method == DENSE and answer is not None:
+                oracle = answer
+            if run.cost is None:
+                gone_over.add(method)
+            done.append(run)
+            took = tables.seconds(run.cost.seconds) if run.cost else run.failure
+            print(f"{case.name}: {method}: {took}", file=sys.stderr, flush=True)  # noqa: T201
+    return sorted(done, key=lambda run: wanted.index(run.method))
+
+
+def describe(caps: Caps) -> str:
+    """Name what one solution may cost."""
+    return f"{caps.seconds:g} s or {caps.megabytes / 1000:g} GB"
+
+
+def report(
+    plan: dict[PartName, Part], parts: dict[PartName, list[Run]], machines: dict[PartName, str]
+) -> bool:
+    """Print all tables; whether ours reaches everything that was measured."""
+    met = True
+    for name in EVERYTHING:
+        runs = parts.get(name)
+        if not runs:
+            continue
+        part = plan[name]
+        verdict, reached = "", True
+        if name in ("points", "area"):
+            table = tables.follow_growth(runs, name)
+        else:
+            table = tables.compare(runs)
+            check = tables.check_targets if name == "targets" else tables.check_peers
+            verdict, reached = check(runs)
+        met = met and reached
+        note = f"{machines[name]}; one solution up to {describe(part.caps)}"
+        print(f"\n## {part.title}\n\n{note}\n\n{table}\n\n{verdict}")  # noqa: T201
+    return met
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Options, description=__doc__)))
