@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from gpgrad_core.datasets.pcd import read_pcd
-from gpgrad_core.datasets.ply import read_ply
+from gpgrad_core.datasets.pcd import read_pcd, read_pcd_colors
+from gpgrad_core.datasets.ply import read_ply, read_ply_colors
 from gpgrad_core.datasets.tables import as_floats, read_table
 from gpgrad_core.errors import InputError
 from gpgrad_core.types import Submap
@@ -48,7 +48,7 @@ def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
     if len(points) == 0:
         raise InputError(f"{path}: is an empty cloud: it holds no points")
     try:
-        submap = Submap.from_points(points, path.stem)
+        submap = Submap.from_points(points, path.stem, colors=_read_colors(path))
     except InputError as error:
         # The submap knows only its name; the user needs the file.
         raise InputError(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
@@ -78,6 +78,11 @@ def _read_points(path: Path) -> Points:
         return reader(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _read_colors(path: Path) -> Float[NDArray[np.floating], "n 3"] | None:
+    reader = COLOR_READERS.get(path.suffix.lower())
+    return None if reader is None else reader(path)
 
 
 def _read_npy(path: Path) -> Points:
@@ -157,3 +162,9 @@ READERS: dict[str, Callable[[Path], Points]] = {
     ".laz": _read_las,
 }
 """What reads a file, by its ending."""
+
+COLOR_READERS: dict[str, Callable[[Path], Float[NDArray[np.floating], "n 3"] | None]] = {
+    ".ply": read_ply_colors,
+    ".pcd": read_pcd_colors,
+}
+"""What reads the colours of a file's points, by its ending."""

@@ -17,6 +17,7 @@ from gpgrad_core.types import Dataset, Pose
 TRUTH_FILE = "poses_gt.txt"
 ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first that is there is read
 ABOUT_FILE = "dataset.toml"
+IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
 
 
 def load_dataset(path: Path | str, progress: Progress = silent) -> Dataset:
@@ -76,7 +77,12 @@ def _load_folder(path: Path, progress: Progress) -> Dataset:
         notes += cloud_notes
         index = index_of(cloud.stem)
         if index is not None:
-            submap = replace(submap, pose_true=truth.get(index), pose_odometry=odometry.get(index))
+            submap = replace(
+                submap,
+                pose_true=truth.get(index),
+                pose_odometry=odometry.get(index),
+                images=_find_images(path / "images", index),
+            )
         submaps.append(submap)
         progress(count / len(clouds))
     return Dataset(
@@ -87,6 +93,19 @@ def _load_folder(path: Path, progress: Progress) -> Dataset:
         notes=(*about.notes, *notes),
         licence=about.licence,
         sensor_noise=about.sensor_noise,
+    )
+
+
+def _find_images(folder: Path, index: int) -> tuple[Path, ...]:
+    """List the images of a submap: those in the folder of its number, by name."""
+    if not folder.is_dir():
+        return ()
+    own = [f for f in sorted(folder.iterdir()) if f.is_dir() and index_of(f.name) == index]
+    return tuple(
+        file
+        for found in own
+        for file in sorted(found.iterdir())
+        if file.suffix.lower() in IMAGE_ENDINGS and not file.name.startswith(".")
     )
 
 
@@ -190,7 +209,7 @@ def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
     truth: dict[int, Pose] = {}
     odometry: dict[int, Pose] = {}
     for count, submap in enumerate(dataset.submaps, start=1):
-        write_ply(folder / "submaps" / f"{submap.id}.ply", submap.points)
+        write_ply(folder / "submaps" / f"{submap.id}.ply", submap.points, submap.colors)
         index = index_of(submap.id)
         if index is not None and submap.pose_true is not None:
             truth[index] = submap.pose_true

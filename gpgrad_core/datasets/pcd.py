@@ -4,7 +4,9 @@ Read here for the same reasons as PLY: Open3D drops the missing rows of a cut as
 a word, and of a cut binary file returns no points but a printed warning.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -31,16 +33,49 @@ def read_pcd(path: Path) -> Float[NDArray[np.floating], "n 3"]:
     """
     data = path.read_bytes()
     header, body_start, num_lines = _parse_header(data, path)
-    names = header["FIELDS"]
-    missing = [name for name in "xyz" if name not in names]
+    missing = [name for name in "xyz" if name not in header["FIELDS"]]
     if missing:
         raise InputError(f"{path}: its FIELDS have no {' or '.join(missing)}")
+    return as_floats(_read_fields(data, header, body_start, num_lines, "xyz", path))
+
+
+def read_pcd_colors(path: Path) -> Float[NDArray[np.float64], "n 3"] | None:
+    """Read the points' red, green and blue in [0, 1]; None if they have no field ``rgb``.
+
+    The point cloud library packs three bytes into its field ``rgb`` or ``rgba``, which may call
+    itself a float.
+
+    Raises:
+        InputError: See `read_pcd`.
+    """
+    data = path.read_bytes()
+    header, body_start, num_lines = _parse_header(data, path)
+    name = next((name for name in ("rgb", "rgba") if name in header["FIELDS"]), None)
+    if name is None or header["SIZE"][header["FIELDS"].index(name)] != "4":
+        return None
+    packed = _read_fields(data, header, body_start, num_lines, (name,) * 3, path)[:, 0]
+    if header["TYPE"][header["FIELDS"].index(name)] == "F":
+        packed = packed.astype(np.float32).view(np.uint32)
+    whole = packed.astype(np.int64) & 0xFFFFFF
+    return np.column_stack([whole >> 16, (whole >> 8) & 0xFF, whole & 0xFF]) / 255.0
+
+
+def _read_fields(
+    data: bytes,
+    header: dict[str, list[str]],
+    body_start: int,
+    num_lines: int,
+    fields: Sequence[str],
+    path: Path,
+) -> NDArray[Any]:
+    """Read three fields of every point."""
+    names = header["FIELDS"]
     count = int(header["POINTS"][0])
     counts = [int(word) for word in header.get("COUNT", ["1"] * len(names))]
     layout = header["DATA"][0]
     if layout == "ascii":
         starts = np.concatenate([[0], np.cumsum(counts)])
-        x, y, z = (int(starts[names.index(name)]) for name in "xyz")
+        x, y, z = (int(starts[names.index(name)]) for name in fields)
         text = data[body_start:].decode("latin-1")
         return read_body(text, count, (x, y, z), path, first_line=num_lines + 1)
     dtype = np.dtype(
@@ -49,13 +84,13 @@ def read_pcd(path: Path) -> Float[NDArray[np.floating], "n 3"]:
             for k, (kind, repeat) in enumerate(zip(_types(header, path), counts, strict=True))
         ]
     )
-    columns = [names.index(name) for name in "xyz"]
+    columns = [names.index(name) for name in fields]
     body = data[body_start:]
     if layout == "binary":
         if len(body) < count * dtype.itemsize:
             raise cut_short(path, count, len(body) // dtype.itemsize)
         table = np.frombuffer(body, dtype, count)
-        return as_floats(np.column_stack([table[str(column)][:, 0] for column in columns]))
+        return np.column_stack([table[str(column)][:, 0] for column in columns])
     if layout == "binary_compressed":
         return _read_compressed(body, dtype, columns, count, path)
     raise InputError(f"{path}: DATA {layout!r} is none of ascii, binary, binary_compressed")
@@ -63,7 +98,7 @@ def read_pcd(path: Path) -> Float[NDArray[np.floating], "n 3"]:
 
 def _read_compressed(
     body: bytes, dtype: np.dtype[np.void], columns: list[int], count: int, path: Path
-) -> Float[NDArray[np.floating], "n 3"]:
+) -> NDArray[Any]:
     """Read the layout that keeps each field's values together, packed by LZF."""
     if len(body) < 8:
         raise InputError(f"{path}: is cut short: its compressed points are missing")
@@ -82,12 +117,12 @@ def _read_compressed(
     unpacked = decompress_lzf(packed, size)
     if len(unpacked) != size:
         raise InputError(f"{path}: its compressed points are damaged; copy or save it again")
-    values: list[NDArray[np.floating]] = []
+    values: list[NDArray[Any]] = []
     for column in columns:
         offset = count * sum(dtype[k].itemsize for k in range(column))
         field, (repeat,) = dtype[column].subdtype or (dtype[column], (1,))
         values.append(np.frombuffer(unpacked, field, count * repeat, offset)[::repeat])
-    return as_floats(np.column_stack(values))
+    return np.column_stack(values)
 
 
 def decompress_lzf(packed: bytes, size: int) -> bytes:

@@ -6,8 +6,10 @@ refuse, but cannot say how much is missing. With the header's own promise checke
 one NumPy call.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -28,6 +30,7 @@ SCALARS = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
+RGB = ("red", "green", "blue")
 MAX_FLOAT32_EXTENT = 1000.0
 """Coordinates beyond this [m] are written as double: there float32 steps reach 0.06 mm."""
 
@@ -71,15 +74,41 @@ def read_ply(path: Path) -> Float[NDArray[np.floating], "n 3"]:
     """
     data = path.read_bytes()
     header = _parse_header(data, path)
+    return as_floats(_read_vertices(data, header, "xyz", path))
+
+
+def read_ply_colors(path: Path) -> Float[Array, "n 3"] | None:
+    """Read the vertices' red, green and blue in [0, 1]; None if they have none.
+
+    Whole numbers are taken as shares of the largest of their type, floats as they are.
+
+    Raises:
+        InputError: See `read_ply`.
+    """
+    data = path.read_bytes()
+    header = _parse_header(data, path)
+    vertex = next(element for element in header.elements if element.name == "vertex")
+    kinds = dict(vertex.properties)
+    if not all(kinds.get(name) for name in RGB):
+        return None
+    colors = _read_vertices(data, header, RGB, path).astype(np.float64)
+    whole = np.dtype(kinds["red"]).kind in "iu"
+    return colors / np.iinfo(kinds["red"]).max if whole else colors
+
+
+def _read_vertices(
+    data: bytes, header: _Header, properties: Sequence[str], path: Path
+) -> NDArray[Any]:
     names = [element.name for element in header.elements]
     if "vertex" not in names:
         raise InputError(f"{path}: its header has no 'element vertex'; it holds no points")
     before = header.elements[: names.index("vertex")]
     vertex = header.elements[names.index("vertex")]
-    columns = _xyz_columns(vertex, path)
+    columns = _columns(vertex, properties, path)
     if header.layout == "ascii":
         if any(not kind for _, kind in vertex.properties[: max(columns)]):
-            raise InputError(f"{path}: x, y and z must come before any list of a vertex")
+            wanted = ", ".join(properties)
+            raise InputError(f"{path}: {wanted} must come before any list of a vertex")
         text = data[header.num_bytes :].decode("latin-1")
         skipped = sum(element.count for element in before)
         return read_body(
@@ -98,7 +127,7 @@ def read_ply(path: Path) -> Float[NDArray[np.floating], "n 3"]:
     if available < vertex.count:
         raise cut_short(path, vertex.count, available)
     rows = np.frombuffer(data, dtype, vertex.count, start)
-    return as_floats(np.column_stack([rows[str(column)] for column in columns]))
+    return np.column_stack([rows[str(column)] for column in columns])
 
 
 def _parse_header(data: bytes, path: Path) -> _Header:
@@ -142,15 +171,18 @@ def _with_property(element: _Element, name: str, kind: str) -> _Element:
     return _Element(element.name, element.count, (*element.properties, (name, kind)))
 
 
-def _xyz_columns(vertex: _Element, path: Path) -> tuple[int, int, int]:
+def _columns(vertex: _Element, wanted: Sequence[str], path: Path) -> tuple[int, int, int]:
     found = {name: column for column, (name, kind) in enumerate(vertex.properties) if kind}
-    missing = [name for name in "xyz" if name not in found]
+    missing = [name for name in wanted if name not in found]
     if missing:
         raise InputError(f"{path}: its vertices have no property {' or '.join(missing)}")
-    return found["x"], found["y"], found["z"]
+    first, second, third = (found[name] for name in wanted)
+    return first, second, third
 
 
-def write_ply(path: Path, points: Float[Array, "n 3"]) -> None:
+def write_ply(
+    path: Path, points: Float[Array, "n 3"], colors: Float[Array, "n 3"] | None = None
+) -> None:
     """Write points as a little-endian binary PLY.
 
     float32 wherever that keeps a tenth of a millimetre, double beyond.
@@ -158,6 +190,7 @@ def write_ply(path: Path, points: Float[Array, "n 3"]) -> None:
     Args:
         path: The file; overwritten if it exists.
         points: Positions [m].
+        colors: Red, green and blue in [0, 1]; kept to a 255th.
     """
     wide = bool(len(points)) and float(np.abs(points).max()) > MAX_FLOAT32_EXTENT
     kind, dtype = ("double", "<f8") if wide else ("float", "<f4")
@@ -167,7 +200,12 @@ def write_ply(path: Path, points: Float[Array, "n 3"]) -> None:
             "format binary_little_endian 1.0",
             f"element vertex {len(points)}",
             *(f"property {kind} {name}" for name in "xyz"),
+            *(f"property uchar {name}" for name in RGB if colors is not None),
             "end_header\n",
         ]
     )
-    path.write_bytes(header.encode("ascii") + points.astype(dtype).tobytes())
+    body = points.astype(dtype)
+    if colors is not None:
+        shades = np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8)
+        body = np.hstack([body.view(np.uint8).reshape(len(points), -1), shades])
+    path.write_bytes(header.encode("ascii") + body.tobytes())
