@@ -82,11 +82,13 @@ def _as_map(
     variance: Float[Array, "rows columns"],
     signal_std: float,
     length_scale: float,
-    blur: float,  # noqa: ARG001
+    blur: float,
 ) -> GradientMap:
     slope_y, slope_x = np.gradient(elevation, grid.resolution)
     slope = np.stack([slope_x, slope_y], axis=-1)
-    return GradientMap(grid, elevation, variance, slope, signal_std, length_scale)
+    # Differences of a mean over `blur` scatter by its standard deviation over that distance.
+    slope_variance = np.repeat((variance / blur**2)[..., None], 2, axis=-1)
+    return GradientMap(grid, elevation, variance, slope, slope_variance, signal_std, length_scale)
 
 
 def _binned(
