@@ -249,6 +249,7 @@ class GradientMap:
     elevation: Float[Array, "rows columns"]  # posterior mean [m], Eq. (2)
     variance: Float[Array, "rows columns"]  # posterior variance of it [m²], Eq. (3)
     slope: Float[Array, "rows columns 2"]  # (dz/dx, dz/dy) [m/m], Eqs. (4), (5)
+    slope_variance: Float[Array, "rows columns 2"]  # posterior variance of either [m²/m²]
     signal_std: float  # standard deviation of the terrain before any point is seen [m]
     length_scale: float  # distance over which its height stays alike [m]
     gradient: Float[Array, "rows columns"] = field(init=False)  # steepness [m/m]
@@ -258,8 +259,15 @@ class GradientMap:
         """Derive the image that keypoints are drawn from, once."""
         object.__setattr__(self, "gradient", np.hypot(self.slope[..., 0], self.slope[..., 1]))
         object.__setattr__(self, "std", np.sqrt(self.variance))
-        for array in (self.elevation, self.variance, self.slope, self.gradient, self.std):
-            read_only(array)
+        for field_of_grid in (
+            self.elevation,
+            self.variance,
+            self.slope,
+            self.slope_variance,
+            self.gradient,
+            self.std,
+        ):
+            read_only(field_of_grid)
 
     def trusted(self, max_std_ratio: float) -> Bool[NDArray[np.bool_], "rows columns"]:
         """Say which cells lie close enough to points: std / signal_std <= max_std_ratio.
@@ -321,6 +329,8 @@ class Registration:
         overlap_area: Trusted area that both maps share under it [m²].
         correlation: Of the two slope fields over that area, in [-1, 1].
         score: How likely the pair is a loop closure; what ranking uses.
+        z_offset: What is to be added to the query's heights to lie on the database [m].
+        covariance: Of x [m], y [m] and yaw [rad] of the motion; None where it is not known.
     """
 
     T_database_query: SE2 | None
@@ -329,6 +339,8 @@ class Registration:
     overlap_area: float
     correlation: float
     score: float
+    z_offset: float = 0.0
+    covariance: Float[Array, "3 3"] | None = None
 
     @property
     def num_inliers(self) -> int:
