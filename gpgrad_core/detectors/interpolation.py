@@ -1,0 +1,34 @@
+"""Values of an image between its pixels."""
+
+from typing import Any, cast
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+MOST_ROWS = 16_384
+"""Rows of positions at a time: OpenCV maps no more than 32766."""
+
+
+def interpolate(
+    image: Float[NDArray[np.float32], "rows columns c"],
+    where: Float[NDArray[np.floating], "k n 2"],
+) -> Float[NDArray[np.float32], "k n c"]:
+    """Interpolate an image linearly, all channels at once.
+
+    Args:
+        image: Its first pixel's centre is (0, 0).
+        where: Positions (column, row) [pixels]; beyond the image there is 0.
+    """
+    values = np.zeros((*where.shape[:2], image.shape[2]), np.float32)
+    for start in range(0, len(where), MOST_ROWS):
+        block = slice(start, start + MOST_ROWS)
+        values[block] = cv2.remap(
+            image,
+            where[block].astype(np.float32),
+            cast("Any", None),  # the map's two halves are one array
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+        ).reshape(values[block].shape)
+    return values
