@@ -68,20 +68,6 @@ def test_what_was_found_can_be_judged_again_otherwise(
     assert first["pose_error"] == second["pose_error"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("--method", "magic"), "unknown --method 'magic'"),
-        (("--min-overlap", "2"), "min_overlap must be from 0 to 0.99"),
-    ],
-)
-def test_wrong_usage_is_one_line(
-    gpgrad: Run, known: Path, tmp_path: Path, arguments: tuple[str, ...], said: str
-) -> None:
-    assert said in gpgrad("evaluate", known, "--out", tmp_path / "r", *arguments).refusal
-    assert not (tmp_path / "r").exists()
-
-
 def test_missing_truth_says_which_file_is_needed(
     gpgrad: Run, traverse: Path, tmp_path: Path
 ) -> None:

@@ -61,6 +61,7 @@ def test_every_flag_has_a_text_and_a_default(gpgrad: Run, verb: str) -> None:
         (("detect", "x", "--out", "a.txt"), "a.txt: the ending must be one of .json"),
         (("detect", "x", "--out", "no/where/a.json"), "no/where/a.json: cannot write"),
         (("detect", "x", "--out", "a.json", "--g2o", "no/a.g2o"), "no/a.g2o: cannot write"),
+        (("evaluate", "x", "--out", "r", "--method", "magic"), "unknown --method 'magic'"),
         (("map", "x.ply", "--out", "a.jpg"), "a.jpg: the ending must be one of .npz"),
         (("simulate", "x", "--num-submaps", "-3"), "num_submaps must be from"),
         (("view", "--port", "abc"), "--port"),

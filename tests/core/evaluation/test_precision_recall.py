@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, f1_score, precision_recall_curve
 
@@ -67,6 +67,7 @@ def test_nothing_to_recall_is_an_error() -> None:
         precision_recall(np.zeros(3), np.zeros(3, dtype=bool))
 
 
+@settings(max_examples=40)
 @given(rankings)
 def test_agrees_with_scikit_learn(rows: list[tuple[int, bool]]) -> None:
     score, positive = split(rows)
@@ -80,6 +81,7 @@ def test_agrees_with_scikit_learn(rows: list[tuple[int, bool]]) -> None:
     assert f1 == pytest.approx(f1_score(positive, score >= threshold))
 
 
+@settings(max_examples=40)
 @given(rankings, st.randoms(use_true_random=False))
 def test_order_and_scale_do_not_matter(rows: list[tuple[int, bool]], random: object) -> None:
     shuffled = list(rows)
@@ -91,6 +93,7 @@ def test_order_and_scale_do_not_matter(rows: list[tuple[int, bool]], random: obj
     assert first.recall.tolist() == stretched.recall.tolist()
 
 
+@settings(max_examples=40)
 @given(rankings)
 def test_a_resample_that_draws_each_pair_once_changes_nothing(rows: list[tuple[int, bool]]) -> None:
     score, positive = split(rows)
@@ -101,6 +104,7 @@ def test_a_resample_that_draws_each_pair_once_changes_nothing(rows: list[tuple[i
     assert same.f1 == pytest.approx([best_f1(curve)[0]] * 2)
 
 
+@settings(max_examples=40)
 @given(rankings, st.integers(0, 2**31))
 def test_a_pair_drawn_twice_counts_as_two(rows: list[tuple[int, bool]], seed: int) -> None:
     score, positive = split(rows)

@@ -15,8 +15,10 @@ from gpgrad_core.evaluation import (
     check_directory,
     evaluate,
     figures,
+    report_evaluation,
     write_report,
 )
+from gpgrad_core.evaluation.text import describe
 from gpgrad_core.outputs import read_closures
 from gpgrad_core.pipeline import DetectionResult
 from gpgrad_core.progress import Cancelled
@@ -119,13 +121,13 @@ def test_the_same_seed_gives_the_same_report(
 
 
 def test_without_true_pairs_there_is_a_report_all_the_same(
-    dataset: Dataset, result: DetectionResult, tmp_path: Path
+    dataset: Dataset, result: DetectionResult
 ) -> None:
     params = EvaluationParams(min_overlap=0.95, min_surface_overlap=0.95)
-    write_report(tmp_path, evaluate(dataset, {"mine": result}, params))
-    assert "No pair is true by this rule" in (tmp_path / "report.md").read_text()
-    assert not (tmp_path / "precision_recall.png").exists()
-    assert (tmp_path / "loops_mine.png").exists()
+    nothing_true = evaluate(dataset, {"mine": result}, params)
+    assert describe(nothing_true, []).count("No pair is true by this rule") == 2
+    assert report_evaluation(nothing_true)["methods"][0]["rules"]["box"]["ranked"] is None
+    assert set(figures.draw_figures(nothing_true)) == {"affinity_mine", "loops_mine"}
 
 
 @pytest.mark.usefixtures("undrawn")
