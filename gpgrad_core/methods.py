@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from gpgrad_core.baselines.chance import chance_detector
+from gpgrad_core.baselines.cshot import cshot_detector
 from gpgrad_core.baselines.elevation import elevation_detector
 from gpgrad_core.baselines.fpfh import fgr_detector, fpfh_detector
 from gpgrad_core.baselines.kiss_matcher import kiss_matcher_detector
@@ -57,6 +58,7 @@ METHODS: dict[str, Method] = {
         Method("fpfh", "FPFH and RANSAC.", fpfh_detector, judged_by_inliers),
         Method("fgr", "FPFH and fast global registration.", fgr_detector, judged_by_inliers),
         Method("shot", "SHOT on curved keypoints, RANSAC.", shot_detector, judged_by_inliers),
+        Method("cshot", "SHOT with colours, RANSAC.", cshot_detector, judged_by_inliers),
         Method(
             "kiss-matcher",
             "KISS-Matcher, of the extra 'peers'.",

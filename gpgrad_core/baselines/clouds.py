@@ -40,6 +40,8 @@ def thinned(submap: Submap, voxel: float, normal_radius: float) -> Any:
     """
     points = np.array(submap.points)  # Open3D refuses arrays that are read-only
     cloud: Any = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    if submap.colors is not None:
+        cloud.colors = o3d.utility.Vector3dVector(np.array(submap.colors))
     cloud = cloud.voxel_down_sample(voxel)
     cloud.estimate_normals(
         o3d.geometry.KDTreeSearchParamHybrid(radius=normal_radius, max_nn=NORMAL_NEIGHBOURS)

@@ -51,7 +51,7 @@ def _register(query: Cloud, database: Cloud, params: PipelineParams) -> Registra
         return outcome(None, np.zeros(0, bool))
     # Its pose maps the older map, the database, into the query.
     pose: Any = candidates[0].pose
-    T_database_query: Array = np.linalg.inv(np.asarray(pose, dtype=np.float64))
+    T_database_query = np.linalg.inv(np.asarray(pose)).astype(np.float64)
     middle = query.points.mean(axis=0, keepdims=True)
     inliers = np.ones(candidates[0].number_of_inliers, bool)
     return outcome(seen_from_above(T_database_query, middle), inliers)

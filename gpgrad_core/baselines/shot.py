@@ -1,4 +1,6 @@
-"""Signatures of histograms of orientations (SHOT-352, Tombari 2010; CSHOT, Tombari 2011)."""
+"""Signatures of histograms of orientations: SHOT-352 (Tombari 2010)."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -35,17 +37,38 @@ def shot_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Described
 
 def describe_shot(submap: Submap, params: PipelineParams) -> DescribedCloud:
     """Describe a submap's keypoints by SHOT-352."""
+    surface = curved_surface(submap, params)
+    described = shot(surface.points, surface.normals, surface.keypoints, surface.radius)
+    middle = submap.points.mean(axis=0, keepdims=True)
+    return DescribedCloud(surface.keypoints, described.astype(np.float32), middle)
+
+
+@dataclass(frozen=True, eq=False)
+class CurvedSurface:
+    """A thinned cloud and its keypoints."""
+
+    points: Float[Array, "n 3"]  # [m]
+    normals: Float[Array, "n 3"]
+    colors: Float[Array, "n 3"] | None  # in [0, 1]
+    keypoints: Float[Array, "k 3"]  # [m]
+    radius: float  # of the descriptors' support [m]
+
+
+def curved_surface(submap: Submap, params: PipelineParams) -> CurvedSurface:
+    """Thin a submap and choose its keypoints."""
     scale = params.map.length_scale
     cloud = thinned(submap, VOXEL * scale, NORMAL_RADIUS * scale)
     points = np.array(cloud.points, dtype=np.float64)
-    normals = np.array(cloud.normals, dtype=np.float64)
     chosen = curved_keypoints(
         points, CURVATURE_RADIUS * scale, KEYPOINT_SPACING * scale, MAX_KEYPOINTS
     )
-    keypoints = points[chosen]
-    described = shot(points, normals, keypoints, SUPPORT_RADIUS * scale)
-    middle = submap.points.mean(axis=0, keepdims=True)
-    return DescribedCloud(keypoints, described.astype(np.float32), middle)
+    return CurvedSurface(
+        points,
+        np.array(cloud.normals, dtype=np.float64),
+        np.array(cloud.colors, dtype=np.float64) if cloud.has_colors() else None,
+        points[chosen],
+        SUPPORT_RADIUS * scale,
+    )
 
 
 def shot(
@@ -69,8 +92,8 @@ def shot(
     near = neighbours_within(points, keypoints, radius)
     frames = local_frames(points, keypoints, near, radius)
     cosine = np.einsum("pi,pi->p", normals[near.index], frames[near.query, 2])
-    sectors = _sectors(points, keypoints, near, frames, radius)
-    return _histograms(near, sectors, (np.clip(cosine, -1, 1) + 1) / 2 * COSINES, COSINES)
+    sectors = sectors_of(points, keypoints, near, frames, radius)
+    return sector_histograms(near, sectors, (np.clip(cosine, -1, 1) + 1) / 2 * COSINES, COSINES)
 
 
 def local_frames(
@@ -98,7 +121,7 @@ def _to_the_many(
     return np.where(near.sum_up(side[:, None]) >= 0, axis, -axis)
 
 
-def _sectors(
+def sectors_of(
     points: Float[Array, "n 3"],
     keypoints: Float[Array, "k 3"],
     near: Neighbours,
@@ -114,7 +137,7 @@ def _sectors(
     return np.column_stack([azimuth, elevation, distance / radius * SHELLS])
 
 
-def _histograms(
+def sector_histograms(
     near: Neighbours,
     sectors: Float[Array, "p 3"],
     values: Float[Array, "p"],

@@ -31,4 +31,8 @@ def look(T_world_submap: SE2, name: str, *, seed: int, ground: int = 1) -> Subma
     heights = rocks(ground, T_world_submap.apply(local))
     points = np.column_stack([local, heights])
     _, first = np.unique(np.floor(points / 0.05).astype(int), axis=0, return_index=True)
-    return Submap.from_points(points[np.sort(first)], name)
+    kept = points[np.sort(first)]
+    world = T_world_submap.apply(kept[:, :2])
+    stains = [rocks(ground + 10 * k, world) for k in (1, 2, 3)]  # no relation to the shape
+    colors = np.clip(0.3 + np.column_stack(stains), 0, 1)
+    return Submap.from_points(kept, name, colors=colors)
