@@ -52,6 +52,15 @@ class StagedDetector(Protocol):
         ...
 
 
+@runtime_checkable
+class OrderedDetector(StagedDetector, Protocol):
+    """A `StagedDetector` that learns from all submaps in order, such as a growing vocabulary."""
+
+    def gather(self, views: list[Any]) -> list[Any]:
+        """Tell each extracted submap what is to be known of those before it."""
+        ...
+
+
 def compare_all(
     submaps: Sequence[Submap],
     detector: LoopDetector,
@@ -79,6 +88,8 @@ def compare_all(
         compare = detector.compare
         for name, stage in (("maps", detector.infer), ("features", detector.extract)):
             views = _side_by_side(stage, views, executor, part(progress, *STAGES[name]))
+            if name == "features" and isinstance(detector, OrderedDetector):
+                views = detector.gather(views)
             seconds[name], start = perf_counter() - start, perf_counter()
     blocks = [_Block.of(views, pairs) for pairs in _blocks(len(views), executor)]
     found = _side_by_side(

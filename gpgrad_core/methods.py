@@ -4,6 +4,7 @@ import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from gpgrad_core.baselines.appearance import appearance_detector
 from gpgrad_core.baselines.chance import chance_detector
 from gpgrad_core.baselines.cshot import cshot_detector
 from gpgrad_core.baselines.elevation import elevation_detector
@@ -59,6 +60,12 @@ METHODS: dict[str, Method] = {
         Method("fgr", "FPFH and fast global registration.", fgr_detector, judged_by_inliers),
         Method("shot", "SHOT on curved keypoints, RANSAC.", shot_detector, judged_by_inliers),
         Method("cshot", "SHOT with colours, RANSAC.", cshot_detector, judged_by_inliers),
+        Method(
+            "appearance",
+            "ORB and a bag of words, on the dataset's images.",
+            appearance_detector,
+            judged_by_inliers,
+        ),
         Method(
             "kiss-matcher",
             "KISS-Matcher, of the extra 'peers'.",
