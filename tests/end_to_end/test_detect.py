@@ -1,12 +1,16 @@
 """`gpgrad detect`, as a process."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from gpgrad_core.outputs import read_closures
-from tests.end_to_end.process import Run
+from tests.end_to_end.process import ROOT, Run, environment
 
 
 @pytest.fixture(scope="module")
@@ -82,3 +86,46 @@ def test_a_flag_outweighs_the_file_and_the_file_the_dataset(
     assert not report.accepted  # nothing has 500 inliers
     best = max(report.pairs, key=lambda pair: pair.score)
     assert "inliers < 500" in best.reason
+
+
+def test_a_rival_finds_the_same_loop_and_is_named(
+    gpgrad: Run, traverse: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "closures.json"
+    finished = gpgrad("detect", traverse, "--out", out, "--method", "smoothed")
+    assert finished.code == 0, finished.err
+    report = read_closures(out)
+    assert report.method == "smoothed"
+    best = max(report.pairs, key=lambda pair: pair.score)
+    assert (best.query, best.database) == ("003", "000")
+
+
+def test_an_interrupt_ends_all_workers_and_leaves_nothing(traverse: Path, tmp_path: Path) -> None:
+    termios = pytest.importorskip("termios", reason="this system has no terminals to draw a bar on")
+    pty = pytest.importorskip("pty", reason="this system has no pseudo-terminals")
+    ours, theirs = pty.openpty()
+    termios.tcsetwinsize(ours, (24, 80))  # a new one is 0 wide: no room for a bar
+    out = tmp_path / "closures.json"
+    with subprocess.Popen(
+        [sys.executable, "-m", "app", "detect", str(traverse), "--out", str(out)],
+        stdout=subprocess.DEVNULL,
+        stderr=theirs,
+        env=environment(),
+        cwd=ROOT,
+    ) as process:
+        os.close(theirs)
+        seen, interrupted = b"", False
+        try:
+            while chunk := os.read(ours, 65536):
+                seen += chunk
+                if b"pairs" in seen and not interrupted:  # the bar: it has begun to detect
+                    process.send_signal(signal.SIGINT)
+                    interrupted = True
+        except OSError:  # how Linux says that the other end was closed
+            pass
+        finally:
+            os.close(ours)
+        assert process.wait(timeout=60) == 130
+    assert b"gpgrad: interrupted" in seen
+    assert b"Traceback" not in seen
+    assert not out.exists()
