@@ -26,7 +26,7 @@ from tests.benchmarks.peers import tables
 from tests.benchmarks.peers.adapters import DENSE
 from tests.benchmarks.peers.cases import Answer
 from tests.benchmarks.peers.figure import draw
-from tests.benchmarks.peers.measure import Caps, Run, measure
+from tests.benchmarks.peers.measure import Run, measure
 from tests.benchmarks.peers.plan import Part, PartName, full_plan, quick_plan
 
 PICTURE = Path(__file__).resolve().parents[2] / "assets" / "pictures" / "gp_peers.png"
@@ -44,7 +44,8 @@ class Options:
     parts: tuple[PartName, ...] = EVERYTHING
     """What to measure."""
     methods: tuple[str, ...] = ()
-    """Measure these only; the dense form runs besides, for the errors. None: all."""
+    """Measure, and keep of the parts measured, these only; the dense form runs besides, for the
+    errors. None: all."""
     table_seconds: float = 900.0
     """Most that one solution may take in `table`, `ski` and `targets`."""
     quick: bool = False
@@ -57,17 +58,20 @@ def main(options: Options) -> int:
     plan = quick_plan() if options.quick else full_plan(options.table_seconds)
     stored = load(options.json)
     for name in options.parts:
-        runs = measure_part(plan[name], options.methods)
-        stored[name] = {"machine": machine(), "runs": [run.as_dict() for run in runs]}
+        part = plan[name]
+        runs = [run.as_dict() for run in measure_part(part, options.methods)]
+        stored[name] = {
+            "title": part.title,
+            "machine": machine(),
+            "caps": f"{part.caps.seconds:g} s or {part.caps.megabytes / 1000:g} GB",
+            "runs": runs,
+        }
         if options.json is not None:  # after each part: the others may take long
             options.json.write_text(json.dumps(stored, indent=1) + "\n")
-    parts = {name: [Run.from_dict(run) for run in stored[name]["runs"]] for name in stored}
-    met = report(plan, parts, {name: stored[name]["machine"] for name in stored})
+    met = report(stored)
     picture = options.picture or (None if options.quick else PICTURE)
-    points, area = parts.get("points", []), parts.get("area", [])
-    if picture is not None and (points or area):
-        where = stored["points" if points else "area"]["machine"]
-        draw(points, area, where, describe(plan["points"].caps), picture)
+    if picture is not None and "points" in stored and "area" in stored:
+        draw_figure(stored, picture)
     return int(not met and not options.quick)
 
 
@@ -106,32 +110,35 @@ def measure_part(part: Part, only: tuple[str, ...]) -> list[Run]:
     return sorted(done, key=lambda run: wanted.index(run.method))
 
 
-def describe(caps: Caps) -> str:
-    """Name what one solution may cost."""
-    return f"{caps.seconds:g} s or {caps.megabytes / 1000:g} GB"
+def runs_of(part: dict) -> list[Run]:
+    """Read a part's runs."""
+    return [Run.from_dict(run) for run in part["runs"]]
 
 
-def report(
-    plan: dict[PartName, Part], parts: dict[PartName, list[Run]], machines: dict[PartName, str]
-) -> bool:
+def report(stored: dict) -> bool:
     """Print all tables; whether ours reaches everything that was measured."""
-    met = True
+    all_met = True
     for name in EVERYTHING:
-        runs = parts.get(name)
-        if not runs:
+        if name not in stored:
             continue
-        part = plan[name]
-        verdict, reached = "", True
+        part, runs = stored[name], runs_of(stored[name])
+        verdict, met = "", True
         if name in ("points", "area"):
             table = tables.follow_growth(runs, name)
         else:
             table = tables.compare(runs)
             check = tables.check_targets if name == "targets" else tables.check_peers
-            verdict, reached = check(runs)
-        met = met and reached
-        note = f"{machines[name]}; one solution up to {describe(part.caps)}"
-        print(f"\n## {part.title}\n\n{note}\n\n{table}\n\n{verdict}")  # noqa: T201
-    return met
+            verdict, met = check(runs)
+        all_met = all_met and met
+        note = f"{part['machine']}; one solution up to {part['caps']}"
+        print(f"\n## {part['title']}\n\n{note}\n\n{table}\n\n{verdict}")  # noqa: T201
+    return all_met
+
+
+def draw_figure(stored: dict, path: Path) -> None:
+    """Draw the cost against points and against area."""
+    points, area = stored["points"], stored["area"]
+    draw(runs_of(points), runs_of(area), points["machine"], points["caps"], path)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,9 @@ def percent(value: float | None) -> str:
     """A share; a dash where there is none."""
     if value is None:
         return "-"
-    return "exact" if value < 1e-6 else f"{100 * value:.2g} %" if value < 1 else f"{value:.3g} x"
+    if value < 1e-6:
+        return "exact"
+    return f"{100 * value:.0f} %" if value >= 1 else f"{100 * value:.2g} %"
 
 
 def compare(runs: list[Run]) -> str:
