@@ -12,6 +12,7 @@ from gpgrad_core.baselines.fpfh import fgr_detector, fpfh_detector
 from gpgrad_core.baselines.kiss_matcher import kiss_matcher_detector
 from gpgrad_core.baselines.map_closures import map_closures_detector
 from gpgrad_core.baselines.outcome import judged_by_inliers
+from gpgrad_core.baselines.paper import PaperDetector, paper_params
 from gpgrad_core.baselines.shot import shot_detector
 from gpgrad_core.baselines.smoothed import smoothed_detector
 from gpgrad_core.errors import InputError
@@ -54,6 +55,7 @@ METHODS: dict[str, Method] = {
     method.name: method
     for method in (
         Method("gradient", "Keypoints on Gaussian-process gradient maps.", MapDetector),
+        Method("paper", "The paper to the letter.", PaperDetector, paper_params),
         Method("elevation", "The same, keypoints on the elevation image.", elevation_detector),
         Method("smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector),
         Method("fpfh", "FPFH and RANSAC.", fpfh_detector, judged_by_inliers),

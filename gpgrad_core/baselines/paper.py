@@ -14,10 +14,9 @@ from gpgrad_core.detectors.interpolation import interpolate
 from gpgrad_core.features import DetectorParams
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.matching import MatchParams, match_features
-from gpgrad_core.memo import Memo
-from gpgrad_core.pipeline import PipelineParams, extract_kept, infer_map
+from gpgrad_core.pipeline import MapDetector, PipelineParams, View
 from gpgrad_core.se2 import SE2, fit_se2
-from gpgrad_core.types import GradientMap, Matches, Registration, Submap
+from gpgrad_core.types import GradientMap, Matches, Registration
 
 LENGTH_SCALE = 0.316
 """√0.1 m: Eq. (6) prints 2 l_k where others have 2 l², and l_k is about 0.1 (Sec. VI-B)."""
@@ -65,31 +64,20 @@ def paper_params(params: PipelineParams) -> PipelineParams:
 
 
 @dataclass(frozen=True, eq=False)
-class PaperDetector:
-    """The paper as a `LoopDetector`.
+class PaperDetector(MapDetector):
+    """The paper as a `LoopDetector`: the pipeline's maps and keypoints, its own Algorithm 1.
 
-    Attributes:
-        params: Those of `paper_params`.
-        memo: Keeps what was made of each submap.
+    Its ``params`` are those of `paper_params`.
     """
 
-    params: PipelineParams
-    memo: Memo
-
-    def __call__(self, query: Submap, database: Submap) -> Registration:
+    def compare(self, query: View, database: View) -> Registration:
         """Register the query to the database; the score is n."""
-        query_map, database_map = (
-            infer_map(submap, self.params, self.memo) for submap in (query, database)
-        )
-        query_features, database_features = (
-            extract_kept(made, self.params, self.memo) for made in (query_map, database_map)
-        )
-        matches = self.memo(match_features, query_features, database_features, self.params.matching)
+        matches = self.memo(match_features, query.features, database.features, self.params.matching)
         params = self.params.registration
         return self.memo(
             register_as_printed,
-            query_map,
-            database_map,
+            query.gradient_map,
+            database.gradient_map,
             matches,
             params.inlier_radius,
             params.trials,

@@ -11,7 +11,7 @@ from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.pipeline import PipelineParams
 from tests.core.ground import submap
 
-PROMISED = {"gradient", "elevation", "smoothed", "fpfh", "shot", "cshot", "chance"}
+PROMISED = {"gradient", "paper", "elevation", "smoothed", "fpfh", "shot", "cshot", "chance"}
 
 
 def test_the_promised_methods_are_there_under_their_own_names() -> None:
