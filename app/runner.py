@@ -33,6 +33,9 @@ class Runner(Generic[Job, Result]):
     Jobs are run in the order they were submitted and never two at once, so a result can never
     be overtaken by an older one, and the last job submitted is always the last one shown.
 
+    A job may have a preview, a rough result that is quickly made: it is shown at once, and the
+    work itself begins only if no newer job waits by then.
+
     The callbacks are called from the worker's thread. What they or the work raise becomes a
     value for ``on_error``; nothing but `close` ends the worker.
     """
@@ -44,6 +47,7 @@ class Runner(Generic[Job, Result]):
         on_error: Callable[[Job, Exception], None],
         *,
         on_start: Callable[[Job], None] | None = None,
+        preview: Callable[[Job, Progress], Result | None] | None = None,
         patience: float = PATIENCE,
         longest_blind: float = LONGEST_BLIND,
         name: str = "runner",
@@ -56,6 +60,7 @@ class Runner(Generic[Job, Result]):
             on_result: Given the job, its result and the seconds it took.
             on_error: Given the job and what was raised.
             on_start: Told of a job that begins.
+            preview: Turns a job into a rough result for ``on_result``, or None for none.
             patience: See `PATIENCE` [s].
             longest_blind: See `LONGEST_BLIND` [s].
             name: Of the thread, for debuggers.
@@ -64,6 +69,7 @@ class Runner(Generic[Job, Result]):
         self._on_result = on_result
         self._on_error = on_error
         self._on_start = on_start
+        self._preview = preview
         self._patience = patience
         self._longest_blind = longest_blind
         self._changed = threading.Condition()
@@ -133,9 +139,18 @@ class Runner(Generic[Job, Result]):
                 raise Cancelled
 
         try:
+            rough = None if self._preview is None else self._preview(job, progress)
+            if rough is not None:
+                self._show(job, rough, start)
+                must_show = False
+                if self._waiting:
+                    return
             result = self._work(job, progress)
         except Cancelled:
             return
+        self._show(job, result, start)
+
+    def _show(self, job: Job, result: Result, start: float) -> None:
         self._on_result(job, result, time.monotonic() - start)
         self._last_shown = time.monotonic()
 

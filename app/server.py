@@ -23,7 +23,9 @@ from app.panels.view import ViewPanel
 from app.runner import Runner
 from app.state import ViewOptions, ViewState
 from app.views.colors import legend_uri
+from app.views.layers import Scale
 from app.views.scene import PairScene, Shown
+from gpgrad_core.coarse import infer_quick_map
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.memo import Memo
@@ -40,6 +42,7 @@ MAIN_PARAMETERS = {
     "features.max_std_ratio": "Variance mask",
     "registration.inlier_radius": "Inlier radius",
     "closure.min_inliers": "Minimum inliers",
+    "closure.min_score": "Minimum score",
 }
 """The parameters that stand in the open, and what people call them."""
 
@@ -58,6 +61,21 @@ class Opened:
     dataset: Dataset
     params: PipelineParams
     source: str
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What the worker has shown.
+
+    Attributes:
+        shown: What is to be seen.
+        pair: What was found; None in a preview, which has nothing but surfaces.
+        coarse: Whether the surfaces are not yet the full ones.
+    """
+
+    shown: Shown
+    pair: PairResult | None = None
+    coarse: bool = False
 
 
 class Viewer:
@@ -96,8 +114,14 @@ class Viewer:
         self._scene = PairScene(self._server)
         self._build_panels(source)
         self._scene.start_camera(self._scene.camera(self._state))
-        self._runner: Runner[ViewState, tuple[PairResult, Shown]] = Runner(
-            self._compute, self._on_result, self._on_error, on_start=self._on_start, name="pair"
+        self._painted: ViewState | None = None  # whose full surfaces are to be seen
+        self._runner: Runner[ViewState, Picture] = Runner(
+            self._compute,
+            self._on_result,
+            self._on_error,
+            on_start=self._on_start,
+            preview=self._preview,
+            name="pair",
         )
         self._loader: Runner[Path | None, Opened] = Runner(
             self._load, self._on_loaded, self._on_load_error, name="dataset"
@@ -205,39 +229,61 @@ class Viewer:
 
     # What the worker does.
 
-    def _compute(self, state: ViewState, progress: Progress) -> tuple[PairResult, Shown]:
+    def _preview(self, state: ViewState, progress: Progress) -> Picture | None:
+        """Show the surfaces, coarse if need be: what is found on them takes longer."""
+        if self._painted is not None and session.same_surfaces(self._painted, state):
+            return None
+        if state.options.layout == "registered" and not self._scene.knows_motion(state):
+            return None  # it would jump as soon as the motion is known
+        query_map, database_map = (
+            infer_quick_map(submap, state.params.map, self._memo, progress)
+            for submap in (state.query, state.database)
+        )
+        coarse = any(
+            made.grid.resolution != state.params.map.resolution
+            for made in (query_map, database_map)
+        )
+        self._painted = None if coarse else state
+        return Picture(self._scene.preview(state, (query_map, database_map)), coarse=coarse)
+
+    def _compute(self, state: ViewState, progress: Progress) -> Picture:
         result = register_pair(
             state.query, state.database, state.params, self._memo, progress=progress
         )
-        return result, self._scene.show(state, result)
+        self._painted = state
+        return Picture(self._scene.show(state, result), result)
 
     def _on_start(self, state: ViewState) -> None:
         del state
         self._status.computing()
 
-    def _on_result(
-        self, state: ViewState, result: tuple[PairResult, Shown], seconds: float
-    ) -> None:
-        pair, shown = result
-        self._verdict.show(state, pair)
-        scale = shown.scale
+    def _on_result(self, state: ViewState, picture: Picture, seconds: float) -> None:
+        self._show_legend(state, picture.shown.scale)
+        if picture.pair is None:
+            if picture.coarse:
+                self._verdict.outdate()
+            self._status.preview(seconds, coarse=picture.coarse)
+        else:
+            self._verdict.show(state, picture.pair)
+            if self._runner.newer_waits:
+                self._status.stale(seconds)
+            else:
+                self._status.up_to_date(seconds, details(picture.shown, state))
+        self._server.flush()
+
+    def _show_legend(self, state: ViewState, scale: Scale | None) -> None:
         if scale is None:
             self._view_panel.hide_legend()
-        else:
-            mask = state.params.features.max_std_ratio
-            self._view_panel.show_legend(
-                legend_uri(scale.color_map),
-                scale.label,
-                scale.unit,
-                low=scale.low,
-                high=scale.high,
-                mark=mask if state.options.layer == "mask" else None,
-            )
-        if self._runner.newer_waits:
-            self._status.stale(seconds)
-        else:
-            self._status.up_to_date(seconds, details(shown, state))
-        self._server.flush()
+            return
+        mask = state.params.features.max_std_ratio
+        self._view_panel.show_legend(
+            legend_uri(scale.color_map),
+            scale.label,
+            scale.unit,
+            low=scale.low,
+            high=scale.high,
+            mark=mask if state.options.layer == "mask" else None,
+        )
 
     def _on_error(self, state: ViewState, error: Exception) -> None:
         del state

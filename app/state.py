@@ -116,6 +116,17 @@ def with_options(state: ViewState, options: ViewOptions) -> ViewState:
     return replace(state, options=options)
 
 
+def same_surfaces(first: ViewState, second: ViewState) -> bool:
+    """Say whether two snapshots show the same surfaces alike."""
+    return (
+        first.dataset is second.dataset
+        and (first.query_id, first.database_id) == (second.query_id, second.database_id)
+        and first.params.map == second.params.map
+        and first.params.features.max_std_ratio == second.params.features.max_std_ratio
+        and first.options == second.options
+    )
+
+
 def neighbour(dataset: Dataset, submap_id: str, step: int, *, skip: str | None = None) -> str:
     """Name the submap ``step`` places on, round the end.
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from jaxtyping import Float
 from typing_extensions import Doc
 
 from gpgrad_core.bounds import Bounds, check_bounds
@@ -11,7 +12,7 @@ from gpgrad_core.gp.binning import bin_points
 from gpgrad_core.gp.inference import Posterior, fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.progress import Progress, silent
-from gpgrad_core.types import GradientMap, Grid, Submap
+from gpgrad_core.types import Array, GradientMap, Grid, Submap
 
 BINNED_FROM = 10_000
 """Points of a cloud from which on binning can save more than it costs."""
@@ -99,15 +100,9 @@ def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = sile
     Raises:
         InputError: If the GP would be too large or cannot be solved.
     """
-    points = submap.points
-    if params.max_points is not None and len(points) > params.max_points:
-        chosen = np.random.default_rng(0).choice(len(points), params.max_points, replace=False)
-        points = points[np.sort(chosen)]
+    points = kept_points(submap, params.max_points)
     mean = float(points[:, 2].mean())
-    signal_std = params.signal_std
-    if signal_std is None:
-        # A perfectly flat cloud has none; then the noise is all there is.
-        signal_std = max(float(points[:, 2].std()), 0.01 * params.noise_std)
+    signal_std = signal_std_of(points, params)
     noise_std = np.full(len(points), params.noise_std)
     if len(points) >= BINNED_FROM:
         # What the ground bends within a cell must stay far below the noise.
@@ -117,6 +112,23 @@ def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = sile
             points, noise_std = binned, params.noise_std / np.sqrt(counts)
     kernel = SquaredExponential(signal_std, params.length_scale)
     return fit_gp(points, kernel, noise_std, mean=mean, progress=progress)
+
+
+def kept_points(submap: Submap, max_points: int | None) -> Float[Array, "n 3"]:
+    """Thin a submap's points [m] at random to so many; the same ones each time."""
+    points = submap.points
+    if max_points is None or len(points) <= max_points:
+        return points
+    chosen = np.random.default_rng(0).choice(len(points), max_points, replace=False)
+    return points[np.sort(chosen)]
+
+
+def signal_std_of(points: Float[Array, "n 3"], params: TerrainParams) -> float:
+    """Give the standard deviation of the terrain's height: as set, or else the points' own [m]."""
+    if params.signal_std is not None:
+        return params.signal_std
+    # A perfectly flat cloud has none; then the noise is all there is.
+    return max(float(points[:, 2].std()), 0.01 * params.noise_std)
 
 
 def sample_map(submap: Submap, posterior: Posterior, resolution: float) -> GradientMap:

@@ -46,6 +46,11 @@ class Memo:
         """Bytes of arrays held now."""
         return self._bytes
 
+    def holds(self, function: Callable[..., Any], *arguments: object) -> bool:
+        """Say whether calling with these arguments would compute nothing."""
+        with self._lock:
+            return self._key(function, arguments) in self._results
+
     def __call__(self, function: Callable[P, R], *arguments: P.args, **unkeyed: P.kwargs) -> R:
         """Return ``function(*arguments, **unkeyed)``, computed at most once while it is kept.
 
@@ -55,8 +60,7 @@ class Memo:
             unkeyed: What does not change the result, such as ``progress``.
         """
         with self._lock:
-            name = f"{function.__module__}.{function.__qualname__}"
-            key = (name, *(self._key_of(argument) for argument in arguments))
+            key = self._key(function, arguments)
             kept = self._results.get(key)
             if kept is not None:
                 self._results.move_to_end(key)
@@ -74,6 +78,10 @@ class Memo:
                 _, (_, freed) = self._results.popitem(last=False)
                 self._bytes -= freed
         return result
+
+    def _key(self, function: Callable[..., Any], arguments: tuple[object, ...]) -> Hashable:
+        name = f"{function.__module__}.{function.__qualname__}"
+        return name, *(self._key_of(argument) for argument in arguments)
 
     def _key_of(self, argument: object) -> Hashable:
         fingerprint = getattr(argument, "fingerprint", None)

@@ -19,6 +19,17 @@ class StatusLine:
         """Say that the picture is about to change."""
         self._handle.content = status_html(what, BUSY)
 
+    def preview(self, seconds: float, *, coarse: bool) -> None:
+        """Say that surfaces came, and that what is found on them is being made.
+
+        Args:
+            seconds: From the beginning of the computation to the picture.
+            coarse: Whether finer surfaces are being made too.
+        """
+        now = "Coarse picture" if coarse else "Surfaces shown"
+        then = "refining" if coarse else "matching"
+        self._handle.content = status_html(f"{now} · {1000 * seconds:.0f} ms · {then} …", BUSY)
+
     def up_to_date(self, seconds: float, details: str) -> None:
         """Say that the picture is what was asked for.
 

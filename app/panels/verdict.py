@@ -15,11 +15,17 @@ class VerdictCard:
 
     def __init__(self, server: viser.ViserServer) -> None:
         """Make it in the current container, empty."""
-        self._handle = server.gui.add_html(frame('<div style="opacity:.7">No result yet.</div>'))
+        self._card = frame('<div style="opacity:.7">No result yet.</div>')
+        self._handle = server.gui.add_html(self._card)
 
     def show(self, state: ViewState, result: PairResult) -> None:
         """Show a result."""
-        self._handle.content = verdict_html(state, result)
+        self._card = verdict_html(state, result)
+        self._handle.content = self._card
+
+    def outdate(self) -> None:
+        """Fade the card: it is not about the surfaces that are shown, and a new one is coming."""
+        self._handle.content = f'<div style="opacity:.4">{self._card}</div>'
 
 
 def verdict_html(state: ViewState, result: PairResult) -> str:
@@ -28,7 +34,7 @@ def verdict_html(state: ViewState, result: PairResult) -> str:
     needed, lowest = state.params.closure.min_inliers, state.params.closure.min_score
     motion = registration.T_database_query
     rows = [
-        ("inliers", f"{registration.num_inliers} of {needed} needed"),
+        ("inliers", f"{registration.num_inliers}" + (f" of {needed} needed" if needed else "")),
         ("associations", f"{len(result.matches):,}"),
         ("score", f"{registration.score:.2f}" + (f" of {lowest:g} needed" if lowest else "")),
     ]

@@ -28,7 +28,8 @@ from app.views.placement import (
 )
 from app.views.surfels import make_surfels, stride_for
 from gpgrad_core.pipeline import PairResult
-from gpgrad_core.types import GradientMap, Submap
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Dataset, GradientMap, Submap
 
 LinePoints: TypeAlias = Float[NDArray[np.float32], "n 2 3"]
 
@@ -55,6 +56,41 @@ class Shown:
     registered: bool
     num_surfels: int
     num_points: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Registered:
+    """The motion last found, and for which pair."""
+
+    dataset: Dataset
+    query_id: str
+    database_id: str
+    motion: SE2 | None
+
+    def is_of(self, state: ViewState) -> bool:
+        """Say whether a state shows that pair."""
+        return (
+            self.dataset is state.dataset
+            and self.query_id == state.query_id
+            and self.database_id == state.database_id
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Stage:
+    """Where the submaps stand."""
+
+    boxes: tuple[Extent, Extent]  # of (query, database)
+    at_query: Placement
+    at_database: Placement
+
+    @property
+    def corners(self) -> Float[NDArray[np.float64], "k 3"]:
+        """Corners of both outlines in the scene [m]."""
+        query, database = self.boxes
+        return np.concatenate(
+            [self.at_query.apply(query.corners), self.at_database.apply(database.corners)]
+        )
 
 
 class Cloud:
@@ -228,59 +264,82 @@ class PairScene:
         self._bar = Segments(server, "/scale/bar", BAR, thickness=4.0)
         self._bar_label = scene.add_label("/scale/label", "", anchor="top-center")
         self._verdict = scene.add_label("/verdict", "", anchor="top-center", font_screen_scale=1.3)
+        self._registered: _Registered | None = None
 
     def show(self, state: ViewState, result: PairResult) -> Shown:
         """Show a pair as the state asks; one consistent change in the browser."""
-        options, ratio = state.options, state.params.features.max_std_ratio
         motion = result.registration.T_database_query
+        self._registered = _Registered(state.dataset, state.query_id, state.database_id, motion)
+        with self._server.atomic():
+            shown, stage = self._show_submaps(
+                state, (result.query_map, result.database_map), motion
+            )
+            self._show_associations(state, result, stage.at_query, stage.at_database)
+            self._show_verdict(result, stage.corners)
+        self._server.flush()
+        return shown
+
+    def preview(self, state: ViewState, maps: tuple[GradientMap, GradientMap]) -> Shown:
+        """Show the surfaces of (query, database) before it is known how they register.
+
+        The motion last found for the pair goes on; so do its keypoints and lines, for a moment.
+        Of another pair they go out of sight.
+        """
+        known = self._registered
+        same_pair = self.knows_motion(state)
+        with self._server.atomic():
+            shown, _ = self._show_submaps(
+                state, maps, known.motion if known and same_pair else None
+            )
+            if not same_pair:
+                self._hide_associations()
+        self._server.flush()
+        return shown
+
+    def knows_motion(self, state: ViewState) -> bool:
+        """Say whether the pair of a state is the one last shown with its registration."""
+        return self._registered is not None and self._registered.is_of(state)
+
+    def _show_submaps(
+        self, state: ViewState, maps: tuple[GradientMap, GradientMap], motion: SE2 | None
+    ) -> tuple[Shown, "_Stage"]:
+        options, ratio = state.options, state.params.features.max_std_ratio
+        query_map, database_map = maps
         registered = options.layout == "registered" and motion is not None
         dz = 0.0
         if registered and motion is not None:
-            dz = height_offset(result.query_map, result.database_map, motion, ratio)
+            dz = height_offset(query_map, database_map, motion, ratio)
         boxes = Extent.of(state.query), Extent.of(state.database)
-        at_query, at_database = place(*boxes, options.layout, motion, dz)
-        scale = shared_scale(
-            (result.query_map, result.database_map),
-            options.layer,
-            options.color_map,
-            ratio,
-            (dz, 0.0) if options.layer == "elevation" else (0.0, 0.0),
+        stage = _Stage(boxes, *place(*boxes, options.layout, motion, dz))
+        lift = dz if options.layer == "elevation" else 0.0
+        scale = shared_scale(maps, options.layer, options.color_map, ratio, (lift, 0.0))
+        for node, submap, box, placement in (
+            (self._query, state.query, boxes[0], stage.at_query),
+            (self._database, state.database, boxes[1], stage.at_database),
+        ):
+            node.move(placement)
+            node.name(submap, box)
+            self._show_cloud(node, submap, state)
+        self._show_surface(
+            self._query, query_map, state, scale, yaw=stage.at_query.yaw, offset=lift
         )
-        with self._server.atomic():
-            for node, submap, box, placement in (
-                (self._query, state.query, boxes[0], at_query),
-                (self._database, state.database, boxes[1], at_database),
-            ):
-                node.move(placement)
-                node.name(submap, box)
-                self._show_cloud(node, submap, state)
-            self._show_surface(
-                self._query,
-                result.query_map,
-                state,
-                scale,
-                yaw=at_query.yaw,
-                offset=dz if options.layer == "elevation" else 0.0,
-            )
-            self._show_surface(
-                self._database, result.database_map, state, scale, yaw=0.0, offset=0.0
-            )
-            self._show_associations(state, result, at_query, at_database)
-            self._show_bar(boxes[1], at_database)
-            self._show_verdict(
-                result,
-                np.concatenate(
-                    [at_query.apply(boxes[0].corners), at_database.apply(boxes[1].corners)]
-                ),
-            )
-        self._server.flush()
+        self._show_surface(self._database, database_map, state, scale, yaw=0.0, offset=0.0)
+        self._show_bar(boxes[1], stage.at_database)
         nodes = (self._query, self._database)
-        return Shown(
+        shown = Shown(
             scale if options.surfaces else None,
             registered,
             sum(node.surface.num_points for node in nodes) if options.surfaces else 0,
             sum(node.cloud.num_points for node in nodes) if options.clouds else 0,
         )
+        return shown, stage
+
+    def _hide_associations(self) -> None:
+        for node in (self._query.keypoints, self._database.keypoints):
+            node.hide()
+        for segments in (self._inlier_lines, self._outlier_lines):
+            segments.hide()
+        self._verdict.text = ""
 
     def camera(self, state: ViewState) -> Camera:
         """Give the view that shows both submaps of a state side by side."""

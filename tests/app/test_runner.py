@@ -1,6 +1,7 @@
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -17,7 +18,7 @@ class Record:
         self.errors: list[tuple[int, Exception]] = []
         self.cancelled: list[int] = []
 
-    def make(self, work: Callable[[int, Progress], int], **settings: float) -> Runner[int, int]:
+    def make(self, work: Callable[[int, Progress], int], **settings: Any) -> Runner[int, int]:
         def watched(job: int, progress: Progress) -> int:
             try:
                 return work(job, progress)
@@ -129,6 +130,52 @@ def test_a_long_drag_over_long_work_is_not_blind() -> None:
     runner.close()
     assert during_the_drag >= 2
     assert record.shown[-1] == job - 1
+
+
+def rough(job: int, progress: Progress) -> int | None:
+    """A preview: the negative of the result; none of job 0."""
+    progress(1.0)
+    return -job or None
+
+
+def test_a_preview_comes_first() -> None:
+    record = Record()
+    runner = record.make(slow(0.02), preview=rough)
+    for job in (1, 0, 2):
+        runner.submit(job)
+        assert runner.wait_idle(5)
+    runner.close()
+    assert record.shown == [-1, 1, 0, -2, 2]
+
+
+def test_a_drag_over_long_work_shows_previews_and_ends_on_the_last_result() -> None:
+    record = Record()
+    runner = record.make(slow(1.0, ticks=100), preview=rough, patience=0.02)
+    for job in range(1, 40):
+        runner.submit(job)
+        time.sleep(0.02)
+    assert runner.wait_idle(10)
+    runner.close()
+    *previews, last = record.shown
+    assert last == 39
+    assert previews[-1] == -39
+    assert len(previews) >= 10
+    assert all(shown < 0 for shown in previews)
+    assert previews == sorted(previews, reverse=True)
+
+
+def test_what_a_preview_raises_is_told_and_the_work_is_left() -> None:
+    record = Record()
+
+    def broken(job: int, progress: Progress) -> int:  # noqa: ARG001
+        raise RuntimeError(f"no preview of {job}")
+
+    runner = record.make(slow(0.0), preview=broken)
+    runner.submit(1)
+    assert runner.wait_idle(5)
+    runner.close()
+    assert [str(error) for _, error in record.errors] == ["no preview of 1"]
+    assert record.shown == []
 
 
 def test_an_error_is_a_value_and_the_worker_lives() -> None:

@@ -9,11 +9,16 @@ import viser
 
 from app import server as app_server
 from app.server import MAIN_PARAMETERS, Viewer, message_of
+from app.state import ViewState
+from app.views.surfels import OVERLAP
+from gpgrad_core.coarse import COARSER
 from gpgrad_core.datasets import write_dataset
 from gpgrad_core.errors import InputError
-from gpgrad_core.pipeline import PipelineParams
-from tests.app.synthetic import FakePipeline, make_dataset, needing
+from gpgrad_core.pipeline import PairResult, PipelineParams
+from tests.app.synthetic import FakePipeline, make_dataset, make_result, needing
 from tests.app.widgets import find, user_presses, user_sets
+
+START = needing(8)
 
 
 @pytest.fixture
@@ -25,7 +30,7 @@ def pipeline(monkeypatch: pytest.MonkeyPatch) -> FakePipeline:
 
 @pytest.fixture
 def viewer(pipeline: FakePipeline) -> Iterator[Viewer]:  # noqa: ARG001
-    made = Viewer(make_dataset(), PipelineParams(), port=0)
+    made = Viewer(make_dataset(), START, port=0)
     assert made.wait_idle(20)
     yield made
     made.close()
@@ -89,8 +94,8 @@ def test_minimum_inliers_turns_the_verdict_and_reset_turns_it_back(
     user_presses(find(gui(viewer), "Reset parameters"))
     assert viewer.wait_idle(20)
     assert "No loop closure" not in said(viewer, "_verdict")
-    assert find(gui(viewer), "Minimum inliers").value == 8
-    assert pipeline.calls[-1] == PipelineParams()
+    assert find(gui(viewer), "Minimum inliers").value == START.closure.min_inliers
+    assert pipeline.calls[-1] == START
 
 
 def test_many_events_end_on_the_last_and_do_not_echo(
@@ -106,6 +111,42 @@ def test_many_events_end_on_the_last_and_do_not_echo(
     calls = len(pipeline.calls)
     assert calls - before <= 191
     assert not viewer._runner._waiting
+
+
+def test_a_gp_slider_shows_coarse_surfaces_first(viewer: Viewer, pipeline: FakePipeline) -> None:
+    before: list[tuple[str, str, float]] = []
+
+    def make(state: ViewState) -> PairResult:
+        surface: Any = gui(viewer).scene._handle_from_node_name["/query/surface"]
+        before.append((said(viewer, "_status"), said(viewer, "_verdict"), surface.point_size))
+        return make_result(state)
+
+    pipeline.make = make
+    user_sets(find(gui(viewer), "Length-scale"), 0.5)
+    assert viewer.wait_idle(20)
+    ((status, card, size),) = before
+    assert "Coarse picture" in status
+    assert "opacity:.4" in card  # the last verdict is faded
+    assert size == pytest.approx(OVERLAP * COARSER * START.map.resolution)
+    assert "Up to date" in said(viewer, "_status")
+    assert "opacity:.4" not in said(viewer, "_verdict")
+
+
+def test_sliders_of_later_stages_need_no_coarse_surfaces(
+    viewer: Viewer, pipeline: FakePipeline
+) -> None:
+    before: list[str] = []
+
+    def make(state: ViewState) -> PairResult:
+        before.append(said(viewer, "_status"))
+        return make_result(state)
+
+    pipeline.make = make
+    for name, value in (("Inlier radius", 0.6), ("Minimum inliers", 20), ("Minimum score", 9.0)):
+        user_sets(find(gui(viewer), name), value)
+        assert viewer.wait_idle(20)
+    assert len(before) == 3
+    assert all("Computing" in status for status in before)
 
 
 def test_an_error_is_told_and_the_next_slider_works(viewer: Viewer, pipeline: FakePipeline) -> None:
@@ -142,7 +183,8 @@ def test_another_dataset_is_opened(viewer: Viewer, tmp_path: Path) -> None:
     assert viewer.wait_idle(20)
     assert len(viewer.state.dataset.submaps) == 3
     assert find(gui(viewer), "Query").options == ("000", "001", "002")
-    assert find(gui(viewer), "Minimum inliers").value == 8
+    default = PipelineParams().closure.min_inliers  # the other dataset prefers none
+    assert find(gui(viewer), "Minimum inliers").value == default
     assert "Up to date" in said(viewer, "_status")
 
 

@@ -8,11 +8,14 @@ from app.state import (
     neighbour,
     open_dataset,
     promising_pair,
+    same_surfaces,
     with_options,
     with_pair,
     with_params,
 )
 from gpgrad_core.errors import InputError
+from gpgrad_core.features import FeatureParams
+from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset, Submap
 from tests.app.synthetic import make_dataset, needing
@@ -47,6 +50,21 @@ def test_changes_make_a_copy() -> None:
     assert changed.params.closure.min_inliers == 20
     assert changed.options.layer == "std"
     assert changed.dataset is state.dataset
+
+
+def test_surfaces_are_the_same_whatever_is_found_on_them() -> None:
+    state = open_dataset(make_dataset(), PipelineParams())
+    assert same_surfaces(state, with_params(state, needing(20)))
+    masked = replace(state.params, features=FeatureParams(max_std_ratio=0.2))
+    smoother = replace(state.params, map=MapParams(length_scale=0.4))
+    for other in (
+        with_params(state, masked),
+        with_params(state, smoother),
+        with_options(state, ViewOptions(layer="std")),
+        with_pair(state, query_id="001"),
+        open_dataset(make_dataset(), PipelineParams()),
+    ):
+        assert not same_surfaces(state, other)
 
 
 def test_a_pair_must_exist() -> None:

@@ -220,6 +220,17 @@ def test_what_comes_of_a_forgotten_result_is_still_known(counter: Counter) -> No
     assert counter.calls == []
 
 
+def test_it_says_what_it_holds_without_computing(counter: Counter) -> None:
+    memo, root = Memo(), Root("a")
+    assert not memo.holds(counter.first, root, Params())
+    made = memo(counter.first, root, Params())
+    assert memo.holds(counter.first, root, Params())
+    assert not memo.holds(counter.first, root, Params(2.0))
+    assert not memo.holds(counter.second, made, 2.0)
+    memo(counter.second, made, 2.0)
+    assert memo.holds(counter.second, made, 2.0)
+
+
 def test_threads_that_ask_at_once_get_one_object(counter: Counter) -> None:
     memo, start = Memo(), threading.Barrier(8)
 

@@ -25,7 +25,8 @@ def html_of(panel: object) -> str:
 
 
 def test_the_card_tells_an_accepted_pair_with_units() -> None:
-    html = verdict_html(STATE, make_result(STATE))
+    state = open_dataset(make_dataset(), needing(8))
+    html = verdict_html(state, make_result(state))
     for words in (
         ">Loop closure<",
         "query 003",

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 import viser
 
-from app.state import ViewOptions, ViewState, open_dataset, with_options
+from app.state import ViewOptions, ViewState, open_dataset, with_options, with_pair
 from app.views import scene as scene_module
 from app.views.associations import ARC_PIECES
 from app.views.scene import PairScene, round_length
 from gpgrad_core.pipeline import PipelineParams
-from tests.app.synthetic import T_DATABASE_QUERY, make_dataset, make_result, needing
+from tests.app.synthetic import T_DATABASE_QUERY, make_dataset, make_map, make_result, needing
 
 STATE = open_dataset(make_dataset(), PipelineParams())
 RESULT = make_result(STATE)
@@ -172,3 +172,41 @@ def test_new_pages_begin_with_both_submaps_in_view(server: viser.ViserServer) ->
 )
 def test_the_scale_bar_has_a_round_length(longest: float, length: float) -> None:
     assert round_length(longest) == pytest.approx(length)
+
+
+def test_a_preview_brings_surfaces_and_leaves_what_was_found(
+    server: viser.ViserServer, conversions: list[str]
+) -> None:
+    scene = PairScene(server)
+    assert not scene.knows_motion(STATE)
+    scene.show(seeing(layout="registered"), RESULT)
+    assert scene.knows_motion(STATE)
+    frame = np.array(node(server, "/query").position)
+    lines = len(node(server, "/matches/inliers").points)
+    conversions.clear()
+    coarse = make_map(STATE.query, 0.3), make_map(STATE.database, 0.3)
+    shown = scene.preview(seeing(layout="registered"), coarse)
+    assert shown.registered
+    assert shown.num_surfels == sum(int(m.trusted(0.3).sum()) for m in coarse)
+    assert conversions == ["make_surfels", "make_surfels"]
+    np.testing.assert_allclose(node(server, "/query").position, frame, atol=0.05)
+    assert node(server, "/matches/inliers").visible
+    assert len(node(server, "/matches/inliers").points) == lines
+
+
+def test_a_preview_of_another_pair_hides_what_was_found_on_the_last(
+    server: viser.ViserServer,
+) -> None:
+    scene = PairScene(server)
+    scene.show(STATE, RESULT)
+    other = with_pair(STATE, query_id="001")
+    assert not scene.knows_motion(other)
+    maps = make_map(other.query, 0.3), make_map(other.database, 0.3)
+    shown = scene.preview(with_options(other, ViewOptions(layout="registered")), maps)
+    assert not shown.registered
+    found = ("/query/keypoints", "/database/keypoints", "/matches/inliers")
+    assert not any(node(server, name).visible for name in found)
+    assert node(server, "/verdict").text == ""
+    assert "query 001" in node(server, "/query/label").text
+    scene.show(STATE, RESULT)
+    assert all(node(server, name).visible for name in found)

@@ -1,0 +1,86 @@
+"""A coarse map, quickly: what there is to see while a slider moves and the full one is made."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gpgrad_core.gp.binning import bin_points
+from gpgrad_core.gradient_map import (
+    MapParams,
+    fit_terrain,
+    kept_points,
+    map_grid,
+    sample_map,
+    signal_std_of,
+)
+from gpgrad_core.memo import Memo
+from gpgrad_core.progress import Progress, silent
+from gpgrad_core.types import GradientMap, Submap, read_only
+
+COARSER = 3.0
+"""Side of a cell of the coarse map, in cells of the full one."""
+THINNED_TO = 0.7
+"""Cells of this many length-scales keep one point each: more would hardly change the picture.
+
+Even thinning leaves the trusted area as it is, where thinning at random tears holes. Measured at
+length-scales from 0.15 to 0.5 m and a noise of 5 cm: heights within 2 cm rms of the full map's,
+the trusted area within 2 % of the map, in under half the time.
+"""
+FEWEST_CELLS = 50
+"""Along the longer side of the submap: long length-scales are cheap with more points too."""
+LEAST_SIGNAL_STD = 0.001
+"""What the params allow [m]; perfectly flat ground has less."""
+
+
+def infer_coarse_map(
+    submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
+) -> GradientMap:
+    """Infer the map of fewer points on larger cells; of the full fit where there already is one.
+
+    Args:
+        submap: Gravity-aligned points [m].
+        params: Those of the full map.
+        memo: Shared with the pipeline.
+        progress: Called now and then; may raise Cancelled.
+
+    Raises:
+        InputError: If the GP would be too large or cannot be solved.
+    """
+    resolution = COARSER * params.resolution
+    map_grid(submap, resolution)  # refuse a cloud that is too wide before the long work
+    if memo.holds(fit_terrain, submap, params.terrain):
+        posterior = memo(fit_terrain, submap, params.terrain)
+    else:
+        of_all = signal_std_of(kept_points(submap, params.max_points), params)
+        signal_std = max(of_all, LEAST_SIGNAL_STD)
+        fewer = replace(params.terrain, signal_std=signal_std, max_points=None)
+        thinned = memo(thin_evenly, submap, params.max_points, params.length_scale)
+        posterior = memo(fit_terrain, thinned, fewer, progress=progress)
+    return memo(sample_map, submap, posterior, resolution)
+
+
+def thin_evenly(submap: Submap, max_points: int | None, length_scale: float) -> Submap:
+    """Replace the points of every cell of `THINNED_TO` length-scales [m] by their mean.
+
+    Args:
+        submap: What is thinned.
+        max_points: Thinning at random that the full map asks for, done first.
+        length_scale: Of the GP [m].
+    """
+    points = kept_points(submap, max_points)
+    longest = float(np.ptp(points[:, :2], axis=0).max())
+    means, _ = bin_points(points, min(THINNED_TO * length_scale, longest / FEWEST_CELLS))
+    read_only(means)
+    # Its own key in the memo, without hashing the points anew.
+    return Submap(submap.id, means, f"{submap.fingerprint}-{max_points}-{length_scale:g}")
+
+
+def infer_quick_map(
+    submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
+) -> GradientMap:
+    """Give the full map if it is in the memo, and else a coarse one."""
+    if memo.holds(fit_terrain, submap, params.terrain):
+        posterior = memo(fit_terrain, submap, params.terrain)
+        if memo.holds(sample_map, submap, posterior, params.resolution):
+            return memo(sample_map, submap, posterior, params.resolution)
+    return infer_coarse_map(submap, params, memo, progress)
