@@ -15,14 +15,14 @@ class ClosureParams:
 
     min_inliers: Annotated[
         int,
-        Bounds(2, 1000, 1, "", slider=(2, 40)),
-        Doc("Fewest inliers of a loop closure: the paper's threshold on n."),
-    ] = 8
+        Bounds(0, 1000, 1, "", slider=(0, 40)),
+        Doc("Fewest inliers of a loop closure, the paper's threshold on n; the score counts them."),
+    ] = 0
     min_score: Annotated[
         float,
-        Bounds(0.0, 1_000_000.0, 0.1, "", slider=(0.0, 50.0)),
-        Doc("Lowest score of a loop closure; unrelated ground stayed below 6 on every set tried."),
-    ] = 7.0
+        Bounds(0.0, 1_000_000.0, 0.1, "", slider=(0.0, 12.0)),
+        Doc("Lowest score of a loop closure; 3: one in a thousand unrelated pairs reaches it."),
+    ] = 3.0
 
     def __post_init__(self) -> None:
         """Check the bounds."""
@@ -47,14 +47,25 @@ def classify(
     params = params or ClosureParams()
     num, score = registration.num_inliers, registration.score
     if registration.T_database_query is None:
-        accepted, reason = False, "no motion is supported by two associations"
+        accepted, reason = False, "no motion found: the maps have too little in common"
     elif num < params.min_inliers:
         accepted, reason = False, f"{num} inliers < {params.min_inliers}"
     elif score < params.min_score:
-        accepted, reason = False, f"score {score:.3g} < {params.min_score:g}"
+        accepted, reason = False, f"score {score:.3g} < {params.min_score:g}" + _why(registration)
     else:
         accepted = True
-        reason = f"{num} inliers >= {params.min_inliers}"
-        if params.min_score > 0:
-            reason += f", score {score:.3g} >= {params.min_score:g}"
+        met = [f"{num} inliers >= {params.min_inliers}"] if params.min_inliers > 0 else []
+        met += [f"score {score:.3g} >= {params.min_score:g}"] if params.min_score > 0 else []
+        reason = ", ".join(met) or "no threshold is asked for"
     return LoopClosure(query_id, database_id, registration, accepted, reason)
+
+
+def _why(registration: Registration) -> str:
+    """Say what a low score comes from, where the ground was compared."""
+    area = registration.overlap_area
+    if area == 0:
+        return ""
+    return (
+        f": over {area:.0f} m² in common the slopes correlate by {registration.correlation:.2f}, "
+        f"with {registration.num_inliers} inliers"
+    )

@@ -12,7 +12,7 @@ from gpgrad_core.loop_closure import ClosureParams, classify
 from gpgrad_core.matching import MatchParams, match_features
 from gpgrad_core.memo import Memo
 from gpgrad_core.progress import Progress, part, silent
-from gpgrad_core.registration import RegistrationParams, register
+from gpgrad_core.registration import Prepared, RegistrationParams, prepare, register
 from gpgrad_core.types import (
     Dataset,
     Features,
@@ -115,6 +115,7 @@ def register_pair(
         matches,
         params.registration,
         progress=part(progress, 0.8, 1.0),
+        prepared=(memo(prepare, query_map), memo(prepare, database_map)),
     )
     closure = classify(registration, params.closure, query_id=query.id, database_id=database.id)
     return PairResult(
@@ -137,6 +138,7 @@ class View:
 
     gradient_map: GradientMap
     features: Features
+    prepared: Prepared
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +170,7 @@ class MapDetector:
         image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
         features = extract_kept(image, self.params, self.memo)
         progress(1.0)
-        return View(made, features)
+        return View(made, features, self.memo(prepare, made))
 
     def compare(self, query: View, database: View) -> Registration:
         """Match and register."""
@@ -179,6 +181,7 @@ class MapDetector:
             database.gradient_map,
             matches,
             self.params.registration,
+            prepared=(query.prepared, database.prepared),
         )
 
 

@@ -27,9 +27,14 @@ def outcome(
     return Registration(motion, inliers, np.inf, 0.0, 0.0, value)
 
 
+LEAST_INLIERS = 8
+"""Of a rival's loop closure, unless more are asked for."""
+
+
 def judged_by_inliers(params: PipelineParams) -> PipelineParams:
     """Leave the verdict to the inliers: another score has another scale."""
-    return replace(params, closure=replace(params.closure, min_score=0.0))
+    num = max(params.closure.min_inliers, LEAST_INLIERS)
+    return replace(params, closure=replace(params.closure, min_inliers=num, min_score=0.0))
 
 
 def seen_from_above(

@@ -17,15 +17,22 @@ def registration(num_inliers: int, score: float, found: bool = True) -> Registra
     return Registration(SE2() if found else None, inliers, 1.0, 10.0, 0.8, score)
 
 
+LOW = "score 7 < 7: over 10 m² in common the slopes correlate by 0.80, with 20 inliers"
+
+
 @pytest.mark.parametrize(
     ("made", "accepted", "reason"),
     [
         (registration(12, 9.5), True, "12 inliers >= 8, score 9.5 >= 7"),
         (registration(8, 7.0), True, "8 inliers >= 8, score 7 >= 7"),
         (registration(7, 50.0), False, "7 inliers < 8"),
-        (registration(20, 6.996), False, "score 7 < 7"),
+        (registration(20, 6.996), False, LOW),
         (registration(7, 1.0), False, "7 inliers < 8"),
-        (registration(0, 0.0, found=False), False, "no motion is supported by two associations"),
+        (
+            registration(0, 0.0, found=False),
+            False,
+            "no motion found: the maps have too little in common",
+        ),
     ],
 )
 def test_the_reason_says_what_decided(made: Registration, accepted: bool, reason: str) -> None:
@@ -39,6 +46,9 @@ def test_a_score_that_is_not_asked_for_is_not_named() -> None:
     closure = classify(registration(9, 3.0), ClosureParams(min_inliers=9, min_score=0.0))
     assert closure.accepted
     assert closure.reason == "9 inliers >= 9"
+    closure = classify(registration(9, 3.0), ClosureParams(min_inliers=0, min_score=2.5))
+    assert closure.accepted
+    assert closure.reason == "score 3 >= 2.5"
 
 
 def test_no_motion_is_never_accepted() -> None:
@@ -62,6 +72,6 @@ def test_raising_a_threshold_never_accepts_more(
         assert not classify(made, ClosureParams(min_inliers + 1, min_score + 1)).accepted
 
 
-def test_one_inlier_is_no_threshold() -> None:
-    with pytest.raises(InputError, match="min_inliers must be from 2"):
-        ClosureParams(min_inliers=1)
+def test_fewer_inliers_than_none_are_no_threshold() -> None:
+    with pytest.raises(InputError, match="min_inliers must be from 0"):
+        ClosureParams(min_inliers=-1)

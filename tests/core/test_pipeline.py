@@ -105,7 +105,7 @@ def test_the_same_again_runs_nothing_and_gives_the_same_objects(
     memo = CountingMemo()
     first = register_pair(query, database, PARAMS, memo)
     assert sorted(memo.since()) == sorted(
-        2 * ["fit_terrain", "sample_map", "detect_features", "select_trusted"]
+        2 * ["fit_terrain", "sample_map", "detect_features", "select_trusted", "prepare"]
         + ["match_features", "register"]
     )
     second = register_pair(query, database, PARAMS, memo)
@@ -118,7 +118,7 @@ def test_the_same_again_runs_nothing_and_gives_the_same_objects(
 MAP, FEATURES = PARAMS.map, PARAMS.features
 MATCHING, REGISTRATION, CLOSURE = PARAMS.matching, PARAMS.registration, PARAMS.closure
 MASKING = ["match_features", "register", "select_trusted"]
-SAMPLING = ["detect_features", *MASKING, "sample_map"]
+SAMPLING = ["detect_features", *MASKING, "prepare", "sample_map"]
 
 
 @pytest.mark.parametrize(

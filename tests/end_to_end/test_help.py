@@ -55,8 +55,8 @@ def test_every_flag_has_a_text_and_a_default(gpgrad: Run, verb: str) -> None:
         (("detect", "x", "--out", "a.json", "--method", "magic"), "known: gradient"),
         (("detect", "x", "--out", "a.json", "--map.length-scale", "abc"), "--map.length-scale"),
         (
-            ("detect", "x", "--out", "a.json", "--closure.min-inliers", "0"),
-            "closure: min_inliers must be from 2 to 1000, got 0",
+            ("detect", "x", "--out", "a.json", "--closure.min-inliers", "-1"),
+            "closure: min_inliers must be from 0 to 1000, got -1",
         ),
         (("detect", "x", "--out", "a.txt"), "a.txt: the ending must be one of .json"),
         (("detect", "x", "--out", "no/where/a.json"), "no/where/a.json: cannot write"),

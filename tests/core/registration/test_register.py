@@ -1,4 +1,4 @@
-"""Algorithm 1: known motions found among outliers, the dense check against its formulas."""
+"""Registration: known motions found among outliers, the dense check against its formulas."""
 
 import math
 from dataclasses import replace
@@ -10,33 +10,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from gpgrad_core.progress import Cancelled
-from gpgrad_core.registration import RegistrationParams, closure_score, register
+from gpgrad_core.registration import RegistrationParams, register
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import GradientMap, Grid, Matches, Registration
+from gpgrad_core.types import Grid, Matches, Registration
 from tests.core.ground import Ground
+from tests.core.registration.synthetic import DATABASE, GRID, map_of
 
 Array = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 motions = st.builds(SE2, st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-math.pi, math.pi))
-GRID = Grid((-4.0, -4.0), 0.1, (81, 81))  # small enough to be checked cell by cell
-GROUND = Ground.random(4, shortest=1.0)
-
-
-def map_of(T_world_map: SE2, ground: Ground = GROUND, grid: Grid = GRID) -> GradientMap:
-    """Make the map that a perfect sensor would; the variance differs from cell to cell."""
-    xy, step = grid.positions, 1e-4
-
-    def height(shift: Array) -> Array:
-        return ground.height(T_world_map.apply(xy + shift)).reshape(grid.shape)
-
-    slope = np.stack([(height(s) - height(-s)) / (2 * step) for s in step * np.eye(2)], axis=-1)
-    x, y = xy.T.reshape(2, *grid.shape)
-    variance = 1e-4 * (2 + np.sin(0.5 * x) + np.cos(0.4 * y))
-    slope_variance = np.repeat(25 * variance[..., None], 2, axis=-1)
-    return GradientMap(grid, height(np.zeros(2)), variance, slope, slope_variance, 0.15, 0.3)
-
-
-DATABASE = map_of(SE2())
+KEYPOINTS = RegistrationParams(searched=0)
+"""Without the exhaustive search, which needs no associations."""
 
 
 def associations(
@@ -59,28 +43,36 @@ def assert_near(found: SE2 | None, true: SE2, offset: float, turn: float) -> Non
     assert abs(math.remainder(found.yaw - true.yaw, math.tau)) <= turn
 
 
-@settings(max_examples=15)
+@settings(max_examples=5)
 @given(seed=seeds, T_database_query=motions, right=st.integers(12, 60))
 def test_any_motion_is_found_among_as_many_outliers_again_and_half(
     seed: int, T_database_query: SE2, right: int
 ) -> None:
     matches = associations(seed, T_database_query, right, right + right // 2)
     result = register(map_of(T_database_query), DATABASE, matches)
-    assert_near(result.T_database_query, T_database_query, 0.05, 0.02)
+    assert_near(result.T_database_query, T_database_query, 0.03, 0.01)
     assert result.num_inliers >= right
     assert result.correlation > 0.97
+    assert result.score > 3
 
 
-@settings(max_examples=10)
-@given(seed=seeds, T_database_query=motions)
-def test_noiseless_associations_give_the_motion_itself(seed: int, T_database_query: SE2) -> None:
-    matches = associations(seed, T_database_query, 20, 0, jitter=0.0)
-    result = register(map_of(T_database_query), DATABASE, matches)
-    assert_near(result.T_database_query, T_database_query, 1e-9, 1e-9)
-    assert result.inliers.all()
+@settings(max_examples=5)
+@given(T_database_query=motions)
+def test_the_ground_alone_gives_the_motion(T_database_query: SE2) -> None:
+    result = register(map_of(T_database_query), DATABASE, associations(0, SE2(), 0, 0))
+    assert_near(result.T_database_query, T_database_query, 0.03, 0.01)
+    assert result.score > 3
 
 
-@settings(max_examples=15)
+def test_the_height_of_the_query_above_the_database_is_found() -> None:
+    true = SE2(0.5, -0.3, 1.2)
+    query = map_of(true)
+    raised = replace(query, elevation=query.elevation + 7.0)
+    result = register(raised, DATABASE, associations(0, true, 20, 10))
+    assert result.z_offset == pytest.approx(-7.0, abs=0.01)
+
+
+@settings(max_examples=8)
 @given(seed=seeds, num=st.integers(2, 60))
 def test_inliers_are_one_to_one_and_within_the_radius(seed: int, num: int) -> None:
     rng = np.random.default_rng(seed)
@@ -89,7 +81,7 @@ def test_inliers_are_one_to_one_and_within_the_radius(seed: int, num: int) -> No
     query, database = (places[rng.integers(0, 12, num)] for _ in range(2))
     pairs = np.zeros((num, 2), np.intp)
     matches = Matches(pairs, np.ones(num), query, database)
-    params = RegistrationParams(inlier_radius=0.8)
+    params = replace(KEYPOINTS, inlier_radius=0.8)
     result = register(DATABASE, DATABASE, matches, params)
     assert result.inliers.shape == (num,)
     if result.T_database_query is None:
@@ -97,7 +89,7 @@ def test_inliers_are_one_to_one_and_within_the_radius(seed: int, num: int) -> No
     for xy in (query, database):
         assert len(np.unique(xy[result.inliers], axis=0)) == result.num_inliers
     error = result.T_database_query.apply(query) - database
-    assert np.hypot(*error[result.inliers].T).max() <= 0.8
+    assert np.hypot(*error[result.inliers].T).max(initial=0.0) <= 0.8
     assert result.num_inliers <= 12
 
 
@@ -124,15 +116,16 @@ def nothing_found(result: Registration, num: int) -> bool:
 
 @pytest.mark.parametrize("num", [0, 1])
 def test_fewer_than_two_associations_give_no_motion(num: int) -> None:
-    assert nothing_found(register(DATABASE, DATABASE, associations(0, SE2(), num, 0)), num)
+    matches = associations(0, SE2(), num, 0)
+    assert nothing_found(register(DATABASE, DATABASE, matches, KEYPOINTS), num)
 
 
 def test_two_associations_give_their_motion() -> None:
     true = SE2(0.3, -0.2, 1.0)
     query = np.array([[-1.0, 0.0], [1.0, 0.5]])
     matches = Matches(np.zeros((2, 2), np.intp), np.ones(2), query, true.apply(query))
-    result = register(map_of(true), DATABASE, matches)
-    assert_near(result.T_database_query, true, 1e-9, 1e-9)
+    result = register(map_of(true), DATABASE, matches, KEYPOINTS)
+    assert_near(result.T_database_query, true, 0.03, 0.01)
     assert result.num_inliers == 2
 
 
@@ -140,13 +133,13 @@ def test_two_associations_give_their_motion() -> None:
 def test_two_that_no_rigid_motion_joins_give_none(stretch: float) -> None:
     query = np.array([[-1.0, 0.0], [1.0, 0.5]])
     matches = Matches(np.zeros((2, 2), np.intp), np.ones(2), query, query * stretch)
-    assert nothing_found(register(DATABASE, DATABASE, matches), 2)
+    assert nothing_found(register(DATABASE, DATABASE, matches, KEYPOINTS), 2)
 
 
 def test_all_on_one_place_give_none() -> None:
     query = np.ones((9, 2))
     matches = Matches(np.zeros((9, 2), np.intp), np.ones(9), query, query)
-    assert nothing_found(register(DATABASE, DATABASE, matches), 9)
+    assert nothing_found(register(DATABASE, DATABASE, matches, KEYPOINTS), 9)
 
 
 def test_the_same_seed_gives_the_same_answer_and_progress_reaches_one() -> None:
@@ -171,7 +164,7 @@ def test_it_can_be_cancelled() -> None:
         register(DATABASE, DATABASE, associations(0, SE2(), 20, 0), progress=stop)
 
 
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(seed=seeds, T_database_query=motions)
 def test_swapping_the_maps_inverts_the_motion(seed: int, T_database_query: SE2) -> None:
     query = map_of(T_database_query)
@@ -189,7 +182,8 @@ def test_swapping_the_maps_inverts_the_motion(seed: int, T_database_query: SE2) 
 
 def test_a_map_agrees_with_itself() -> None:
     result = register(DATABASE, DATABASE, associations(0, SE2(), 30, 0, jitter=0.0))
-    assert result.correlation == pytest.approx(1.0, abs=1e-6)
+    assert result.correlation == pytest.approx(1.0, abs=1e-4)
+    assert result.z_offset == pytest.approx(0.0, abs=1e-4)
     # All cells, but for those of the last row and column by rounding.
     assert result.overlap_area == pytest.approx(81 * 81 * 0.01, rel=0.03)
     assert result.dissimilarity == pytest.approx(0.0, abs=1.0)
@@ -198,18 +192,17 @@ def test_a_map_agrees_with_itself() -> None:
 def test_turned_vectors_agree_and_unturned_ones_would_not() -> None:
     half_turn = SE2(yaw=math.pi)
     matches = associations(0, half_turn, 30, 0, jitter=0.0)
-    assert register(map_of(half_turn), DATABASE, matches).correlation > 0.99
+    assert register(map_of(half_turn), DATABASE, matches, KEYPOINTS).correlation > 0.99
     # A map that claims to be turned, but whose slopes are not.
     liar = replace(map_of(half_turn), slope=-map_of(half_turn).slope)
-    assert register(liar, DATABASE, matches).correlation < -0.99
+    assert register(liar, DATABASE, matches, KEYPOINTS).correlation < -0.99
 
 
 def test_unrelated_ground_does_not_agree() -> None:
     stranger = map_of(SE2(), Ground.random(99, shortest=1.0))
-    result = register(stranger, DATABASE, associations(0, SE2(), 30, 0, jitter=0.0))
-    assert abs(result.correlation) < 0.4
-    assert result.score < 7
-    assert result.dissimilarity > 1e6
+    result = register(stranger, DATABASE, associations(0, SE2(), 0, 30))
+    assert result.score < 2
+    assert result.dissimilarity > 1e5
 
 
 def test_untrusted_cells_are_left_out() -> None:
@@ -227,18 +220,19 @@ def test_untrusted_cells_are_left_out() -> None:
 def test_maps_that_do_not_meet_share_nothing() -> None:
     away = SE2(30.0, 0.0, 0.0)
     matches = associations(0, away, 10, 0, jitter=0.0)
-    result = register(DATABASE, DATABASE, matches)
+    result = register(DATABASE, DATABASE, matches, KEYPOINTS)
     assert (result.overlap_area, result.correlation, result.score) == (0.0, 0.0, 0.0)
     assert result.dissimilarity == 0.0
+    assert result.covariance is None
 
 
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(T_database_query=motions)
 def test_the_fields_of_the_check_are_their_formulas(T_database_query: SE2) -> None:
     """Cell by cell, with NumPy's own interpolation."""
     query = map_of(SE2(0.2, 0.1, 0.3))  # not the same ground under the motion: h is large
     matches = associations(0, T_database_query, 30, 0, jitter=0.0)
-    result = register(query, DATABASE, matches)
+    result = register(query, DATABASE, matches, KEYPOINTS)
     assert result.T_database_query is not None
     pixels = GRID.to_pixel(result.T_database_query.inverse().apply(GRID.positions))
     inside = ((pixels >= 0) & (pixels <= 80)).all(axis=1)
@@ -267,8 +261,6 @@ def test_the_fields_of_the_check_are_their_formulas(T_database_query: SE2) -> No
     assert result.overlap_area == pytest.approx(area, rel=0.05)
     assert result.correlation == pytest.approx(correlation, abs=0.03)
     assert result.dissimilarity == pytest.approx(h, rel=0.06)
-    patches = result.overlap_area / (2 * math.pi * 0.3**2)
-    assert result.score == closure_score(patches, result.correlation, result.num_inliers)
 
 
 def test_thinning_leaves_the_fields_as_they_are() -> None:
@@ -279,18 +271,3 @@ def test_thinning_leaves_the_fields_as_they_are() -> None:
     fine_result = register(map_of(true, grid=fine), map_of(SE2(), grid=fine), matches)
     assert fine_result.overlap_area == pytest.approx(coarse_result.overlap_area, rel=0.05)
     assert fine_result.correlation == pytest.approx(coarse_result.correlation, abs=0.02)
-
-
-@given(st.floats(0.1, 1000), st.floats(-1, 1), st.integers(0, 500))
-def test_the_score_rises_with_all_it_is_made_of(
-    patches: float, correlation: float, num: int
-) -> None:
-    score = closure_score(patches, correlation, num)
-    assert score >= 0
-    assert closure_score(patches * 2, correlation, num) >= score
-    assert closure_score(patches, min(1.0, correlation + 0.1), num) >= score
-    assert closure_score(patches, correlation, num + 1) >= score
-    if correlation <= 0:
-        assert score == 0
-    else:
-        assert score == pytest.approx(correlation**2 * math.sqrt(patches) * math.log(1 + num))

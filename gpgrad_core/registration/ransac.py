@@ -1,0 +1,110 @@
+"""Algorithm 1's RANSAC: motions of the plane that many associations support."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import NDArray
+
+from gpgrad_core.registration.params import RegistrationParams
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Array, Matches
+
+BoolArray = NDArray[np.bool_]
+
+
+def find_motions(matches: Matches, params: RegistrationParams) -> list[SE2]:
+    """Find the distinct motions with the most inliers, best first."""
+    num = len(matches)
+    if num < 2:
+        return []
+    first, second = _sample_pairs(num, params.trials, params.seed)
+    query, database = matches.query_xy, matches.database_xy
+    a, b = query[second] - query[first], database[second] - database[first]
+    # Two associations of one rigid motion span the same length in both maps; and too short a
+    # span says nothing about the turn.
+    span_a, span_b = np.hypot(*a.T), np.hypot(*b.T)
+    radius = params.inlier_radius
+    rigid = (np.abs(span_a - span_b) <= 2 * radius) & (np.minimum(span_a, span_b) >= 2 * radius)
+    a, b, first, second = a[rigid], b[rigid], first[rigid], second[rigid]
+    if len(a) == 0:
+        return []
+    # GetSE2Transform of two pairs, in closed form.
+    yaw = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1))
+    turned = _rotate(yaw, (query[first] + query[second]) / 2)
+    offset = (database[first] + database[second]) / 2 - turned
+    counts = _count_inliers(yaw, offset, matches, radius)
+    order = np.argsort(-counts, kind="stable")
+    return _distinct(yaw[order], offset[order], query.mean(axis=0), radius, params.hypotheses)
+
+
+def _sample_pairs(
+    num: int, trials: int, seed: int
+) -> tuple[Int[NDArray[np.intp], "t"], Int[NDArray[np.intp], "t"]]:
+    """SelectRandomAsso: pairs of different associations; all of them if they are few enough."""
+    if num * (num - 1) // 2 <= trials:
+        first, second = np.triu_indices(num, 1)
+        return first, second
+    generator = np.random.default_rng(seed)
+    first = generator.integers(num, size=trials)
+    second = generator.integers(num - 1, size=trials)
+    return first, second + (second >= first)
+
+
+def _rotate(yaw: Float[Array, "t"], points: Float[Array, "t 2"]) -> Float[Array, "t 2"]:
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = points.T
+    return np.column_stack([c * x - s * y, s * x + c * y])
+
+
+def _count_inliers(
+    yaw: Float[Array, "t"], offset: Float[Array, "t 2"], matches: Matches, radius: float
+) -> Int[NDArray[np.intp], "t"]:
+    """GetInliers for all trials; associations that share a position may count twice here."""
+    # As matrix products in float32: this is most of RANSAC's time.
+    query = np.column_stack([matches.query_xy, np.ones(len(matches))]).astype(np.float32).T
+    database = matches.database_xy.astype(np.float32)
+    c, s = np.cos(yaw), np.sin(yaw)
+    squared = np.zeros((len(yaw), len(matches)), np.float32)
+    for axis, (along_x, along_y) in enumerate(((c, -s), (s, c))):
+        motion = np.column_stack([along_x, along_y, offset[:, axis]]).astype(np.float32)
+        error = motion @ query
+        error -= database[:, axis]
+        squared += np.square(error, out=error)
+    return np.count_nonzero(squared <= radius**2, axis=1)
+
+
+def _distinct(
+    yaw: Float[Array, "t"],
+    offset: Float[Array, "t 2"],
+    centre: Float[Array, "2"],
+    radius: float,
+    wanted: int,
+) -> list[SE2]:
+    """Take the first motions that differ: by where they put the centre, or by their turn."""
+    centres = _rotate(yaw, np.broadcast_to(centre, offset.shape)) + offset
+    left = np.ones(len(yaw), bool)
+    motions: list[SE2] = []
+    while len(motions) < wanted and left.any():
+        k = int(np.argmax(left))
+        motions.append(SE2(float(offset[k, 0]), float(offset[k, 1]), float(yaw[k])))
+        near = np.hypot(*(centres - centres[k]).T) <= 2 * radius
+        turn = np.abs(np.angle(np.exp(1j * (yaw - yaw[k])))) <= 0.1
+        left &= ~(near & turn)
+    return motions
+
+
+def one_to_one(motion: SE2, matches: Matches, radius: float) -> Bool[BoolArray, "m"]:
+    """Inliers of which no two share a keypoint position: of these, the closest counts."""
+    errors = np.hypot(*(motion.apply(matches.query_xy) - matches.database_xy).T)
+    inliers = np.zeros(len(matches), bool)
+    taken_query: set[tuple[float, float]] = set()
+    taken_database: set[tuple[float, float]] = set()
+    for k in np.argsort(errors, kind="stable"):
+        if errors[k] > radius:
+            break
+        in_query = (float(matches.query_xy[k, 0]), float(matches.query_xy[k, 1]))
+        in_database = (float(matches.database_xy[k, 0]), float(matches.database_xy[k, 1]))
+        if in_query not in taken_query and in_database not in taken_database:
+            taken_query.add(in_query)
+            taken_database.add(in_database)
+            inliers[k] = True
+    return inliers

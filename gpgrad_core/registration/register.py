@@ -1,0 +1,137 @@
+"""Algorithm 1, and what we add to it: more hypotheses, alignment, one score."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+
+from gpgrad_core.progress import Progress, silent
+from gpgrad_core.registration.alignment import Alignments, align
+from gpgrad_core.registration.dense_check import DenseCheck
+from gpgrad_core.registration.evidence import closure_score, weigh
+from gpgrad_core.registration.params import RegistrationParams
+from gpgrad_core.registration.ransac import find_motions, one_to_one
+from gpgrad_core.registration.relief import Relief, make_relief
+from gpgrad_core.registration.search import Spectra, make_spectra, search_motions
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Array, GradientMap, Matches, Registration
+
+TRIED_CELLS, TRIED_ITERATIONS = 600, 8
+"""What all hypotheses are aligned with, roughly."""
+WEIGHED = 10
+"""How many of them, the most alike, are weighed octave by octave."""
+PLACED_CELLS, PLACED_ITERATIONS = 3000, 4
+"""What the best of these is then aligned with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What registration makes of one map, once for all its pairs."""
+
+    relief: Relief
+    spectra: Spectra
+
+
+def prepare(gradient_map: GradientMap) -> Prepared:
+    """Make a map ready to be registered."""
+    relief = make_relief(gradient_map)
+    return Prepared(relief, make_spectra(relief))
+
+
+def register(
+    query: GradientMap,
+    database: GradientMap,
+    matches: Matches,
+    params: RegistrationParams | None = None,
+    progress: Progress = silent,
+    prepared: tuple[Prepared, Prepared] | None = None,
+) -> Registration:
+    """Register the query map to the database map, Algorithm 1.
+
+    RANSAC's best motions by inliers, and the best of an exhaustive search that needs no
+    associations, are aligned densely; the one with the highest score is returned. Acceptance
+    comes after (`loop_closure.classify`), so that sweeping its thresholds costs nothing.
+
+    Args:
+        query: Map to be placed.
+        database: Map it is placed on.
+        matches: The set of associations A.
+        params: Of RANSAC and the search.
+        progress: Called as it gets on; may raise Cancelled.
+        prepared: Query and database as `prepare` makes them, where they are at hand.
+
+    Returns:
+        The best motion; `T_database_query` is None where there is none.
+    """
+    params = params or RegistrationParams()
+    of_query, of_database = prepared or (prepare(query), prepare(database))
+    maps = of_query.relief, of_database.relief
+    starts = find_motions(matches, params)
+    starts += search_motions(*maps, (of_query.spectra, of_database.spectra), params.searched)
+    progress(0.3)
+    best: _Candidate | None = None
+    if starts:
+        tried = align(*maps, starts, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
+        progress(0.6)
+        chosen = _distinct(tried, maps[1].length_scale)[:WEIGHED]
+        for k, row in enumerate(chosen):
+            candidate = _judge(tried, row, maps, matches, params)
+            if best is None or candidate.score > best.score:
+                best = candidate
+            progress(0.6 + 0.4 * (k + 1) / len(chosen))
+    if best is None:
+        return _nothing(len(matches), progress)
+    placed = align(*maps, [best.motion], num_cells=PLACED_CELLS, iterations=PLACED_ITERATIONS)
+    best = _judge(placed, 0, maps, matches, params)
+    check = DenseCheck(query, database)
+    area, correlation = check.compare(best.motion)
+    return Registration(
+        best.motion,
+        best.inliers,
+        check.dissimilarity(best.motion),
+        area,
+        correlation,
+        best.score,
+        z_offset=best.z_offset,
+        covariance=best.covariance,
+    )
+
+
+def _nothing(num_matches: int, progress: Progress) -> Registration:
+    progress(1.0)
+    return Registration(None, np.zeros(num_matches, bool), np.inf, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    motion: SE2
+    z_offset: float
+    covariance: Float[Array, "3 3"] | None
+    inliers: Bool[NDArray[np.bool_], "m"]
+    score: float
+
+
+def _judge(
+    placed: Alignments,
+    k: int,
+    maps: tuple[Relief, Relief],
+    matches: Matches,
+    params: RegistrationParams,
+) -> _Candidate:
+    motion, held = placed.motion(k), bool(placed.held[k])
+    inliers = one_to_one(motion, matches, params.inlier_radius)
+    score = closure_score(weigh(*maps, motion), int(inliers.sum()))
+    z_offset = float(placed.z_offsets[k]) if held else 0.0
+    return _Candidate(motion, z_offset, placed.covariances[k] if held else None, inliers, score)
+
+
+def _distinct(tried: Alignments, length_scale: float) -> list[int]:
+    """Order motions by how alike the terrain is, once each: many starts end at the same."""
+    chosen: list[int] = []
+    for k in np.argsort(-tried.likeness, kind="stable"):
+        x, y, yaw = (tried.motions[chosen] - tried.motions[k]).T
+        near = (np.hypot(x, y) < 0.5 * length_scale) & (np.abs(np.sin(yaw / 2)) < 0.02)
+        if not near.any():
+            chosen.append(int(k))
+    return chosen

@@ -1,0 +1,158 @@
+"""Exhaustive search over all turns and shifts: hypotheses that need no keypoints."""
+
+from dataclasses import dataclass
+from math import ceil, cos, sin
+
+import cv2
+import numpy as np
+import scipy.fft
+from jaxtyping import Complex64, Float
+from numpy.typing import NDArray
+
+from gpgrad_core.registration.relief import Image, Relief, level_octaves
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Array
+
+NUM_YAWS = 36
+"""Turns tried: the alignment that follows draws from further than half a step of 10 degrees."""
+CELL = 2.0
+"""Side of a cell [length-scales]."""
+MOST_CELLS = 64
+"""Cells across a map; on larger maps they grow by twos, so that a pair's time stays bounded."""
+SIZES = (32, 48, 64, 80, 96, 128, 160)
+"""Sides that spectra come in: fast to transform, and few, so that two maps mostly share one."""
+LEAST_PATCHES = 4.0
+"""Smallest overlap looked at, in patches of 2π cell²/4, over which terrain is alike."""
+APART = 2
+"""Shifts nearer than this to a better one, in cells, are the same hypothesis."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """What the search needs of one map: Fourier transforms of it at all turns.
+
+    Attributes:
+        cell: Side of a cell [m].
+        middle: Point (x, y) [m] that it is turned about.
+        half: Cells from that point to the edge of the turned images.
+        values: Of terrain, mask and squared terrain, at each turn.
+    """
+
+    cell: float
+    middle: Float[Array, "2"]
+    half: int
+    values: Complex64[NDArray[np.complex64], "yaws 3 size half_size"]
+
+    @property
+    def size(self) -> int:
+        """Side of the images transformed."""
+        return self.values.shape[2]
+
+
+def make_spectra(relief: Relief, cell: float | None = None, size: int | None = None) -> Spectra:
+    """Turn a map through all yaws and transform it, once for all its pairs.
+
+    Args:
+        relief: The map.
+        cell: Side of a cell [m]; None: as the map's extent wants it.
+        size: Side of the images; None: as small as serves two maps of this extent.
+    """
+    rows, columns = np.nonzero(relief.trusted)
+    cells = np.column_stack([columns, rows]).astype(np.float64)
+    middle = relief.grid.to_position(cells.mean(axis=0)[None])[0] if len(cells) else np.zeros(2)
+    xy = relief.grid.to_position(cells) - middle
+    radius = float(np.hypot(*xy.T).max(initial=0.0))
+    finest = CELL * relief.length_scale
+    if cell is None:
+        cell = finest
+        while 2 * radius / cell > MOST_CELLS:
+            cell *= 2
+    half = ceil(radius / cell) + 1
+    if size is None:
+        # Shifts that leave less than 4 cells of overlap may fall on others: they are not used.
+        size = next((one for one in SIZES if one >= 4 * half - 3), SIZES[-1])
+    terrain = relief.terrain if cell == finest else level_octaves(relief, cell / 2)
+    images = np.dstack([terrain, relief.trusted.astype(np.float32)])
+    turned = np.stack([_turn(images, relief, middle, yaw, cell, half) for yaw in _yaws()])
+    mask = (turned[..., 1] > 0.99).astype(np.float32)
+    masked = turned[..., 0] * mask
+    fields = np.stack([masked, mask, masked * masked], axis=1)
+    values = scipy.fft.rfft2(fields, s=(size, size), workers=1)
+    return Spectra(cell, middle, half, values.astype(np.complex64, copy=False))
+
+
+def search_motions(
+    query: Relief,
+    database: Relief,
+    spectra: tuple[Spectra, Spectra],
+    wanted: int,
+) -> list[SE2]:
+    """Find the distinct motions under which the terrain of two maps correlates most.
+
+    Args:
+        query: Map to be placed.
+        database: Map it is placed on.
+        spectra: Of the query and of the database.
+        wanted: How many motions.
+
+    Returns:
+        ``T_database_query`` of up to so many, best first; a few cells off, to be aligned.
+    """
+    if wanted == 0 or not query.trusted.any() or not database.trusted.any():
+        return []
+    of_query, of_database = _comparable(query, database, spectra)
+    size, cell = of_query.size, of_query.cell
+    turned, fixed = np.conj(of_query.values), of_database.values[0]
+    terrain, mask, squared = (turned[:, k] for k in range(3))
+    common = scipy.fft.irfft2(mask * fixed[1], s=(size, size), workers=1)
+    product = scipy.fft.irfft2(terrain * fixed[0], s=(size, size), workers=1)
+    energy_query = scipy.fft.irfft2(squared * fixed[1], s=(size, size), workers=1)
+    energy_database = scipy.fft.irfft2(mask * fixed[2], s=(size, size), workers=1)
+    # The little more below keeps flat ground, and rounding, from correlating.
+    energy = np.maximum(energy_query * energy_database, 0.0) + 1e-3 * common * common
+    correlation = np.clip(product / np.sqrt(energy + 1e-6), 0.0, 0.999)
+    score = -np.log1p(-(correlation**2)) * np.sqrt(np.maximum(common, 0.0))
+    score[common < LEAST_PATCHES * np.pi / 2] = 0.0
+    best, turn = score.max(axis=0), score.argmax(axis=0)
+    motions: list[SE2] = []
+    around = np.arange(-APART, APART + 1)
+    while len(motions) < wanted:
+        row, column = divmod(int(best.argmax()), size)
+        if best[row, column] <= 0:
+            break
+        shift = np.array([column, row])
+        shift = (shift + size // 2) % size - size // 2 + of_query.half - of_database.half
+        yaw = float(_yaws()[turn[row, column]])
+        offset = of_database.middle + cell * shift - SE2(yaw=yaw).rotation @ of_query.middle
+        motions.append(SE2(float(offset[0]), float(offset[1]), yaw))
+        best[np.ix_((row + around) % size, (column + around) % size)] = 0.0
+    return motions
+
+
+def _yaws() -> Float[Array, "yaws"]:
+    return 2 * np.pi / NUM_YAWS * np.arange(NUM_YAWS, dtype=np.float64)
+
+
+def _comparable(
+    query: Relief, database: Relief, spectra: tuple[Spectra, Spectra]
+) -> tuple[Spectra, Spectra]:
+    """Make a pair of spectra of the same cells and size, mostly as they are."""
+    cell, size = max(s.cell for s in spectra), max(s.size for s in spectra)
+    of_query, of_database = (
+        one if (one.cell, one.size) == (cell, size) else make_spectra(relief, cell, size)
+        for relief, one in zip((query, database), spectra, strict=True)
+    )
+    return of_query, of_database
+
+
+def _turn(
+    images: Image, relief: Relief, middle: Array, yaw: float, cell: float, half: int
+) -> Image:
+    """Turn images about a point, onto cells of another size."""
+    step = cell / relief.grid.resolution
+    c, s = step * cos(yaw), step * sin(yaw)
+    column, row = relief.grid.to_pixel(middle[None])[0]
+    onto = np.array([[c, s, column - half * (c + s)], [-s, c, row - half * (c - s)]])
+    side = 2 * half + 1
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(images, onto, (side, side), flags=flags), np.float32)

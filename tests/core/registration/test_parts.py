@@ -1,0 +1,168 @@
+"""Search, alignment and evidence, each by itself."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gpgrad_core.registration.alignment import align
+from gpgrad_core.registration.evidence import Evidence, closure_score, weigh
+from gpgrad_core.registration.relief import make_relief
+from gpgrad_core.registration.search import make_spectra, search_motions
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import GradientMap, Grid
+from tests.core.ground import Ground
+from tests.core.registration.synthetic import DATABASE, GROUND, map_of
+
+RELIEF = make_relief(DATABASE)
+SPECTRA = make_spectra(RELIEF)
+
+
+def distance(found: SE2, true: SE2) -> float:
+    middle = np.zeros((1, 2))
+    return float(np.hypot(*(found.apply(middle) - true.apply(middle))[0]))
+
+
+@pytest.mark.parametrize("yaw", [-3.0, -1.1, 0.0, 0.7, 2.4])
+@pytest.mark.parametrize("size", [None, 128])
+def test_the_search_finds_any_turn_and_shift(yaw: float, size: int | None) -> None:
+    true = SE2(1.3, -2.1, yaw)
+    relief = make_relief(map_of(true))
+    spectra = make_spectra(relief, size=size)  # of another size: it is made anew for the pair
+    found = search_motions(relief, RELIEF, (spectra, SPECTRA), 3)
+    assert len(found) == 3
+    assert distance(found[0], true) < 0.6  # a cell
+    assert abs(math.remainder(found[0].yaw - yaw, math.tau)) <= math.radians(5) + 1e-9
+
+
+def test_the_search_on_plain_ground_finds_nothing() -> None:
+    plain = make_relief(map_of(SE2(), Ground.random(0, std=0.0)))
+    assert search_motions(plain, RELIEF, (make_spectra(plain), SPECTRA), 3) == []
+
+
+def test_cells_grow_on_wide_maps() -> None:
+    grid = Grid((0.0, 0.0), 0.5, (160, 160))
+    zero = np.zeros(grid.shape)
+    wide = make_relief(
+        GradientMap(grid, zero, zero, np.zeros((160, 160, 2)), np.zeros((160, 160, 2)), 0.15, 0.3)
+    )
+    spectra = make_spectra(wide)
+    assert spectra.cell >= 1.2
+    assert 2 * spectra.half <= 70
+
+
+@settings(max_examples=6)
+@given(
+    x=st.floats(-0.3, 0.3),
+    y=st.floats(-0.3, 0.3),
+    turn=st.floats(-0.1, 0.1),
+    tilt=st.floats(-0.005, 0.005),
+)
+def test_alignment_ends_at_the_truth_also_where_the_query_leans(
+    x: float, y: float, turn: float, tilt: float
+) -> None:
+    true = SE2(0.6, -0.4, 1.0)
+    query = map_of(true)
+    leaning = query.elevation + tilt * query.grid.x
+    relief = make_relief(
+        GradientMap(
+            query.grid,
+            leaning,
+            *(
+                query.variance,
+                query.slope,
+                query.slope_variance,
+                query.signal_std,
+                query.length_scale,
+            ),
+        )
+    )
+    start = SE2(true.x + x, true.y + y, true.yaw + turn)
+    ends = align(relief, RELIEF, [start, true], num_cells=2000, iterations=10)
+    assert ends.held.all()
+    for k in range(2):
+        assert distance(ends.motion(k), true) < 0.02
+        assert abs(ends.motion(k).yaw - true.yaw) < 0.005
+    np.testing.assert_allclose(ends.z_offsets, 0.0, atol=0.03)
+
+
+def test_covariances_cover_the_errors_and_shrink_with_the_noise() -> None:
+    true = SE2(0.2, 0.1, 0.4)
+    rng = np.random.default_rng(0)
+    sizes: list[float] = []
+    for noise in (0.01, 0.04):
+        errors: list[float] = []
+        for _ in range(10):
+            query = map_of(true)
+            noisy = query.elevation + noise * rng.standard_normal(query.grid.shape)
+            relief = make_relief(
+                GradientMap(
+                    query.grid,
+                    noisy,
+                    query.variance,
+                    query.slope,
+                    query.slope_variance,
+                    query.signal_std,
+                    query.length_scale,
+                )
+            )
+            end = align(relief, RELIEF, [true], num_cells=2000, iterations=5)
+            left = end.motions[0] - [true.x, true.y, true.yaw]
+            errors.append(float(left @ np.linalg.solve(end.covariances[0], left)))
+        sizes.append(float(np.trace(end.covariances[0][:2, :2])))
+        assert np.median(errors) < 3  # of three squares; wide by design, see COVARIANCE_FACTOR
+    assert sizes[1] > 2 * sizes[0]
+
+
+def test_alignment_leaves_alone_what_does_not_meet() -> None:
+    away = SE2(40.0, 0.0, 0.3)
+    ends = align(RELIEF, RELIEF, [away, SE2()], num_cells=500, iterations=3)
+    assert ends.held.tolist() == [False, True]
+    assert ends.motion(0) == away
+    assert ends.likeness[0] == 0.0 < ends.likeness[1]
+
+
+def test_a_map_is_coherent_with_itself_and_not_with_another() -> None:
+    same = weigh(RELIEF, RELIEF, SE2())
+    assert same.coherences == pytest.approx((1.0, 1.0), abs=1e-6)
+    # 8 m x 8 m of ground in patches of 2 pi 0.3 m x 0.3 m.
+    assert same.patches == pytest.approx(64 / (2 * math.pi * 0.09), rel=0.1)
+    other = weigh(make_relief(map_of(SE2(), Ground.random(99, shortest=1.0))), RELIEF, SE2())
+    assert max(np.abs(other.coherences)) < 0.5
+
+
+def test_coherence_asks_for_the_same_height() -> None:
+    steeper = make_relief(
+        map_of(SE2(), Ground(GROUND.wave_vectors, GROUND.phases, 2 * GROUND.amplitudes))
+    )
+    assert weigh(steeper, RELIEF, SE2()).coherences == pytest.approx((0.8, 0.8), abs=0.01)
+
+
+def test_weighing_the_other_way_round_says_the_same() -> None:
+    true = SE2(1.0, -0.7, 2.0)
+    relief = make_relief(map_of(true))
+    forth, back = weigh(relief, RELIEF, true), weigh(RELIEF, relief, true.inverse())
+    assert forth.coherences == pytest.approx(back.coherences, abs=0.02)
+    assert forth.patches == pytest.approx(back.patches, rel=0.1)
+
+
+@given(st.floats(0.1, 1000), st.floats(-1, 1), st.floats(-1, 1), st.integers(0, 500))
+def test_the_score_rises_with_all_it_is_made_of(
+    patches: float, first: float, second: float, num: int
+) -> None:
+    score = closure_score(Evidence(patches, (first, second)), num)
+    assert 0 <= score <= 300
+    assert closure_score(Evidence(2 * patches, (first, second)), num) >= score
+    assert closure_score(Evidence(patches, (min(1.0, first + 0.1), second)), num) >= score
+    assert closure_score(Evidence(patches, (first, min(1.0, second + 0.1))), num) >= score
+    assert closure_score(Evidence(patches, (first, second)), num + 1) >= score
+
+
+def test_the_score_is_its_formula() -> None:
+    total = math.sqrt(30) * (-math.log(1 - 0.9**2) - math.log(1 - 0.8**2) / 2) + 2 * math.log(8)
+    tail = math.exp(-(total - 9.0) / 2.6)
+    expected = -math.log10(1 - math.exp(-tail))
+    assert closure_score(Evidence(30.0, (0.9, 0.8)), 7) == pytest.approx(expected)
+    assert closure_score(Evidence(0.0, (0.0, 0.0)), 7) == 0.0
