@@ -15,7 +15,7 @@ from gpgrad_core.evaluation.judge import Evaluation, Ranked, RuleVerdict, Summar
 from gpgrad_core.evaluation.rules import Labels, Rule
 from gpgrad_core.types import Array
 
-CHANCE = "#777777"
+GUESSING = "#777777"
 
 
 def draw_precision_recall(evaluation: Evaluation, *, by_inliers: bool = False) -> Figure:
@@ -97,7 +97,7 @@ def draw_against_inliers(evaluation: Evaluation) -> Figure:
     handles, names = max(
         (one.get_legend_handles_labels() for one in upper), key=lambda x: len(x[0])
     )
-    names = ["chance" if name.startswith("chance:") else name for name in names]
+    names = ["guessing" if name.startswith("guessing: ") else name for name in names]
     figure.legend(handles, names, fontsize=8, loc="outside lower center", ncols=4)
     return figure
 
@@ -148,7 +148,8 @@ def _mark_own_decision(panel: Axes, verdict: RuleVerdict, number: int) -> None:
             marker="*",
             color=COLOURS[number % len(COLOURS)],
             markeredgecolor="black",
-            markersize=13,
+            markersize=20 if number == 0 else 11,
+            markeredgewidth=0.7,
             zorder=4,
         )
 
@@ -170,7 +171,7 @@ def _describe(panel: Axes, rule: Rule, labels: Labels) -> None:
     panel.grid(alpha=0.3)
     if positives:
         share = positives / judged
-        panel.axhline(share, color=CHANCE, linewidth=1, label=f"chance: {share:.3f}")
+        panel.axhline(share, color=GUESSING, linewidth=1, label=f"guessing: {share:.3f}")
     else:
         panel.text(0.5, 0.5, "no pair is true by this rule", transform=panel.transAxes)
 
