@@ -5,8 +5,8 @@ extra `bench` (and `dev`); a peer that is not installed is left out, and the tab
 only, for the peak memory.
 
 Tables go to standard output, the figure of cost to assets/pictures/gp_peers.png, all figures to
-the JSON. ``--parts`` measures some parts anew and takes the others from the JSON; so with none,
-``--parts``, it draws the tables and the figure once more. On two quiet cores everything takes
+the JSON. ``--parts`` measures some parts anew and takes the others from the JSON; with no name
+after it, it draws the tables and the figure once more. On two quiet cores everything takes
 about two hours: `table` and `ski` three quarters of an hour each, `points` and `area` as much
 together, `targets` five minutes. ``--quick`` runs it all in small, in a few minutes, to see
 that it works.

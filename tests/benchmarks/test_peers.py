@@ -144,10 +144,12 @@ def test_what_a_peer_says_of_its_failure_is_kept() -> None:
 
 
 def test_a_method_over_a_cap_is_spared_larger_cases() -> None:
-    cases = (Case(300, 2.5, 0.1), Case(600, 3.5, 0.1))
-    runs = measure_part(Part("", cases, (OURS, DENSE), Caps(megabytes=0.1), growing=True), ())
-    assert [(run.method, run.case) for run in runs] == [(OURS, cases[0]), (DENSE, cases[0])]
-    assert all(run.failure == "over 0.1 MB" for run in runs)
+    cases = (Case(1500, 5.0, 0.25), Case(1600, 5.0, 0.25))
+    part = Part("", cases, ("smoothed grid", DENSE), Caps(megabytes=15), growing=True)
+    grid_small, grid_large, dense_small = measure_part(part, ())
+    assert [grid_small.case, grid_large.case, dense_small.case] == [*cases, cases[0]]
+    assert grid_large.cost is not None
+    assert dense_small.failure == "over 15 MB"
 
 
 EXACT = Errors(0.001, 0.001, 0.001, 0.001)
