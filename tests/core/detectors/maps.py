@@ -1,0 +1,34 @@
+"""Maps as a perfect sensor would make them, of ground seen from anywhere."""
+
+from functools import cache
+
+import numpy as np
+
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import GradientMap, Grid
+from tests.core.ground import Ground
+
+SIGNAL_STD = 0.15
+
+
+def seen_from(
+    ground: Ground, T_world_map: SE2, grid: Grid, *, length_scale: float = 0.3
+) -> GradientMap:
+    """Make the map of a frame anywhere in the world, by the ground's own derivatives."""
+    phases = T_world_map.apply(grid.positions) @ ground.wave_vectors.T + ground.phases
+    height = (np.cos(phases) @ ground.amplitudes).reshape(grid.shape)
+    slope_in_world = -(np.sin(phases) * ground.amplitudes) @ ground.wave_vectors
+    slope = T_world_map.inverse().rotate(slope_in_world).reshape(*grid.shape, 2)
+    variance = np.full(grid.shape, 1e-4)
+    return GradientMap(
+        grid, height, variance, slope, np.full_like(slope, 1e-3), SIGNAL_STD, length_scale
+    )
+
+
+@cache
+def ground_turned_by(degrees: float, resolution: float = 0.05) -> tuple[GradientMap, SE2]:
+    """Make a map of the same ground, turned and shifted; and ``T_world_map``."""
+    T_world_map = SE2(0.8, -0.5, np.radians(degrees)) if degrees else SE2()
+    side = round(10 / resolution) + 1
+    grid = Grid((-5.0, -5.0), resolution, (side, side))
+    return seen_from(Ground.random(2, shortest=0.6), T_world_map, grid), T_world_map
