@@ -7,9 +7,11 @@ import numpy as np
 from gpgrad_core.gp.binning import bin_points
 from gpgrad_core.gradient_map import (
     MapParams,
+    TerrainParams,
     fit_terrain,
-    kept_points,
+    kept_rows,
     map_grid,
+    point_noise,
     sample_map,
     signal_std_of,
 )
@@ -51,28 +53,36 @@ def infer_coarse_map(
     if memo.holds(fit_terrain, submap, params.terrain):
         posterior = memo(fit_terrain, submap, params.terrain)
     else:
-        of_all = signal_std_of(kept_points(submap, params.max_points), params)
-        signal_std = max(of_all, LEAST_SIGNAL_STD)
-        fewer = replace(params.terrain, signal_std=signal_std, max_points=None)
-        thinned = memo(thin_evenly, submap, params.max_points, params.length_scale)
+        of_all = signal_std_of(submap.points[kept_rows(submap, params.max_points)], params)
+        fewer = replace(
+            params.terrain,
+            signal_std=max(of_all, LEAST_SIGNAL_STD),
+            max_points=None,
+            noise_model="file",
+            noise_factor=1.0,
+        )
+        thinned = memo(thin_evenly, submap, params.terrain)
         posterior = memo(fit_terrain, thinned, fewer, progress=progress)
     return memo(sample_map, submap, posterior, resolution)
 
 
-def thin_evenly(submap: Submap, max_points: int | None, length_scale: float) -> Submap:
-    """Replace the points of every cell of `THINNED_TO` length-scales [m] by their mean.
+def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
+    """Replace the points of every cell of `THINNED_TO` length-scales by their weighted mean.
 
     Args:
-        submap: What is thinned.
-        max_points: Thinning at random that the full map asks for, done first.
-        length_scale: Of the GP [m].
+        submap: What is thinned, after what `max_points` asks for.
+        params: Of the full map.
     """
-    points = kept_points(submap, max_points)
+    kept = kept_rows(submap, params.max_points)
+    points, noise_std = submap.points[kept], point_noise(submap, params).std[kept]
     longest = float(np.ptp(points[:, :2], axis=0).max())
-    means, _ = bin_points(points, min(THINNED_TO * length_scale, longest / FEWEST_CELLS))
+    cell = min(THINNED_TO * params.length_scale, longest / FEWEST_CELLS)
+    means, _ = bin_points(points, cell, noise_std)
+    # A mean stands for ground that bends over its cell: it is not believed more than a point.
+    of_cell = bin_points(np.column_stack([points[:, :2], noise_std]), cell)[0][:, 2]
     read_only(means)
     # Its own key in the memo, without hashing the points anew.
-    return Submap(submap.id, means, f"{submap.fingerprint}-{max_points}-{length_scale:g}")
+    return Submap(submap.id, means, f"{submap.fingerprint}-{hash(params)}", noise_std=of_cell)
 
 
 def infer_quick_map(

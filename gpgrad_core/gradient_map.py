@@ -1,18 +1,23 @@
 """Submap -> gradient map: the paper's Sec. IV."""
 
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, fields
+from typing import Annotated, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
+from numpy.typing import NDArray
 from typing_extensions import Doc
 
 from gpgrad_core.bounds import Bounds, check_bounds
+from gpgrad_core.errors import InputError
 from gpgrad_core.gp.binning import bin_points
 from gpgrad_core.gp.inference import Posterior, fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.noise import find_outliers, measure_noise
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.types import Array, GradientMap, Grid, Submap
+
+NoiseModel = Literal["constant", "range", "measured", "file"]
 
 BINNED_FROM = 10_000
 """Points of a cloud from which on binning can save more than it costs."""
@@ -36,6 +41,24 @@ class TerrainParams:
         Bounds(0.0005, 10.0, 0.005, "m", slider=(0.005, 0.3)),
         Doc("Standard deviation of one point's height; larger trusts single points less."),
     ] = 0.05
+    noise_model: Annotated[
+        NoiseModel,
+        Doc(
+            "Noise of a point: constant (noise_std), range (noise_std + noise_growth r², r from "
+            "the submap's origin), measured (by the scatter of its neighbours), or file (as the "
+            "cloud gives it)."
+        ),
+    ] = "constant"
+    noise_growth: Annotated[
+        float,
+        Bounds(0.0, 1.0, 0.0005, "1/m", slider=(0.0, 0.02)),
+        Doc("What noise model 'range' adds at a range of 1 m; four times that at 2 m."),
+    ] = 0.0
+    noise_factor: Annotated[
+        float,
+        Bounds(0.1, 10.0, 0.05, slider=(0.5, 3.0)),
+        Doc("What the noise of the models 'measured' and 'file' is multiplied by."),
+    ] = 1.0
     signal_std: Annotated[
         float | None,
         Bounds(0.001, 1000.0, 0.01, "m", slider=(0.05, 2.0)),
@@ -65,7 +88,7 @@ class MapParams(TerrainParams):
     @property
     def terrain(self) -> TerrainParams:
         """The part that the GP depends on: a new grid needs no new fit."""
-        return TerrainParams(self.length_scale, self.noise_std, self.signal_std, self.max_points)
+        return TerrainParams(**{f.name: getattr(self, f.name) for f in fields(TerrainParams)})
 
 
 def infer_gradient_map(
@@ -91,6 +114,40 @@ def map_grid(submap: Submap, resolution: float) -> Grid:
     return Grid.covering(submap.points[:, :2], resolution, name=f"submap {submap.id}")
 
 
+@dataclass(frozen=True, eq=False)
+class PointNoise:
+    """How far each point of a submap is believed."""
+
+    std: Float[Array, "n"]  # of its height [m]
+    outlying: Bool[NDArray[np.bool_], "n"]  # too far off its neighbours: noise as large as that
+
+
+def point_noise(submap: Submap, params: TerrainParams) -> PointNoise:
+    """Tell the noise of each point by the chosen model; outliers get as much as they are off.
+
+    Raises:
+        InputError: If the model is ``file`` and the cloud gives no noise.
+    """
+    points = submap.points
+    match params.noise_model:
+        case "constant":
+            std = np.full(len(points), params.noise_std)
+        case "range":
+            squared_range = points[:, 0] ** 2 + points[:, 1] ** 2
+            std = params.noise_std + params.noise_growth * squared_range
+        case "measured":
+            measured = measure_noise(points, params.length_scale, params.noise_std)
+            return PointNoise(params.noise_factor * measured.point_std, measured.outlying)
+        case "file":
+            if submap.noise_std is None:
+                raise InputError(
+                    f"submap {submap.id} gives no noise_std for its points; choose another "
+                    "noise_model: constant, range or measured"
+                )
+            std = params.noise_factor * submap.noise_std
+    return PointNoise(*find_outliers(points, params.length_scale, std))
+
+
 def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = silent) -> Posterior:
     """Fit the GP of Eq. (1) to a submap's points.
 
@@ -100,27 +157,33 @@ def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = sile
     Raises:
         InputError: If the GP would be too large or cannot be solved.
     """
-    points = kept_points(submap, params.max_points)
+    kept = kept_rows(submap, params.max_points)
+    points, noise_std = submap.points[kept], point_noise(submap, params).std[kept]
     mean = float(points[:, 2].mean())
     signal_std = signal_std_of(points, params)
-    noise_std = np.full(len(points), params.noise_std)
     if len(points) >= BINNED_FROM:
         # What the ground bends within a cell must stay far below the noise.
-        flat_enough = float(np.sqrt(params.noise_std / (5 * signal_std)))
-        binned, counts = bin_points(points, params.length_scale * min(1 / 8, flat_enough))
+        flat_enough = float(np.sqrt(np.median(noise_std) / (5 * signal_std)))
+        cell = params.length_scale * min(1 / 8, flat_enough)
+        binned, binned_noise = bin_points(points, cell, noise_std)
         if len(binned) <= len(points) / 2:
-            points, noise_std = binned, params.noise_std / np.sqrt(counts)
+            points, noise_std = binned, binned_noise
     kernel = SquaredExponential(signal_std, params.length_scale)
     return fit_gp(points, kernel, noise_std, mean=mean, progress=progress)
 
 
+def kept_rows(submap: Submap, max_points: int | None) -> Int[NDArray[np.intp], "n"]:
+    """Thin a submap's points at random to so many; the same ones each time."""
+    num = len(submap.points)
+    if max_points is None or num <= max_points:
+        return np.arange(num)
+    chosen = np.random.default_rng(0).choice(num, max_points, replace=False)
+    return np.sort(chosen)
+
+
 def kept_points(submap: Submap, max_points: int | None) -> Float[Array, "n 3"]:
-    """Thin a submap's points [m] at random to so many; the same ones each time."""
-    points = submap.points
-    if max_points is None or len(points) <= max_points:
-        return points
-    chosen = np.random.default_rng(0).choice(len(points), max_points, replace=False)
-    return points[np.sort(chosen)]
+    """Give the points that `kept_rows` keeps [m]."""
+    return submap.points[kept_rows(submap, max_points)]
 
 
 def signal_std_of(points: Float[Array, "n 3"], params: TerrainParams) -> float:

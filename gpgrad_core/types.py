@@ -66,6 +66,7 @@ class Submap:
         num_dropped: Rows of the source that were not finite and were left out.
         colors: Red, green and blue of each point in [0, 1], for rivals that use them.
         images: Files of what a camera saw there, for rivals that use them.
+        noise_std: Standard deviation of each point's height [m], where the source gives it.
     """
 
     id: str
@@ -76,6 +77,7 @@ class Submap:
     num_dropped: int = 0
     colors: Float[Array, "n 3"] | None = None
     images: tuple[Path, ...] = ()
+    noise_std: Float[Array, "n"] | None = None
 
     @classmethod
     def from_points(
@@ -86,6 +88,7 @@ class Submap:
         pose_true: Pose | None = None,
         pose_odometry: Pose | None = None,
         colors: Float[NDArray[np.floating], "n 3"] | None = None,
+        noise_std: Float[NDArray[np.floating], "n"] | None = None,
     ) -> "Submap":
         """Make a submap of points, dropping rows that are not finite.
 
@@ -95,9 +98,11 @@ class Submap:
             pose_true: See the class.
             pose_odometry: See the class.
             colors: See the class.
+            noise_std: See the class.
 
         Raises:
-            InputError: If there are fewer than three finite points, or all lie on one line.
+            InputError: If there are fewer than three finite points, all lie on one line, or a
+                noise is not above zero.
         """
         rows = np.asarray(points)
         if rows.ndim != 2 or rows.shape[1] != 3:
@@ -123,6 +128,17 @@ class Submap:
             seen = np.array(colors[finite], dtype=np.float64)
             read_only(seen)
             digest.update(seen.tobytes())
+        noise = None
+        if noise_std is not None:
+            noise = np.array(noise_std[finite], dtype=np.float64)
+            wrong = np.flatnonzero(~(np.isfinite(noise) & (noise > 0)))
+            if len(wrong):
+                raise InputError(
+                    f"{id}: noise_std must be above 0 m at every point, "
+                    f"got {noise[wrong[0]]:g} at point {wrong[0]}"
+                )
+            read_only(noise)
+            digest.update(noise.tobytes())
         return cls(
             id,
             kept,
@@ -131,6 +147,7 @@ class Submap:
             pose_odometry,
             num_dropped=int(np.sum(~finite)),
             colors=seen,
+            noise_std=noise,
         )
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from gpgrad_core.datasets.pcd import read_pcd, read_pcd_colors
-from gpgrad_core.datasets.ply import read_ply, read_ply_colors
+from gpgrad_core.datasets.ply import read_ply, read_ply_colors, read_ply_noise
 from gpgrad_core.datasets.tables import as_floats, read_table
 from gpgrad_core.errors import InputError
 from gpgrad_core.types import Submap
@@ -48,7 +48,9 @@ def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
     if len(points) == 0:
         raise InputError(f"{path}: is an empty cloud: it holds no points")
     try:
-        submap = Submap.from_points(points, path.stem, colors=_read_colors(path))
+        submap = Submap.from_points(
+            points, path.stem, colors=_read_colors(path), noise_std=_read_noise(path)
+        )
     except InputError as error:
         # The submap knows only its name; the user needs the file.
         raise InputError(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
@@ -83,6 +85,18 @@ def _read_points(path: Path) -> Points:
 def _read_colors(path: Path) -> Float[NDArray[np.floating], "n 3"] | None:
     reader = COLOR_READERS.get(path.suffix.lower())
     return None if reader is None else reader(path)
+
+
+def _read_noise(path: Path) -> Float[NDArray[np.floating], "n"] | None:
+    reader = NOISE_READERS.get(path.suffix.lower())
+    return None if reader is None else reader(path)
+
+
+def _read_npz_noise(path: Path) -> Float[NDArray[np.floating], "n"] | None:
+    with np.load(path, allow_pickle=False) as archive:
+        return (
+            np.asarray(archive["noise_std"], np.float64).ravel() if "noise_std" in archive else None
+        )
 
 
 def _read_npy(path: Path) -> Points:
@@ -162,6 +176,12 @@ READERS: dict[str, Callable[[Path], Points]] = {
     ".laz": _read_las,
 }
 """What reads a file, by its ending."""
+
+NOISE_READERS: dict[str, Callable[[Path], Float[NDArray[np.floating], "n"] | None]] = {
+    ".ply": read_ply_noise,
+    ".npz": _read_npz_noise,
+}
+"""What reads ``noise_std``, the standard deviation of each point's height [m], by its ending."""
 
 COLOR_READERS: dict[str, Callable[[Path], Float[NDArray[np.floating], "n 3"] | None]] = {
     ".ply": read_ply_colors,

@@ -96,6 +96,20 @@ def read_ply_colors(path: Path) -> Float[Array, "n 3"] | None:
     return colors / np.iinfo(kinds["red"]).max if whole else colors
 
 
+def read_ply_noise(path: Path) -> Float[Array, "n"] | None:
+    """Read the vertices' ``noise_std`` [m]; None if they have none.
+
+    Raises:
+        InputError: See `read_ply`.
+    """
+    data = path.read_bytes()
+    header = _parse_header(data, path)
+    vertex = next(element for element in header.elements if element.name == "vertex")
+    if not dict(vertex.properties).get("noise_std"):
+        return None
+    return _read_vertices(data, header, ("noise_std",), path).astype(np.float64).ravel()
+
+
 def _read_vertices(
     data: bytes, header: _Header, properties: Sequence[str], path: Path
 ) -> NDArray[Any]:

@@ -8,7 +8,7 @@ Array = NDArray[np.float64]
 
 
 def bin_points(
-    points: Float[Array, "n 3"], cell: float
+    points: Float[Array, "n 3"], cell: float, noise_std: float | Float[Array, "n"] = 1.0
 ) -> tuple[Float[Array, "b 3"], Float[Array, "b"]]:
     """Replace the points of each square cell by their mean.
 
@@ -18,13 +18,15 @@ def bin_points(
     Args:
         points: Positions [m].
         cell: Side of a cell, seen from above [m].
+        noise_std: One for all or one a point [m]; they weigh by the inverse square of it.
 
     Returns:
-        Means [m], and the number of points in each.
+        Means [m], and the noise of each [m]: that of a weighted mean.
     """
     cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / cell).astype(np.int64)
     flat = cells[:, 1] * (cells[:, 0].max() + 1) + cells[:, 0]
     _, owner = np.unique(flat, return_inverse=True)
-    counts = np.bincount(owner).astype(np.float64)
-    means = np.column_stack([np.bincount(owner, points[:, k]) / counts for k in range(3)])
-    return means, counts
+    precision = np.broadcast_to(noise_std, len(points)) ** -2.0
+    total = np.bincount(owner, precision)
+    means = [np.bincount(owner, precision * points[:, k]) / total for k in range(3)]
+    return np.column_stack(means), 1 / np.sqrt(total)

@@ -35,11 +35,11 @@ def test_it_is_the_same_terrain_with_larger_cells() -> None:
 
 
 def test_it_is_made_of_fewer_points_that_lie_as_wide() -> None:
-    thinned = thin_evenly(SUBMAP, None, 0.3)
+    thinned = thin_evenly(SUBMAP, PARAMS.terrain)
     assert len(thinned.points) < 0.6 * len(SUBMAP.points)
     np.testing.assert_allclose(np.ptp(thinned.points[:, :2], axis=0), 6.0, atol=0.3)
     assert thinned.fingerprint != SUBMAP.fingerprint
-    assert len(thin_evenly(SUBMAP, 100, 0.3).points) <= 100
+    assert len(thin_evenly(SUBMAP, replace(PARAMS.terrain, max_points=100)).points) <= 100
 
 
 def test_a_fit_that_is_there_already_is_sampled_and_not_thinned() -> None:

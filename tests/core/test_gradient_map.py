@@ -1,6 +1,7 @@
 """Submap to gradient map: the grid, the laws of the fields, what the parameters do."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import fit_lattice
 from gpgrad_core.gradient_map import (
     MapParams,
+    NoiseModel,
     TerrainParams,
     fit_terrain,
     infer_gradient_map,
+    point_noise,
     sample_map,
 )
 from gpgrad_core.progress import Cancelled
@@ -211,7 +214,7 @@ def test_dense_clouds_are_binned_and_hardly_change() -> None:
         Submap.from_points(points), MapParams(length_scale=0.5, resolution=0.05)
     )
     kernel = SquaredExponential(made.signal_std, made.length_scale)
-    elevation, variance, slope = fit_lattice(points, kernel, 0.05).sample(made.grid)
+    elevation, variance, slope, _ = fit_lattice(points, kernel, 0.05).sample(made.grid)
     assert rms(made.elevation - elevation) <= 0.02 * 0.05
     assert rms(made.slope - slope) <= 0.02 * rms(slope)
     assert np.abs(made.std / np.sqrt(variance) - 1).max() <= 0.04
@@ -266,3 +269,45 @@ def test_progress_may_cancel() -> None:
 def test_parameters_out_of_bounds_are_refused(name: str, value: float) -> None:
     with pytest.raises(InputError, match=f"{name} must be from"):
         TerrainParams(**{name: value})
+
+
+# --- noise of points -----------------------------------------------------------------------
+
+
+def test_each_noise_model_gives_each_point_its_noise() -> None:
+    points = cloud(3, 3000, (4.0, 4.0), noise=0.03)
+    given_std = np.linspace(0.01, 0.1, 3000)
+    submap = Submap.from_points(points, noise_std=given_std)
+
+    def noise(**changes: Any) -> np.ndarray:
+        return point_noise(submap, TerrainParams(**changes)).std
+
+    np.testing.assert_array_equal(noise(noise_std=0.07), 0.07)
+    squared = np.sum(points[:, :2] ** 2, axis=1)
+    grown = noise(noise_std=0.03, noise_model="range", noise_growth=0.002)
+    np.testing.assert_allclose(grown, 0.03 + 0.002 * squared)
+    np.testing.assert_allclose(noise(noise_model="file", noise_factor=2.0), 2 * given_std)
+    measured = noise(noise_model="measured")
+    assert float(np.median(measured)) == pytest.approx(0.03, rel=0.1)
+    np.testing.assert_allclose(noise(noise_model="measured", noise_factor=3.0), 3 * measured)
+
+
+def test_a_cloud_without_noise_refuses_the_file_model_and_says_what_to_do() -> None:
+    submap = Submap.from_points(cloud(3, 100), "crater")
+    with pytest.raises(InputError, match=r"crater gives no noise_std .* choose another"):
+        infer_gradient_map(submap, MapParams(noise_model="file"))
+
+
+@pytest.mark.parametrize("model", ["constant", "measured"])
+def test_points_far_above_the_ground_hardly_move_the_map(model: NoiseModel) -> None:
+    points = cloud(3, 6000, (5.0, 5.0), noise=0.03)
+    clean = infer_gradient_map(Submap.from_points(points), MapParams(noise_model=model))
+    wrong = np.random.default_rng(0).choice(len(points), 30, replace=False)
+    spoilt = points.copy()
+    spoilt[wrong, 2] += 5.0
+    submap = Submap.from_points(spoilt)
+    params = MapParams(noise_model=model, signal_std=clean.signal_std)
+    made = infer_gradient_map(submap, params)
+    told = point_noise(submap, params.terrain).outlying
+    assert told[wrong].mean() > 0.85
+    assert np.percentile(np.abs(made.elevation - clean.elevation), 95) < 0.05

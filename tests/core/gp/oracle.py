@@ -86,9 +86,9 @@ def compare(
     if binned_to is None:
         posterior = fit_gp(points, kernel, noise, solver=solver)
     else:
-        means, counts = bin_points(points, binned_to)
+        means, binned_noise = bin_points(points, binned_to, noise)
         mean = float(points[:, 2].mean())
-        posterior = fit_gp(means, kernel, noise / np.sqrt(counts), mean=mean, solver=solver)
+        posterior = fit_gp(means, kernel, binned_noise, mean=mean, solver=solver)
     fast = Fields.fast(posterior, grid)
     trusted = exact.std <= TRUSTED * kernel.signal_std
     std = np.abs(fast.std / exact.std - 1)

@@ -19,23 +19,34 @@ def random_points(seed: int) -> np.ndarray:
 @given(seeds, cells)
 def test_counts_and_centre_are_kept(seed: int, cell: float) -> None:
     points = random_points(seed)
-    means, counts = bin_points(points, cell)
-    assert counts.sum() == len(points)
-    assert counts.min() >= 1
+    means, noise = bin_points(points, cell)
+    counts = noise**-2
+    assert counts.sum() == pytest.approx(len(points))
+    assert counts.min() >= 1 - 1e-9
     np.testing.assert_allclose(counts @ means / len(points), points.mean(axis=0), rtol=1e-12)
 
 
 @given(seeds, cells)
 def test_each_mean_is_that_of_the_points_of_its_cell(seed: int, cell: float) -> None:
     points = random_points(seed)
-    means, counts = bin_points(points, cell)
+    means, noise = bin_points(points, cell, 0.1)
     members: dict[tuple[float, float], list[np.ndarray]] = {}
     for point in points:
         x, y = np.floor((point[:2] - points[:, :2].min(axis=0)) / cell)
         members.setdefault((y, x), []).append(point)
     expected = [np.mean(member, axis=0) for _, member in sorted(members.items())]
     np.testing.assert_allclose(means, expected, rtol=1e-12)
-    np.testing.assert_array_equal(counts, [len(member) for _, member in sorted(members.items())])
+    counts = [len(member) for _, member in sorted(members.items())]
+    np.testing.assert_allclose(noise, 0.1 / np.sqrt(counts), rtol=1e-12)
+
+
+@given(seeds)
+def test_a_mean_weighs_its_points_by_their_precision(seed: int) -> None:
+    points = random_points(seed)
+    each = np.random.default_rng(seed).uniform(0.01, 1.0, len(points))
+    (mean,), (noise,) = bin_points(points, 1e6, each)
+    np.testing.assert_allclose(mean, each**-2 @ points / np.sum(each**-2), rtol=1e-9)
+    assert noise == pytest.approx(np.sum(each**-2) ** -0.5)
 
 
 @given(seeds, cells)
@@ -55,13 +66,13 @@ def test_a_tilted_plane_stays_on_itself() -> None:
 
 def test_fine_bins_change_nothing_but_the_order() -> None:
     points = np.random.default_rng(0).uniform(0, 3, (50, 3))
-    means, counts = bin_points(points, 1e-6)
-    assert counts.tolist() == [1.0] * 50
+    means, noise = bin_points(points, 1e-6)
+    assert noise.tolist() == [1.0] * 50
     assert {tuple(row) for row in means} == {tuple(row) for row in points}
 
 
 def test_one_bin_holds_all() -> None:
     points = np.random.default_rng(0).uniform(0, 3, (50, 3))
-    means, counts = bin_points(points, 10.0)
-    assert counts.tolist() == [50.0]
+    means, noise = bin_points(points, 10.0)
+    assert noise.tolist() == [pytest.approx(50**-0.5)]
     assert means[0] == pytest.approx(points.mean(axis=0))

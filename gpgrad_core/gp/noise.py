@@ -1,0 +1,193 @@
+"""The noise of each point, measured by its neighbours: scatter in small cells, outliers apart.
+
+The ground within a cell of a few points is a plane, but for what the GP cannot follow either;
+what is left of the heights is noise. Cells hold few points, so their sums of squares are pooled
+with those of the cells around, and a little with the whole cloud's.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.special import ndtr
+
+Array = NDArray[np.float64]
+
+POINTS_A_CELL = 9.0
+"""Wanted: a plane takes three of them, and the ground must not bend over a cell."""
+MOST_LENGTH_SCALES = 1.0
+"""A cell is never wider: the GP follows what is wider than that."""
+POOLED_CELLS = 1.0
+"""Width of the Gaussian by which neighbouring cells are pooled, in cells."""
+PRIOR_WEIGHT = 2.0
+"""Degrees of freedom that the whole cloud counts for in a cell, and the prior for the cloud."""
+CLIPPED_AT = 1.5
+"""Residuals count up to this many standard deviations, by Huber's second proposal: the few large
+ones must not make the noise of all others look large."""
+OUTLYING = 5.0
+"""Standard deviations from the plane of its neighbours beyond which a point is an outlier."""
+STARTED_WITHIN = 5.0
+"""Median residuals up to which the first guess counts a residual."""
+ROUNDS = 3
+"""Of fitting planes and clipping; the first starts from medians."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredNoise:
+    """Noise over an area, and of the points it was measured from.
+
+    Attributes:
+        point_std: Of each point [m]: the noise there; more for outliers, by how far off they are.
+        outlying: Which points lie too far off the plane of their neighbours to be noise.
+    """
+
+    point_std: Float[Array, "n"]
+    outlying: Bool[NDArray[np.bool_], "n"]
+    _low: Float[Array, "2"]
+    _cell: float
+    _std: Float[Array, "rows columns"]
+
+    def std_at(self, xy: Float[Array, "q 2"]) -> Float[Array, "q"]:
+        """Standard deviation of an ordinary point there [m]."""
+        at = ((xy - self._low) / self._cell - 0.5).T[::-1]
+        return map_coordinates(self._std, at, order=1, mode="nearest")
+
+
+def measure_noise(
+    points: Float[Array, "n 3"],
+    length_scale: float,
+    prior_std: float,
+) -> MeasuredNoise:
+    """Measure the noise of points from the scatter inside cells.
+
+    Args:
+        points: Positions [m].
+        length_scale: Of the GP [m]; detail of the ground far below it counts as noise.
+        prior_std: Noise where nothing can be measured [m].
+    """
+    cells = _Cells.over(points, length_scale)
+    prior = prior_std**2
+    residual = points[:, 2] - cells.median(points[:, 2])
+    usual = STARTED_WITHIN * float(np.median(np.abs(residual)))
+    squares = np.minimum(residual**2, usual**2)
+    variance = _pooled(cells, squares, np.maximum(cells.counts - 1, 0), prior)
+    known = np.zeros(len(cells.counts), bool)
+    # What a plane leaves of n points scatters less than they do, by this.
+    left = np.sqrt(np.maximum(1 - 3 / np.maximum(cells.counts, LEAST_POINTS), 0.0))
+    for _ in range(ROUNDS):
+        limit = CLIPPED_AT * np.sqrt(variance)[cells.owner]
+        weight = np.minimum(1.0, limit / np.maximum(np.abs(residual), 1e-12))
+        residual, known = cells.off_plane(points, weight)
+        clipped = np.minimum(np.abs(residual), limit * left[cells.owner])
+        squares = np.where(known[cells.owner], clipped**2 / _clipped_mean_square(), 0.0)
+        freedom = np.where(known, cells.counts - 3, 0)
+        variance = _pooled(cells, squares, freedom, prior)
+    std = np.sqrt(variance)
+    there = std[cells.owner]
+    off = np.abs(residual)
+    outlying = known[cells.owner] & (off > OUTLYING * there)
+    # As Student's t would weigh it: beyond the limit, noise grows as the residual.
+    point_std = np.where(outlying, off, there)
+    return MeasuredNoise(point_std, outlying, cells.low, cells.side, std.reshape(cells.shape))
+
+
+def find_outliers(
+    points: Float[Array, "n 3"], length_scale: float, noise_std: Float[Array, "n"]
+) -> tuple[Float[Array, "n"], Bool[NDArray[np.bool_], "n"]]:
+    """Give points that lie far off the plane of their neighbours the noise that this takes.
+
+    Returns:
+        Noise of each point [m], and which are outliers by both their given and measured noise.
+    """
+    measured = measure_noise(points, length_scale, float(np.median(noise_std)))
+    outlying = measured.outlying & (measured.point_std > OUTLYING * noise_std)
+    return np.where(outlying, measured.point_std, noise_std), outlying
+
+
+def _clipped_mean_square() -> float:
+    """Mean square of a standard normal variable clipped at `CLIPPED_AT`."""
+    within = 2 * ndtr(CLIPPED_AT) - 1
+    density = np.exp(-0.5 * CLIPPED_AT**2) / np.sqrt(2 * np.pi)
+    return float(within - 2 * CLIPPED_AT * density + CLIPPED_AT**2 * (1 - within))
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Square cells over points, numbered row by row."""
+
+    low: Float[Array, "2"]  # [m]
+    side: float  # [m]
+    shape: tuple[int, int]
+    owner: Int[NDArray[np.int64], "n"]
+    counts: Float[Array, "cells"]
+
+    @classmethod
+    def over(cls, points: Float[Array, "n 3"], length_scale: float) -> "_Cells":
+        xy = points[:, :2]
+        low = xy.min(axis=0)
+        width, height = np.maximum(xy.max(axis=0) - low, 1e-9)
+        side = np.sqrt(POINTS_A_CELL * width * height / len(xy))
+        side = float(min(side, MOST_LENGTH_SCALES * length_scale))
+        side = max(side, float(np.sqrt(width * height / MOST_CELLS)), 1e-6)
+        column, row = np.floor((xy - low) / side).astype(np.int64).T
+        shape = (int(row.max()) + 1, int(column.max()) + 1)
+        owner = row * shape[1] + column
+        counts = np.bincount(owner, minlength=shape[0] * shape[1]).astype(np.float64)
+        return cls(low, side, shape, owner, counts)
+
+    def sum(self, values: Float[Array, "n"]) -> Float[Array, "cells"]:
+        """Sum of the points' values, by cell."""
+        return np.bincount(self.owner, values, minlength=len(self.counts)).astype(np.float64)
+
+    def mean(self, values: Float[Array, "n"]) -> Float[Array, "cells"]:
+        """Mean of the points' values, by cell; 0 in empty ones."""
+        return self.sum(values) / np.maximum(self.counts, 1)
+
+    def median(self, values: Float[Array, "n"]) -> Float[Array, "n"]:
+        """Lower median of its cell, for each point."""
+        order = np.lexsort((values, self.owner))
+        first = np.concatenate([[0], np.cumsum(self.counts)[:-1]]).astype(np.int64)
+        middle = first + (np.maximum(self.counts, 1).astype(np.int64) - 1) // 2
+        return values[order[np.minimum(middle, len(values) - 1)]][self.owner]
+
+    def off_plane(
+        self, points: Float[Array, "n 3"], weight: Float[Array, "n"]
+    ) -> tuple[Float[Array, "n"], Bool[NDArray[np.bool_], "cells"]]:
+        """Heights over the weighted plane of their cell [m], and which cells have one."""
+        total = np.maximum(self.sum(weight), 1e-12)
+        centre = [self.sum(weight * points[:, k]) / total for k in range(3)]
+        x, y, z = (points[:, k] - centre[k][self.owner] for k in range(3))
+        xx, xy, yy = (self.sum(weight * a * b) for a, b in ((x, x), (x, y), (y, y)))
+        xz, yz = self.sum(weight * x * z), self.sum(weight * y * z)
+        area = xx * yy - xy**2
+        known = (self.counts >= LEAST_POINTS) & (area > 1e-3 * (xx + yy) ** 2)
+        area = np.where(known, area, 1.0)
+        along_x = np.where(known, (xz * yy - yz * xy) / area, 0.0)
+        along_y = np.where(known, (yz * xx - xz * xy) / area, 0.0)
+        return z - along_x[self.owner] * x - along_y[self.owner] * y, known
+
+
+MOST_CELLS = 4_000_000
+"""Of the whole area; they grow where it would take more."""
+LEAST_POINTS = 5
+"""In a cell whose plane is believed."""
+
+
+def _pooled(
+    cells: _Cells,
+    squares: Float[Array, "n"],
+    freedom: Float[Array, "cells"],
+    prior: float,
+) -> Float[Array, "cells"]:
+    """Variance by cell: from its own points and those around, the whole cloud, and the prior."""
+
+    def pool(values: Float[Array, "cells"]) -> Float[Array, "cells"]:
+        image = values.reshape(cells.shape)
+        blurred = gaussian_filter(image, POOLED_CELLS, mode="constant", truncate=3.0)
+        return blurred.ravel() * 2 * np.pi * POOLED_CELLS**2
+
+    summed = cells.sum(squares)
+    overall = (summed.sum() + PRIOR_WEIGHT * prior) / (freedom.sum() + PRIOR_WEIGHT)
+    return (pool(summed) + PRIOR_WEIGHT * overall) / (pool(freedom) + PRIOR_WEIGHT)

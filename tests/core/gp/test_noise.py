@@ -1,0 +1,82 @@
+"""Noise measured from clouds whose noise is known."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from gpgrad_core.gp.noise import find_outliers, measure_noise
+from tests.core.ground import Ground, scatter
+
+Array = NDArray[np.float64]
+seeds = st.integers(0, 2**32 - 1)
+SIZE = (6.0, 6.0)
+
+
+def noisy(seed: int, num: int, std: Array | float) -> Array:
+    xy = scatter(seed, num, SIZE)
+    noise = std * np.random.default_rng(seed + 1).standard_normal(num)
+    return np.column_stack([xy, Ground.random(seed).height(xy) + noise])
+
+
+@settings(max_examples=15)
+@given(seed=seeds, std=st.floats(0.01, 0.1), prior=st.floats(0.005, 0.5))
+def test_even_noise_is_found_whatever_was_expected(seed: int, std: float, prior: float) -> None:
+    measured = measure_noise(noisy(seed, 6000, std), 0.3, prior)
+    assert float(np.median(measured.point_std)) == pytest.approx(std, rel=0.1)
+    assert measured.outlying.mean() < 1e-3
+
+
+@settings(max_examples=10)
+@given(seed=seeds)
+def test_noise_that_grows_with_range_is_found_near_and_far(seed: int) -> None:
+    def grown(xy: Array) -> Array:
+        return 0.01 + 0.002 * np.sum(xy**2, axis=1)
+
+    xy = scatter(seed, 8000, SIZE)
+    measured = measure_noise(noisy(seed, 8000, grown(xy)), 0.3, 0.05)
+    at = np.random.default_rng(seed).uniform(0.5, 5.5, (200, 2))
+    ratio = measured.std_at(at) / grown(at)
+    assert float(np.median(ratio)) == pytest.approx(1.0, abs=0.1)
+    assert np.percentile(ratio, 5) > 0.6
+    assert np.percentile(ratio, 95) < 1.6
+
+
+@settings(max_examples=10)
+@given(seed=seeds, height=st.floats(0.5, 50.0))
+def test_outliers_are_told_and_do_not_spoil_their_neighbours(seed: int, height: float) -> None:
+    points = noisy(seed, 6000, 0.03)
+    clean = measure_noise(points, 0.3, 0.05)
+    wrong = np.random.default_rng(seed).choice(6000, 60, replace=False)
+    points[wrong, 2] += height
+    measured = measure_noise(points, 0.3, 0.05)
+    # The others lie in cells of too few points to have a plane.
+    assert measured.outlying[wrong].mean() > 0.85
+    right = np.setdiff1d(np.arange(6000), wrong)
+    assert measured.outlying[right].mean() < 0.005
+    told = wrong[measured.outlying[wrong]]
+    assert np.percentile(measured.point_std[told], 5) > 0.4 * height
+    np.testing.assert_allclose(
+        np.median(measured.point_std[right]), np.median(clean.point_std), rtol=0.1
+    )
+
+
+def test_given_noise_is_kept_but_for_outliers() -> None:
+    points = noisy(3, 6000, 0.03)
+    points[7, 2] += 2.0
+    given_std = np.full(6000, 0.03)
+    std, outlying = find_outliers(points, 0.3, given_std)
+    assert np.flatnonzero(outlying).tolist() == [7]
+    assert std[7] > 1.0
+    np.testing.assert_array_equal(np.delete(std, 7), 0.03)
+
+
+@pytest.mark.parametrize("num", [3, 10, 60])
+def test_sparse_clouds_keep_what_was_expected(num: int) -> None:
+    """Two points to a length-scale tell slope from noise no more than nothing does."""
+    points = noisy(5, num, 0.02)
+    measured = measure_noise(points, 0.1, 0.05)
+    assert not measured.outlying.any()
+    assert np.isfinite(measured.point_std).all()
+    np.testing.assert_allclose(measured.point_std, 0.05, rtol=1e-6)
