@@ -12,7 +12,7 @@ from gpgrad_core.registration.dense_check import DenseCheck
 from gpgrad_core.registration.evidence import closure_score, weigh
 from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.ransac import find_motions, one_to_one
-from gpgrad_core.registration.relief import Relief, make_relief
+from gpgrad_core.registration.relief import Relief, make_relief, sharp_relief
 from gpgrad_core.registration.search import Spectra, make_spectra, search_motions
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array, GradientMap, Matches, Registration
@@ -21,7 +21,7 @@ TRIED_CELLS, TRIED_ITERATIONS = 600, 8
 """What all hypotheses are aligned with, roughly."""
 WEIGHED = 10
 """How many of them, the most alike, are weighed octave by octave."""
-PLACED_CELLS, PLACED_ITERATIONS = 3000, 4
+PLACED_CELLS, PLACED_ITERATIONS = 3000, 6
 """What the best of these is then aligned with."""
 
 
@@ -30,13 +30,14 @@ class Prepared:
     """What registration makes of one map, once for all its pairs."""
 
     relief: Relief
+    sharp: Relief
     spectra: Spectra
 
 
 def prepare(gradient_map: GradientMap) -> Prepared:
     """Make a map ready to be registered."""
     relief = make_relief(gradient_map)
-    return Prepared(relief, make_spectra(relief))
+    return Prepared(relief, sharp_relief(gradient_map), make_spectra(relief))
 
 
 def register(
@@ -82,8 +83,9 @@ def register(
             progress(0.6 + 0.4 * (k + 1) / len(chosen))
     if best is None:
         return _nothing(len(matches), progress)
-    placed = align(*maps, [best.motion], num_cells=PLACED_CELLS, iterations=PLACED_ITERATIONS)
-    best = _judge(placed, 0, maps, matches, params)
+    sharp = of_query.sharp, of_database.sharp
+    placed = align(*sharp, [best.motion], num_cells=PLACED_CELLS, iterations=PLACED_ITERATIONS)
+    rough, best = best, _judge(placed, 0, maps, matches, params)
     check = DenseCheck(query, database)
     area, correlation = check.compare(best.motion)
     return Registration(
@@ -92,7 +94,7 @@ def register(
         check.dissimilarity(best.motion),
         area,
         correlation,
-        best.score,
+        max(rough.score, best.score),
         z_offset=best.z_offset,
         covariance=best.covariance,
     )

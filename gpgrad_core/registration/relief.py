@@ -16,13 +16,13 @@ Image: TypeAlias = NDArray[np.float32]
 
 MAX_STD_RATIO = 0.3
 """Maps are compared where their standard deviation is at most this share of signal_std."""
-FINE_CELL, CELL = 0.25, 0.75
-"""Sides of the cells [length-scales] that are smoothed, and of those that are kept of them."""
+FINE_CELL, CELL, SHARP_CELL = 0.25, 0.75, 0.5
+"""Sides of cells [length-scales]: that are smoothed, that are kept of these, and of a sharp one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """The elevation of a map, smoothed over one length-scale.
+    """The elevation of a map, mostly smoothed over one length-scale.
 
     Shorter waves are mostly noise, and the longer ones agree between two visits of a place to
     a few per cent: they tell places apart, and place one map on the other.
@@ -52,10 +52,8 @@ def make_relief(gradient_map: GradientMap) -> Relief:
     grid = _thin_grid(gradient_map.grid, FINE_CELL * length_scale)
     fine = _thinned(gradient_map.grid, grid)
     trusted = gradient_map.trusted(MAX_STD_RATIO)[fine]
-    elevation = gradient_map.elevation[fine]
-    base = float(elevation[trusted].mean()) if trusted.any() else 0.0
-    weight = trusted.astype(np.float32)
-    smooth = blur((elevation - base).astype(np.float32), weight, length_scale / grid.resolution)
+    elevation, base = _above_mean(gradient_map.elevation[fine], trusted)
+    smooth = blur(elevation, trusted.astype(np.float32), length_scale / grid.resolution)
     kept = _thin_grid(grid, CELL * length_scale)
     coarse = _thinned(grid, kept)
     smooth, trusted = smooth[coarse].copy(), trusted[coarse].copy()
@@ -66,6 +64,26 @@ def make_relief(gradient_map: GradientMap) -> Relief:
     slope = np.dstack([along_x, along_y]).astype(np.float32)
     terrain = _levelled(smooth, trusted, kept.resolution, length_scale, length_scale)
     return Relief(kept, smooth, slope, terrain, trusted, base, length_scale)
+
+
+def sharp_relief(gradient_map: GradientMap) -> Relief:
+    """Thin a map without smoothing it: the last centimetres of a pose lie in the short waves."""
+    grid = _thin_grid(gradient_map.grid, SHARP_CELL * gradient_map.length_scale)
+    thin = _thinned(gradient_map.grid, grid)
+    trusted = gradient_map.trusted(MAX_STD_RATIO)[thin].copy()
+    elevation, base = _above_mean(gradient_map.elevation[thin], trusted)
+    slope = gradient_map.slope[thin].astype(np.float32)
+    return Relief(
+        grid, elevation, slope, np.zeros_like(elevation), trusted, base, gradient_map.length_scale
+    )
+
+
+def _above_mean(
+    elevation: Float[NDArray[np.float64], "rows columns"],
+    trusted: Bool[NDArray[np.bool_], "rows columns"],
+) -> tuple[Float[Image, "rows columns"], float]:
+    base = float(elevation[trusted].mean()) if trusted.any() else 0.0
+    return (elevation - base).astype(np.float32), base
 
 
 def level_octaves(relief: Relief, shortest: float) -> Float[Image, "rows columns"]:

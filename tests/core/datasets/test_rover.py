@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from gpgrad_core.datasets import SimulationParams
-from gpgrad_core.datasets.rover import STEP, Stop, plan_track, scan
+from gpgrad_core.datasets.rover import (
+    ANGULAR_STEP,
+    HIGHEST_RING,
+    LOWEST_RING,
+    STEP,
+    Stop,
+    plan_track,
+    scan,
+)
 from gpgrad_core.datasets.terrain import RESOLUTION, HeightField
 from tests.core.datasets.refusal import assert_refused
 
@@ -129,3 +137,30 @@ def test_a_rover_on_a_slope_sees_a_tilted_view() -> None:
     # Nose down before a plain: the view starts nearer to the wheels than on the level.
     nose_down = np.clip(-0.4 * (along + 0.4), -0.32, None)
     assert in_rover(look(nose_down, PERFECT))[0].min() < level_near - 0.05
+
+
+LIDAR = replace(PERFECT, sensor="lidar", max_range=6.0, lidar_rings=16)
+
+
+def test_a_lidar_sees_all_around_in_rings() -> None:
+    points = look(ground(), LIDAR)
+    distance, bearing = in_rover(points)
+    np.testing.assert_allclose(points[:, 2], 0.0, atol=1e-9)
+    assert np.histogram(bearing, 36, (-np.pi, np.pi))[0].min() > 0
+    # On level ground each ring below the horizon that reaches it is a circle.
+    spacing = (HIGHEST_RING - LOWEST_RING) / (LIDAR.lidar_rings - 1)
+    down = np.arctan2(LIDAR.camera_height, distance)
+    ring = (-down - LOWEST_RING) / spacing
+    np.testing.assert_allclose(ring, np.rint(ring), atol=0.5 * ANGULAR_STEP / spacing + 1e-6)
+    assert 4 <= len(np.unique(np.rint(ring))) <= 8
+
+
+def test_a_lidars_noise_does_not_grow_with_the_range() -> None:
+    params = replace(LIDAR, noise_constant=0.02, noise_quadratic=0.01, lidar_rings=64)
+    points = look(ground(), params)
+    rays = points - [CENTRE.x, CENTRE.y, params.camera_height]
+    measured = np.linalg.norm(rays, axis=1)
+    true = -params.camera_height / (rays[:, 2] / measured)
+    for band in (true < 3.0, true > 4.5):
+        assert np.std((measured - true)[band]) == pytest.approx(0.02, rel=0.1)
+    assert params.range_noise == (0.02, 0.0)

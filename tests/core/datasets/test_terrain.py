@@ -94,3 +94,14 @@ def test_rough_ground_is_steeper_than_smooth_of_the_same_relief() -> None:
         assert ground.std() == pytest.approx(0.3)
         slopes.append(np.std(np.diff(ground)) / RESOLUTION)
     assert slopes[0] < slopes[1] < slopes[2]
+
+
+def test_hills_are_as_high_as_asked_and_smooth() -> None:
+    params = replace(FLAT, extent=40.0, hill_height=2.0, hill_size=10.0)
+    elevation = make_terrain(params, np.full((1, 2), -50.0), rng()).elevation
+    assert elevation.std() == pytest.approx(2.0, rel=0.05)
+    slope = np.hypot(*np.gradient(elevation, RESOLUTION))
+    assert 0.5 < np.sqrt(np.mean(slope**2)) < 2.0
+    # Steep, and without roughness: neighbouring slopes are nearly the same.
+    along = np.diff(elevation, axis=1) / RESOLUTION
+    assert np.abs(np.diff(along, axis=1)).max() < 0.2
