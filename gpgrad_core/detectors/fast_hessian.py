@@ -115,8 +115,8 @@ def _fill_hessian(
         return
 
     def filtered(down: Corners, right: Corners) -> Layer:
-        strips = _weighted(integral, down, first * step, step, rows)
-        return _weighted(strips.T, right, first * step, step, columns).T / side**2
+        strips = _weighted(integral, 0, down, first * step, step, rows)
+        return _weighted(strips, 1, right, first * step, step, columns) / side**2
 
     yy, xx, xy = filtered(bend, even), filtered(even, bend), filtered(odd, odd)
     window = (slice(first, first + rows), slice(first, first + columns))
@@ -125,17 +125,24 @@ def _fill_hessian(
 
 
 def _weighted(
-    corners: Float[NDArray[np.float64], "n m"], weights: Corners, start: int, step: int, count: int
-) -> Float[NDArray[np.float64], "count m"]:
-    """Sum rows ``start + shift``, and every step-th after each, with a weight a shift."""
+    corners: Float[NDArray[np.float64], "n m"],
+    axis: int,
+    weights: Corners,
+    start: int,
+    step: int,
+    count: int,
+) -> Float[NDArray[np.float64], "p q"]:
+    """Sum ``start + shift``, and every step-th after it, along an axis, with a weight a shift."""
+    shape = (count, corners.shape[1]) if axis == 0 else (corners.shape[0], count)
     span = (count - 1) * step + 1
-    total = np.zeros((count, corners.shape[1]))
+    total = np.zeros(shape)
     for shift, weight in weights.items():
-        rows = corners[start + shift : start + shift + span : step]
+        line = slice(start + shift, start + shift + span, step)
+        shifted = corners[line] if axis == 0 else corners[:, line]
         if abs(weight) == 1:  # spares a pass over the memory, which is what this costs
-            (np.add if weight > 0 else np.subtract)(total, rows, out=total)
+            (np.add if weight > 0 else np.subtract)(total, shifted, out=total)
         else:
-            total += weight * rows
+            total += weight * shifted
     return total
 
 

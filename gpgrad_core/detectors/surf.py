@@ -93,11 +93,12 @@ def describe(
     c, s = np.cos(headings), np.sin(headings)
     turn = np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], axis=-2)  # rows: own axes
     where = pixels[:, None] + (sigmas[:, None, None] * square) @ turn
-    responses = _haar_responses(integral, where, sigmas) * weights[:, None]
+    responses = _haar_responses(integral, where, sigmas)
     own = responses @ np.swapaxes(turn, 1, 2).astype(np.float32)
-    cells = own.reshape(-1, 4, 5, 4, 5, 2)
-    sums = np.concatenate([cells.sum(axis=(2, 4)), np.abs(cells).sum(axis=(2, 4))], axis=-1)
-    described = sums.reshape(len(pixels), 64)
+    # Which sample counts how much in which cell, so that all sums are one product.
+    cell = np.kron(np.arange(16).reshape(4, 4), np.ones((5, 5))).ravel()
+    share = (cell == np.arange(16)[:, None]) * weights
+    described = np.concatenate([share @ own, share @ np.abs(own)], axis=-1).reshape(-1, 64)
     length = np.linalg.norm(described, axis=1, keepdims=True)
     return described / np.maximum(length, np.finfo(np.float32).tiny)
 
@@ -144,6 +145,8 @@ def _haar_image(
 
     rising = corners(half, half) - corners(-half, -half)
     falling = corners(half, -half) - corners(-half, half)
-    right = rising + falling - 2 * (corners(half, 0) - corners(-half, 0))
-    down = rising - falling - 2 * (corners(0, half) - corners(0, -half))
-    return (np.dstack([right, down]) / (2 * half**2)).astype(np.float32)
+    scale = 1 / (2 * half**2)
+    haar = np.empty((*rising.shape, 2), np.float32)
+    haar[..., 0] = scale * (rising + falling - 2 * (corners(half, 0) - corners(-half, 0)))
+    haar[..., 1] = scale * (rising - falling - 2 * (corners(0, half) - corners(0, -half)))
+    return haar
