@@ -21,6 +21,7 @@ from gpgrad_core.evaluation import (
     write_report,
 )
 from gpgrad_core.features import DetectorParams, FeatureParams, extract_features
+from gpgrad_core.fitting import FitResult, fit_parameters
 from gpgrad_core.gradient_map import MapParams, infer_gradient_map
 from gpgrad_core.loop_closure import ClosureParams, classify
 from gpgrad_core.matching import MatchParams, match_features
@@ -29,6 +30,7 @@ from gpgrad_core.outputs import (
     read_closures,
     report_closures,
     write_closures,
+    write_fitted,
     write_graph,
     write_map,
 )
@@ -66,6 +68,7 @@ __all__ = [
     "EvaluationParams",
     "FeatureParams",
     "Features",
+    "FitResult",
     "GradientMap",
     "Grid",
     "InputError",
@@ -89,6 +92,7 @@ __all__ = [
     "detect_loop_closures",
     "evaluate",
     "extract_features",
+    "fit_parameters",
     "infer_gradient_map",
     "load_cloud",
     "load_dataset",
@@ -102,6 +106,7 @@ __all__ = [
     "simulate_dataset",
     "write_closures",
     "write_dataset",
+    "write_fitted",
     "write_graph",
     "write_map",
     "write_report",

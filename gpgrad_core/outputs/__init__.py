@@ -8,6 +8,7 @@ from gpgrad_core.outputs.closures import (
     write_closures,
 )
 from gpgrad_core.outputs.files import check_output, replacing
+from gpgrad_core.outputs.fitted import write_fitted
 from gpgrad_core.outputs.graph import GraphParams, check_graph, write_graph
 from gpgrad_core.outputs.maps import MAP_ENDINGS, write_map
 
@@ -22,6 +23,7 @@ __all__ = [
     "replacing",
     "report_closures",
     "write_closures",
+    "write_fitted",
     "write_graph",
     "write_map",
 ]

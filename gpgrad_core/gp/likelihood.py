@@ -1,0 +1,118 @@
+"""How well hyperparameters explain points: the log marginal likelihood and its gradient."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
+
+from gpgrad_core.types import read_only
+
+Array = NDArray[np.float64]
+
+JITTER = 1e-10
+"""Added to the covariance's diagonal, times signal_std²: without it the Cholesky factor fails
+where the noise is next to nothing. It stands for a hundred-thousandth of signal_std."""
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """What the marginal likelihood is a function of; its logarithms are what is searched over.
+
+    Attributes:
+        length_scale: Distance over which the terrain's height stays alike [m].
+        signal_std: Standard deviation of the terrain's height [m].
+        noise_std: Standard deviation of one point's height [m]; a factor without a unit where
+            a patch tells the points' own.
+    """
+
+    length_scale: float
+    signal_std: float
+    noise_std: float
+
+    @classmethod
+    def from_logs(cls, logs: Float[Array, "3"]) -> "Hyperparameters":
+        """Read them from their natural logarithms, in the order of the fields."""
+        return cls(*np.exp(logs).tolist())
+
+    @property
+    def logs(self) -> Float[Array, "3"]:
+        """Natural logarithms, in the order of the fields."""
+        return np.log([self.length_scale, self.signal_std, self.noise_std])
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """Some points that are explained together; heights about zero.
+
+    Attributes:
+        xy: Positions [m].
+        heights: Above the terrain's mean [m].
+        point_noise_std: Each point's own noise [m], which ``noise_std`` then multiplies; ones
+            where all points share one.
+        squared_distances: Between all pairs [m²]; kept, since every evaluation needs them.
+    """
+
+    xy: Float[Array, "n 2"]
+    heights: Float[Array, "n"]
+    point_noise_std: Float[Array, "n"]
+    squared_distances: Float[Array, "n n"] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Measure the distances."""
+        x, y = self.xy.T
+        squared = np.subtract.outer(x, x) ** 2 + np.subtract.outer(y, y) ** 2
+        read_only(squared)
+        object.__setattr__(self, "squared_distances", squared)
+
+    def __len__(self) -> int:
+        """Number of points."""
+        return len(self.xy)
+
+
+def log_marginal_likelihood(
+    patch: Patch, hyperparameters: Hyperparameters
+) -> tuple[float, Float[Array, "3"]]:
+    """Evaluate the log density of a patch's heights, and its gradient.
+
+    With ``K`` the covariance of the noisy heights ``z``, and ``α = K⁻¹ z``:
+
+        log p = -½ zᵀα - ½ log |K| - n/2 log 2π              Rasmussen & Williams 2006, Eq. (5.8)
+        ∂ log p / ∂θ = ½ tr((α αᵀ - K⁻¹) ∂K/∂θ)              Eq. (5.9)
+
+    Args:
+        patch: n points. Memory grows as n², time as n³.
+        hyperparameters: Where to evaluate.
+
+    Returns:
+        The log density, and its derivatives by the logarithms of the hyperparameters, in the
+        order of their fields.
+
+    Raises:
+        numpy.linalg.LinAlgError: If rounding makes the covariance indefinite.
+    """
+    n, z = len(patch), patch.heights
+    signal_variance = hyperparameters.signal_std**2
+    scaled = patch.squared_distances / hyperparameters.length_scale**2
+    covariance = signal_variance * np.exp(-0.5 * scaled)
+    by_length_scale = covariance * scaled  # ∂K / ∂ log length_scale
+    noise_variance = (hyperparameters.noise_std * patch.point_noise_std) ** 2
+    covariance[np.diag_indices(n)] += noise_variance + JITTER * signal_variance
+
+    # Symmetric, so it is in LAPACK's order of the entries as it is, and no copy is made.
+    factor, info = dpotrf(covariance.T, lower=1, clean=1, overwrite_a=1)
+    if info != 0:
+        raise np.linalg.LinAlgError(f"covariance of {n} points is not positive definite")
+    weights, _ = dpotrs(factor, z, lower=1)
+    log_determinant = 2 * float(np.log(np.diagonal(factor)).sum())
+    inverse, _ = dpotri(factor, lower=1, overwrite_c=1)  # its lower triangle
+
+    value = -0.5 * (float(z @ weights) + log_determinant + n * float(np.log(2 * np.pi)))
+    # ½ tr((α αᵀ - K⁻¹) N) with the noise N; what is left of K is the signal's share.
+    by_noise = float((weights**2 - np.diagonal(inverse)) @ noise_variance)
+    by_signal = float(z @ weights) - n - by_noise
+    # The diagonal of ∂K / ∂ log length_scale is zero: the lower triangle is half of the trace.
+    trace = 2 * float(np.vdot(inverse.T, by_length_scale))
+    by_length = 0.5 * (float(weights @ by_length_scale @ weights) - trace)
+    return value, np.array([by_length, by_signal, by_noise])

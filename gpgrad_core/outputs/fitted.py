@@ -1,0 +1,32 @@
+"""Fitted hyperparameters as a TOML file that ``--params`` reads."""
+
+from pathlib import Path
+
+from gpgrad_core.fitting import FitResult, fitted_names
+from gpgrad_core.outputs.files import replacing
+
+
+def write_fitted(path: Path | str, result: FitResult) -> None:
+    """Write what a fit found, with the noise model that it holds for.
+
+    Args:
+        path: File to write; a table ``[map]`` of six digits a value.
+        result: Of `fit_parameters`.
+
+    Raises:
+        InputError: If it cannot be written there.
+    """
+    lines = [
+        f"# Maximum marginal likelihood, {result.num_points} points of submaps "
+        f"{', '.join(result.submap_ids)}:",
+        f"# log likelihood per point {result.log_likelihood_before:.4f} before, "
+        f"{result.log_likelihood_after:.4f} after.",
+        "[map]",
+        f'noise_model = "{result.params.noise_model}"',
+    ]
+    for name in fitted_names(result.params):
+        value = getattr(result.params, name)
+        if value is not None:  # the file's silence is None
+            lines.append(f"{name} = {float(f'{value:.6g}')!r}")
+    with replacing(path) as unfinished:
+        unfinished.write_text("\n".join(lines) + "\n", encoding="utf-8")
