@@ -48,6 +48,7 @@ class Runner(Generic[Job, Result]):
         *,
         on_start: Callable[[Job], None] | None = None,
         preview: Callable[[Job, Progress], Result | None] | None = None,
+        on_cancel: Callable[[Job], None] | None = None,
         patience: float = PATIENCE,
         longest_blind: float = LONGEST_BLIND,
         name: str = "runner",
@@ -61,6 +62,7 @@ class Runner(Generic[Job, Result]):
             on_error: Given the job and what was raised.
             on_start: Told of a job that begins.
             preview: Turns a job into a rough result for ``on_result``, or None for none.
+            on_cancel: Told of a job that `cancel` has stopped.
             patience: See `PATIENCE` [s].
             longest_blind: See `LONGEST_BLIND` [s].
             name: Of the thread, for debuggers.
@@ -70,12 +72,14 @@ class Runner(Generic[Job, Result]):
         self._on_error = on_error
         self._on_start = on_start
         self._preview = preview
+        self._on_cancel = on_cancel
         self._patience = patience
         self._longest_blind = longest_blind
         self._changed = threading.Condition()
         self._waiting: list[Job] = []  # none or one
         self._running = False
         self._closing = False
+        self._cancelling = False
         self._last_shown = time.monotonic()
         self._thread = threading.Thread(target=self._loop, name=name, daemon=True)
         self._thread.start()
@@ -89,6 +93,13 @@ class Runner(Generic[Job, Result]):
                 # The picture was up to date until now: blindness begins here.
                 self._last_shown = time.monotonic()
             self._waiting = [job]
+            self._changed.notify_all()
+
+    def cancel(self) -> None:
+        """Stop what runs at its next progress call, and forget what waits; returns at once."""
+        with self._changed:
+            self._waiting = []
+            self._cancelling = self._running
             self._changed.notify_all()
 
     @property
@@ -119,7 +130,7 @@ class Runner(Generic[Job, Result]):
                 if self._closing:
                     return
                 job = self._waiting.pop()
-                self._running = True
+                self._running, self._cancelling = True, False
             try:
                 self._run(job)
             except Exception as error:
@@ -133,7 +144,7 @@ class Runner(Generic[Job, Result]):
         must_show = start - self._last_shown > self._longest_blind
 
         def progress(fraction: float) -> None:  # noqa: ARG001
-            if self._closing:
+            if self._closing or self._cancelling:
                 raise Cancelled
             if self._waiting and not must_show and time.monotonic() > hopeless_after:
                 raise Cancelled
@@ -147,6 +158,8 @@ class Runner(Generic[Job, Result]):
                     return
             result = self._work(job, progress)
         except Cancelled:
+            if self._cancelling and self._on_cancel is not None:
+                self._on_cancel(job)
             return
         self._show(job, result, start)
 

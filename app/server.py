@@ -14,6 +14,7 @@ from pathlib import Path
 import viser
 
 from app import state as session
+from app.all_pairs import AllPairs
 from app.panels.dataset import DatasetPanel, PairPanel
 from app.panels.params import ParamsPanel
 from app.panels.status import StatusLine
@@ -147,7 +148,8 @@ class Viewer:
 
     def wait_idle(self, timeout: float = 60.0) -> bool:
         """Wait until the picture is up to date; says whether that came true in time [s]."""
-        return self._loader.wait_idle(timeout) and self._runner.wait_idle(timeout)
+        workers = (self._loader, self._runner, self._all_pairs)
+        return all(worker.wait_idle(timeout) for worker in workers)
 
     def close(self) -> None:
         """Stop working and serving."""
@@ -156,6 +158,7 @@ class Viewer:
         self._closed.set()
         self._loader.close()
         self._runner.close()
+        self._all_pairs.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
 
@@ -202,6 +205,14 @@ class Viewer:
                 lambda options: self._change(options=options),
                 self._reset_camera,
             )
+        with left.add_tab("All pairs"):
+            self._all_pairs = AllPairs(
+                self._server,
+                state,
+                self._memo,
+                on_pair=self._show_pair,
+                message_of=message_of,
+            )
         left.dock_left()
         left.set_width(VIEW_WIDTH)
 
@@ -223,6 +234,11 @@ class Viewer:
                 state = session.with_options(state, options)
             self._state = state
             self._runner.submit(state)
+            self._all_pairs.follow(state)
+
+    def _show_pair(self, query_id: str, database_id: str) -> None:
+        self._change(pair=(query_id, database_id))
+        self._pair_panel.show(self._state)
 
     def _reset_camera(self) -> None:
         self._scene.move_cameras(self._scene.camera(self._state))
@@ -309,6 +325,7 @@ class Viewer:
             self._state = session.open_dataset(opened.dataset, opened.params, self._state.options)
             state = self._state
             self._runner.submit(state)
+            self._all_pairs.follow(state)
         self._params.set_default(opened.params)
         self._params.reset()
         self._dataset_panel.show(opened.dataset, opened.source)

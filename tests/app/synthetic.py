@@ -1,13 +1,16 @@
 """A small terrain with known shape, and results made of it by hand, without inference."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.state import ViewState
+from app.survey import Survey
+from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.loop_closure import ClosureParams
-from gpgrad_core.pipeline import PairResult, PipelineParams
+from gpgrad_core.pipeline import DetectionResult, PairResult, PipelineParams
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import (
@@ -128,6 +131,36 @@ def make_result(state: ViewState, num_inliers: int = 12, num_outliers: int = 5) 
         registration,
         closure,
     )
+
+
+PAIR_SCORES = {
+    ("001", "000"): 4.0,
+    ("002", "000"): 2.0,
+    ("002", "001"): 3.0,
+    ("003", "000"): 5.0,
+    ("003", "001"): 1.0,
+    ("003", "002"): 0.25,
+}
+
+
+def make_survey() -> Survey:
+    """All pairs of `make_dataset`, whose poses are taken for true, with scores by hand."""
+    dataset = make_dataset()
+    true = tuple(replace(submap, pose_true=submap.pose_odometry) for submap in dataset.submaps)
+    dataset = replace(dataset, submaps=true)
+    closures = tuple(
+        LoopClosure(
+            query,
+            database,
+            Registration(SE2(1.0, 2.0, 0.3), np.arange(20) < 4 * score, 0.5, 10.0, 0.9, score),
+            False,
+            "not judged yet",
+        )
+        for (query, database), score in PAIR_SCORES.items()
+    )
+    seconds = {"maps": 1.0, "features": 1.0, "pairs": 1.0, "total": 3.0}
+    result = DetectionResult(closures, seconds)
+    return Survey(dataset, PipelineParams(), result, measure_pairs(dataset))
 
 
 def make_features(positions: Array) -> Features:

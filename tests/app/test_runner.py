@@ -178,6 +178,27 @@ def test_what_a_preview_raises_is_told_and_the_work_is_left() -> None:
     assert record.shown == []
 
 
+def test_cancelling_stops_what_runs_and_only_that() -> None:
+    record = Record()
+    told: list[int] = []
+    runner = record.make(slow(60.0, ticks=6000), on_cancel=told.append)
+    runner.cancel()  # nothing runs: nothing happens
+    runner.submit(1)
+    while not record.started:
+        time.sleep(0.005)
+    runner.submit(2)
+    runner.cancel()  # the waiting one is forgotten too
+    assert runner.wait_idle(5)
+    assert (told, record.started, record.shown) == ([1], [1], [])
+    quick = record.make(slow(0.0), on_cancel=told.append)
+    quick.cancel()
+    quick.submit(3)
+    assert quick.wait_idle(5)
+    assert (told, record.shown) == ([1], [3])
+    runner.close()
+    quick.close()
+
+
 def test_an_error_is_a_value_and_the_worker_lives() -> None:
     record = Record()
 

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, sync_playwright
 
+from app.server import VIEW_WIDTH
+
 # Software rendering that works without a graphics card, and no request of the browser's own.
 FLAGS = [
     "--no-sandbox",
@@ -142,11 +144,9 @@ class ViewerPage:
 
     def panel_edges(self) -> tuple[float, float]:
         """Find the inner edges of the two panels [pixels]."""
-        left = self.widget("Query").bounding_box()
         right = self.widget("Length-scale").bounding_box()
-        assert left is not None
         assert right is not None
-        return left["x"] + left["width"] + 20, right["x"] - 130
+        return VIEW_WIDTH + 20, right["x"] - 130
 
     def is_blank(self) -> bool:
         """Say whether the canvas has one colour nearly everywhere."""

@@ -6,12 +6,16 @@ from typing import TYPE_CHECKING
 import pytest
 
 from app.server import MAIN_PARAMETERS
+from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams
 
 if TYPE_CHECKING:
     from tests.browser.chromium import ViewerPage
 
 pytestmark = pytest.mark.browser
+ROUGH = PipelineParams(map=MapParams(max_points=2500, resolution=0.12))
+"""So rough that all pairs take a few seconds."""
+
 Open = Callable[..., "ViewerPage"]
 
 
@@ -135,3 +139,20 @@ def test_another_pair_is_shown_and_judged(open_viewer: Open) -> None:
     page.page.get_by_role("button", name="next", exact=True).first.click()
     page.wait(lambda: page.verdict() != before, "the next query")
     assert "query 005" in page.verdict()
+
+
+def test_all_pairs_are_run_judged_and_stepped_through(open_viewer: Open) -> None:
+    page = open_viewer(ROUGH)
+    page.page.get_by_role("tab", name="All pairs").click()
+    page.press("Run all pairs")
+    page.page.get_by_test_id("affinity").wait_for(timeout=120_000)
+    assert "loop closures in 45 pairs" in page.page.get_by_text("in 45 pairs").inner_text()
+    assert page.page.get_by_test_id("operating-point").count() == 1
+    rings = page.page.get_by_test_id("affinity").locator("title")
+    before = rings.all_text_contents()
+    page.type_value("Minimum score", "11.5")  # nothing is accepted any more
+    page.wait(lambda: rings.all_text_contents() != before, "other marks")
+    assert all("missed" in mark for mark in rings.all_text_contents())
+    page.settle()
+    expect_change(page, lambda: page.press("next"))
+    assert "query 007" not in page.verdict() or "database 001" not in page.verdict()
