@@ -12,7 +12,7 @@ from gpgrad_core.types import Array
 
 Solver = Literal["auto", "lattice", "tiles"]
 
-MOST_POINTS_A_TILE = 200
+MOST_POINTS_A_TILE = 150
 """Above this many points in its fullest tile, neighbours included, the lattice is faster
 (measured at 5,000 points in 10 m x 10 m: the tiles win up to a length-scale of 0.11 m)."""
 

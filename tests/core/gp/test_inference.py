@@ -166,7 +166,8 @@ def test_moving_the_points_moves_the_map(
         Grid(offset[:2], 0.2, (16, 16))
     )
     np.testing.assert_allclose(there[0] - offset[2], here[0], atol=1e-5)
-    np.testing.assert_allclose(there[1], here[1], rtol=1e-5)
+    # Coordinates of 1 km cost digits, and variances are worked out with half of them.
+    np.testing.assert_allclose(there[1], here[1], rtol=1e-3)
     np.testing.assert_allclose(there[2], here[2], atol=1e-5)
 
 
