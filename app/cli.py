@@ -31,7 +31,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from gpgrad_core.bounds import Bounds
+from gpgrad_core.bounds import Bounds, bounded_fields
 from gpgrad_core.datasets import (
     SimulationParams,
     demo_path,
@@ -43,7 +43,10 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import (
     Evaluation,
     EvaluationParams,
+    Section,
+    calibrate,
     check_directory,
+    describe_calibration,
     evaluate,
     measure_pairs,
     rank_pairs,
@@ -51,8 +54,9 @@ from gpgrad_core.evaluation import (
     run_methods,
     write_report,
 )
+from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.gp.threads import num_workers
-from gpgrad_core.gradient_map import MapParams, infer_gradient_map
+from gpgrad_core.gradient_map import MapParams, TerrainParams, infer_gradient_map
 from gpgrad_core.memo import Memo
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import (
@@ -61,6 +65,7 @@ from gpgrad_core.outputs import (
     check_output,
     report_closures,
     write_closures,
+    write_fitted,
     write_graph,
     write_map,
 )
@@ -179,6 +184,9 @@ class Evaluate:
     seed: Annotated[
         int | None, Doc("Seed of every random choice; None takes that of the parameters, 0.")
     ] = None
+    calibration: Annotated[
+        bool, Doc("Also judge the maps' uncertainty by points held out; takes about a minute.")
+    ] = False
     evaluation: Annotated[EvaluationParams, tyro.conf.arg(name="")] = field(
         default_factory=EvaluationParams
     )
@@ -207,12 +215,20 @@ class Evaluate:
             pairs=pairs,
             seed=params.registration.seed,
         )
+        sections = self._sections(dataset, params)
         with _progress("figures") as progress:
-            write_report(self.out, evaluation, closures=found, progress=progress)
+            write_report(self.out, evaluation, closures=found, sections=sections, progress=progress)
         for note in evaluation.notes:
             _warn(note)
         for line in (*_told(evaluation), str(self.out / "report.md")):
             _say(line)
+
+    def _sections(self, dataset: Dataset, params: PipelineParams) -> tuple[Section, ...]:
+        if not self.calibration:
+            return ()
+        with _progress("calibration") as progress:
+            judged = calibrate(dataset, params, seed=params.registration.seed, progress=progress)
+        return (describe_calibration(judged),)
 
 
 @dataclass(frozen=True)
@@ -249,6 +265,35 @@ class Map:
 
 
 @dataclass(frozen=True)
+class Fit:
+    """Find length-scale, signal and noise of the terrain by maximum marginal likelihood."""
+
+    dataset: Annotated[
+        tyro.conf.Positional[Path], Doc("Dataset folder, folder of clouds, or one cloud.")
+    ]
+    out: Annotated[Path | None, Doc("File to write: .toml, which --params reads.")] = None
+    seed: Annotated[int, Doc("Seed of the choice of points.")] = 0
+    params: ParamsFile = None
+    map: TerrainParams = field(default_factory=TerrainParams)
+
+    def run(self, given: Sequence[str]) -> None:
+        """Fit, tell and write."""
+        if self.out:
+            check_output(self.out, (".toml",))
+        if self.seed < 0:
+            raise InputError(f"--seed must be 0 or more, got {self.seed}")
+        dataset = _load(self.dataset)
+        start = _again(self, given, map=_base(dataset, self.params).map.terrain).map
+        with _progress("fit") as progress:
+            result = fit_parameters(dataset.submaps, start, seed=self.seed, progress=progress)
+        for line in _fitted(start, result):
+            _say(line)
+        if self.out:
+            write_fitted(self.out, result)
+            _say(str(self.out))
+
+
+@dataclass(frozen=True)
 class Simulate:
     """Make a synthetic dataset with known truth."""
 
@@ -265,12 +310,13 @@ class Simulate:
         _say(f"{len(dataset.submaps)} submaps: {self.directory}")
 
 
-Verb: TypeAlias = View | Detect | Evaluate | Map | Simulate
+Verb: TypeAlias = View | Detect | Evaluate | Map | Fit | Simulate
 VERBS: dict[str, type[Verb]] = {
     "view": View,
     "detect": Detect,
     "evaluate": Evaluate,
     "map": Map,
+    "fit": Fit,
     "simulate": Simulate,
 }
 
@@ -380,6 +426,26 @@ def _told(evaluation: Evaluation) -> list[str]:
             f"{line}accepts {verdict.accepted_true} true and {verdict.accepted_false} false pairs, "
             f"misses {verdict.missed} ({rule.name})"
         )
+    return lines
+
+
+def _fitted(start: TerrainParams, result: FitResult) -> list[str]:
+    """What a fit found, a line a parameter."""
+    units = {one.name: one.bounds.unit for one in bounded_fields(TerrainParams)}
+    lines: list[str] = []
+    for name in fitted_names(start):
+        before, after = (
+            "the points' own" if value is None else f"{value:.4g}"
+            for value in (getattr(start, name), getattr(result.params, name))
+        )
+        unit = f" {units[name]}" if units[name] else ""
+        lines.append(f"{name}: {before} -> {after}{unit}")
+    count = len(result.submap_ids)
+    lines.append(
+        f"log likelihood per point: {result.log_likelihood_before:.3f} -> "
+        f"{result.log_likelihood_after:.3f} ({result.num_points:,} points of {count} "
+        f"submap{'' if count == 1 else 's'}, {result.num_evaluations} evaluations)"
+    )
     return lines
 
 

@@ -129,23 +129,40 @@ def point_noise(submap: Submap, params: TerrainParams) -> PointNoise:
         InputError: If the model is ``file`` and the cloud gives no noise.
     """
     points = submap.points
+    if params.noise_model == "measured":
+        measured = measure_noise(points, params.length_scale, params.noise_std)
+        return PointNoise(params.noise_factor * measured.point_std, measured.outlying)
+    std = ordinary_noise(submap, submap, params)
+    return PointNoise(*find_outliers(points, params.length_scale, std))
+
+
+def ordinary_noise(points_of: Submap, known_by: Submap, params: TerrainParams) -> Float[Array, "n"]:
+    """Tell the noise of a submap's points as if none were an outlier [m].
+
+    Args:
+        points_of: Whose points are asked about.
+        known_by: The submap that model ``measured`` measures.
+        params: Chooses the model.
+
+    Raises:
+        InputError: If the model is ``file`` and the cloud gives no noise.
+    """
+    xy = points_of.points[:, :2]
     match params.noise_model:
         case "constant":
-            std = np.full(len(points), params.noise_std)
+            return np.full(len(xy), params.noise_std)
         case "range":
-            squared_range = points[:, 0] ** 2 + points[:, 1] ** 2
-            std = params.noise_std + params.noise_growth * squared_range
+            return params.noise_std + params.noise_growth * np.sum(xy**2, axis=1)
         case "measured":
-            measured = measure_noise(points, params.length_scale, params.noise_std)
-            return PointNoise(params.noise_factor * measured.point_std, measured.outlying)
+            measured = measure_noise(known_by.points, params.length_scale, params.noise_std)
+            return params.noise_factor * measured.std_at(xy)
         case "file":
-            if submap.noise_std is None:
+            if points_of.noise_std is None:
                 raise InputError(
-                    f"submap {submap.id} gives no noise_std for its points; choose another "
+                    f"submap {points_of.id} gives no noise_std for its points; choose another "
                     "noise_model: constant, range or measured"
                 )
-            std = params.noise_factor * submap.noise_std
-    return PointNoise(*find_outliers(points, params.length_scale, std))
+            return params.noise_factor * points_of.noise_std
 
 
 def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = silent) -> Posterior:

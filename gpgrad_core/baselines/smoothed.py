@@ -42,6 +42,13 @@ def kept_smoothed_map(
 
 
 def smoothed_map(submap: Submap, params: PipelineParams) -> GradientMap:
+    """Make the map of a submap: see `smooth`."""
+    return smooth(submap, params)[0]
+
+
+def smooth(
+    submap: Submap, params: PipelineParams
+) -> tuple[GradientMap, Float[Array, "rows columns"]]:
     """Bin, blur and differentiate a submap's heights.
 
     The blur is a normalised convolution: with Gaussian weights g of the points around a cell,
@@ -52,6 +59,9 @@ def smoothed_map(submap: Submap, params: PipelineParams) -> GradientMap:
     Args:
         submap: Gravity-aligned points [m].
         params: Grid, length-scale, noise and signal as for the GP.
+
+    Returns:
+        The map, and the variance of single heights around each cell [m²].
 
     Raises:
         InputError: If the grid would be too large.
@@ -68,12 +78,14 @@ def smoothed_map(submap: Submap, params: PipelineParams) -> GradientMap:
 
     signal_std = params.map.signal_std or max(float(z.std()), 0.01 * params.map.noise_std)
     sure = np.maximum(weight, 1e-12)
-    scatter = _blurred(square, blur, grid) / sure - (weighted / sure) ** 2
+    scatter = np.maximum(_blurred(square, blur, grid) / sure - (weighted / sure) ** 2, 0.0)
     # g² is a Gaussian of 1/√2 the width.
     effective = weight**2 / np.maximum(_blurred(count, blur / np.sqrt(2), grid), 1e-12)
     variance = np.maximum(scatter, params.map.noise_std**2) / np.maximum(effective, 1e-12)
     variance = np.where(weight >= KNOWN_FROM, np.minimum(variance, signal_std**2), signal_std**2)
-    return _as_map(grid, elevation + mean, variance, signal_std, params.map.length_scale, blur)
+    scale = params.map.length_scale
+    made = _as_map(grid, elevation + mean, variance, signal_std, scale, blur)
+    return made, scatter
 
 
 def _as_map(

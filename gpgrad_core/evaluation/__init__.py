@@ -1,6 +1,7 @@
 """How well a detector does: precision and recall against the truth, and where it misplaces."""
 
 from gpgrad_core.evaluation.bootstrap import Interval
+from gpgrad_core.evaluation.calibration import Calibration, calibrate, describe_calibration
 from gpgrad_core.evaluation.experiment import read_rivals, run_methods
 from gpgrad_core.evaluation.judge import (
     Evaluation,
@@ -30,6 +31,7 @@ from gpgrad_core.evaluation.report import (
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
 
 __all__ = [
+    "Calibration",
     "Evaluation",
     "EvaluationParams",
     "Interval",
@@ -46,7 +48,9 @@ __all__ = [
     "TruePairs",
     "average_precision",
     "best_f1",
+    "calibrate",
     "check_directory",
+    "describe_calibration",
     "evaluate",
     "measure_pairs",
     "pose_errors",

@@ -1,0 +1,186 @@
+"""Can the map's uncertainty be believed? Points that it has not seen tell.
+
+A share of each submap's points is held out, the map is made of the others, and each held-out
+height is compared with what the map says of it: a Gaussian about the elevation, whose variance is
+the map's own and that of a single point's noise.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from gpgrad_core.baselines.smoothed import smooth
+from gpgrad_core.evaluation.report import Section
+from gpgrad_core.fitting import fit_parameters
+from gpgrad_core.gradient_map import MapParams, infer_gradient_map, ordinary_noise
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.types import Dataset, GradientMap, Submap
+
+Array = NDArray[np.float64]
+
+HELD_OUT = 0.1
+"""Share of the points of a submap that its map does not see."""
+MOST_SUBMAPS = 6
+"""Of more, as many are judged, evenly spaced."""
+LEAST_STD = 1e-4
+"""No estimate is taken to claim more than this [m]."""
+WITHIN_68, WITHIN_95 = 1.0, 1.959964
+"""Standard deviations within which a Gaussian has 68.27 % and 95 % of its mass."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How honest one way of making maps is about its uncertainty.
+
+    Attributes:
+        name: The way.
+        num_points: Held-out points, of all submaps.
+        density: Mean negative log predictive density of a height in metres; less is better.
+        within_68: Share of them within the interval that should hold 68.27 %.
+        within_95: Share within the one that should hold 95 %.
+        error_rms: Of the elevation, noise of the held-out points included [m].
+        params: Of the map, where it has any.
+    """
+
+    name: str
+    num_points: int
+    density: float
+    within_68: float
+    within_95: float
+    error_rms: float
+    params: MapParams | None
+
+
+def calibrate(
+    dataset: Dataset,
+    params: PipelineParams | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> tuple[Calibration, ...]:
+    """Judge constant noise, measured noise, both after a fit, and the smoothed grid.
+
+    The fits, of hyperparameters by maximum marginal likelihood, see the same points as the maps.
+
+    Args:
+        dataset: Of more than `MOST_SUBMAPS` submaps, as many are used.
+        params: Where the maps start from.
+        seed: Of what is held out.
+        progress: Called once a submap and way; may raise Cancelled.
+
+    Raises:
+        InputError: If a map cannot be made.
+    """
+    params = params or PipelineParams()
+    count = min(len(dataset.submaps), MOST_SUBMAPS)
+    chosen = [
+        dataset.submaps[k] for k in np.linspace(0, len(dataset.submaps) - 1, count).astype(int)
+    ]
+    split = [_split(submap, seed) for submap in chosen]
+    seen = [submap for submap, _ in split]
+    constant = replace(params.map, noise_model="constant")
+    measured = replace(params.map, noise_model="measured")
+    ways: dict[str, MapParams | None] = {"constant noise": constant, "measured noise": measured}
+    for k, (name, start) in enumerate((("constant", constant), ("measured", measured))):
+        found = fit_parameters(seen, start.terrain, progress=part(progress, 0.2 * k, 0.2 * k + 0.2))
+        fitted = {one.name: getattr(found.params, one.name) for one in fields(found.params)}
+        ways[f"{name} noise, fitted"] = replace(start, **fitted)
+    ways["smoothed grid"] = None
+    judged: list[Calibration] = []
+    for k, (name, of_map) in enumerate(ways.items()):
+        told = [_predict(*pair, of_map, params) for pair in split]
+        error, std = (np.concatenate(values) for values in zip(*told, strict=True))
+        judged.append(judge_errors(name, error, std, of_map))
+        progress(0.4 + 0.6 * (k + 1) / len(ways))
+    return tuple(judged)
+
+
+def _split(submap: Submap, seed: int) -> tuple[Submap, Submap]:
+    """Part a submap's points into those seen and those held out."""
+    held_out = np.random.default_rng(seed).random(len(submap.points)) < HELD_OUT
+    noise = submap.noise_std
+    seen, unseen = (
+        Submap.from_points(
+            submap.points[rows], submap.id, noise_std=None if noise is None else noise[rows]
+        )
+        for rows in (~held_out, held_out)
+    )
+    return seen, unseen
+
+
+def _predict(
+    seen: Submap, unseen: Submap, of_map: MapParams | None, params: PipelineParams
+) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+    """Errors of the elevation at unseen points, and the standard deviation claimed for them [m]."""
+    if of_map is None:
+        made, scatter = smooth(seen, params)
+        of_point = _at(made, scatter, unseen)
+    else:
+        made = infer_gradient_map(seen, of_map)
+        of_point = ordinary_noise(unseen, seen, of_map) ** 2
+    error = unseen.points[:, 2] - _at(made, made.elevation, unseen)
+    variance = _at(made, made.variance, unseen) + of_point
+    return error, np.sqrt(np.maximum(variance, LEAST_STD**2))
+
+
+def _at(
+    made: GradientMap, image: Float[Array, "rows columns"], submap: Submap
+) -> Float[Array, "n"]:
+    """Interpolate an image of the map at a submap's points; cells are far below a length-scale."""
+    column, row = made.grid.to_pixel(submap.points[:, :2]).T
+    return map_coordinates(image, [row, column], order=1, mode="nearest")
+
+
+def judge_errors(
+    name: str, error: Float[Array, "n"], std: Float[Array, "n"], params: MapParams | None
+) -> Calibration:
+    """Judge errors [m] by the standard deviations claimed for them [m]."""
+    off = np.abs(error) / std
+    density = 0.5 * np.log(2 * np.pi * std**2) + 0.5 * off**2
+    return Calibration(
+        name,
+        len(error),
+        float(density.mean()),
+        float(np.mean(off <= WITHIN_68)),
+        float(np.mean(off <= WITHIN_95)),
+        float(np.sqrt(np.mean(error**2))),
+        params,
+    )
+
+
+def describe_calibration(judged: Sequence[Calibration]) -> Section:
+    """Tell it as a section of the report."""
+    lines = [
+        "## Calibration of the maps",
+        "",
+        f"{judged[0].num_points:,} points that the maps have not seen, {HELD_OUT:.0%} of some "
+        "submaps. **density**: mean negative log predictive density of a height in metres, less "
+        "is better. **within**: share of the heights in the interval that should hold 68.3 % and "
+        "95 %. **error**: rms of the elevation against single noisy points.",
+        "",
+        "| map | density | within 68.3 % | within 95 % | error [m] | length-scale [m] |",
+        "|---|---|---|---|---|---|",
+    ]
+    for one in judged:
+        scale = "n/a" if one.params is None else f"{one.params.length_scale:.3g}"
+        lines.append(
+            f"| {one.name} | {one.density:.3f} | {one.within_68:.1%} | {one.within_95:.1%} | "
+            f"{one.error_rms:.4f} | {scale} |"
+        )
+    content: Mapping[str, object] = {one.name: _content(one) for one in judged}
+    return Section("calibration", content, "\n".join([*lines, ""]))
+
+
+def _content(one: Calibration) -> dict[str, object]:
+    return {
+        "num_points": one.num_points,
+        "negative_log_predictive_density": one.density,
+        "within_68": one.within_68,
+        "within_95": one.within_95,
+        "error_rms": one.error_rms,
+    }
