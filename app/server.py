@@ -8,13 +8,14 @@ import contextlib
 import io
 import logging
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import viser
 
 from app import state as session
 from app.all_pairs import AllPairs
+from app.fit import Fit, with_fitted
 from app.panels.dataset import DatasetPanel, PairPanel
 from app.panels.params import ParamsPanel
 from app.panels.status import StatusLine
@@ -148,7 +149,7 @@ class Viewer:
 
     def wait_idle(self, timeout: float = 60.0) -> bool:
         """Wait until the picture is up to date; says whether that came true in time [s]."""
-        workers = (self._loader, self._runner, self._all_pairs)
+        workers = (self._loader, self._fit, self._runner, self._all_pairs)
         return all(worker.wait_idle(timeout) for worker in workers)
 
     def close(self) -> None:
@@ -159,6 +160,7 @@ class Viewer:
         self._loader.close()
         self._runner.close()
         self._all_pairs.close()
+        self._fit.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
 
@@ -179,6 +181,7 @@ class Viewer:
             main=MAIN_PARAMETERS,
             on_error=self._status.error,
         )
+        self._fit = Fit(self._server, state, on_fitted=self._take_fitted, message_of=message_of)
         reset = gui.add_button(
             "Reset parameters", hint="Back to the parameters that this dataset started with."
         )
@@ -235,6 +238,13 @@ class Viewer:
             self._state = state
             self._runner.submit(state)
             self._all_pairs.follow(state)
+            self._fit.follow(state)
+
+    def _take_fitted(self, found: dict[str, float]) -> None:
+        params = self._params.value
+        params = replace(params, map=with_fitted(params.map, found))
+        self._params.set(params)
+        self._change(params=params)
 
     def _show_pair(self, query_id: str, database_id: str) -> None:
         self._change(pair=(query_id, database_id))
@@ -326,6 +336,7 @@ class Viewer:
             state = self._state
             self._runner.submit(state)
             self._all_pairs.follow(state)
+            self._fit.follow(state)
         self._params.set_default(opened.params)
         self._params.reset()
         self._dataset_panel.show(opened.dataset, opened.source)

@@ -223,6 +223,24 @@ def test_a_busy_port_moves_on_to_the_next(pipeline: FakePipeline) -> None:  # no
             viewer.close()
 
 
+def test_a_fit_moves_the_sliders_and_the_picture(viewer: Viewer, pipeline: FakePipeline) -> None:
+    viewer._take_fitted({"length_scale": 0.62, "noise_std": 0.02, "signal_std": 0.4})
+    assert viewer.wait_idle(20)
+    assert find(gui(viewer), "Length-scale").value == 0.62
+    assert find(gui(viewer), "Noise [m]").value == 0.02
+    assert not find(gui(viewer), "automatic signal").value
+    assert pipeline.calls[-1].map.signal_std == 0.4
+    assert viewer.state.params.map.resolution == START.map.resolution
+
+
+def test_a_pair_chosen_from_all_pairs_is_shown(viewer: Viewer) -> None:
+    viewer._show_pair("002", "001")
+    assert viewer.wait_idle(20)
+    assert find(gui(viewer), "Query").value == "002"
+    assert find(gui(viewer), "Database").value == "001"
+    assert "query 002" in said(viewer, "_verdict")
+
+
 def test_closing_twice_is_closing_once(viewer: Viewer) -> None:
     viewer.close()
     viewer.close()
