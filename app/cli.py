@@ -56,7 +56,7 @@ from gpgrad_core.evaluation import (
 )
 from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.gp.threads import num_workers
-from gpgrad_core.gradient_map import MapParams, TerrainParams, infer_gradient_map
+from gpgrad_core.gradient_map import MapParams, TerrainParams, infer_gradient_map, point_noise
 from gpgrad_core.memo import Memo
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import (
@@ -257,6 +257,12 @@ class Map:
             name=cloud.id,
             max_std_ratio=base.features.max_std_ratio,
         )
+        outlying = int(point_noise(cloud, params.terrain).outlying.sum())
+        if outlying:
+            _warn(
+                f"{outlying:,} of {len(cloud.points):,} points lie far off the ground around them "
+                "and count as little as that"
+            )
         rows, columns = gradient_map.grid.shape
         _say(
             f"{columns} x {rows} cells of {params.resolution:g} m "

@@ -16,6 +16,7 @@ def cloud(tmp_path: Path) -> Path:
     xy = rng.uniform(0, 4, (2000, 2))
     points = np.column_stack([xy, 3 + 0.2 * xy[:, 0] + rng.normal(0, 0.01, 2000)])
     points[[5, 50]] = np.nan
+    points[70, 2] += 4.0  # and one is a bird
     np.save(tmp_path / "plane.npy", points)
     return tmp_path / "plane.npy"
 
@@ -26,10 +27,11 @@ def test_arrays_hold_the_terrain_and_broken_rows_are_counted_aloud(
     out = tmp_path / "map.npz"
     finished = gpgrad("map", cloud, "--out", out, "--map.resolution", "0.1")
     assert finished.code == 0, finished.err
-    (note,) = finished.err.splitlines()
-    assert note.startswith("gpgrad: ")
-    assert "plane.npy" in note
-    assert "2 of 2,000" in note
+    dropped, outlying = finished.err.splitlines()
+    assert dropped.startswith("gpgrad: ")
+    assert "plane.npy" in dropped
+    assert "2 of 2,000" in dropped
+    assert "1 of 1,998 points lie far off the ground" in outlying
     assert str(out) in finished.out
     with np.load(out) as layers:
         middle = (slice(5, -5), slice(5, -5))
