@@ -23,10 +23,10 @@ class DetectorParams:
     name: Annotated[
         DetectorName,
         Doc(
-            "Detector and descriptor of keypoints: of the gradient image, or 'slope': of the slope "
-            "vectors, which only terrain has. The paper's is 'surf'."
+            "Detector and descriptor of keypoints: 'slope', of the slope vectors, which only "
+            "terrain has; the others, of the gradient image. The paper's is 'surf'."
         ),
-    ] = "akaze"
+    ] = "slope"
     gradient_range: Annotated[
         float,
         Bounds(0.05, 20.0, 0.05, "m/m", slider=(0.2, 3.0)),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from gpgrad_core.baselines.appearance import appearance_detector
 from gpgrad_core.baselines.chance import chance_detector
 from gpgrad_core.baselines.cshot import cshot_detector
-from gpgrad_core.baselines.elevation import elevation_detector
+from gpgrad_core.baselines.elevation import elevation_detector, elevation_params
 from gpgrad_core.baselines.fpfh import fgr_detector, fpfh_detector
 from gpgrad_core.baselines.kiss_matcher import kiss_matcher_detector
 from gpgrad_core.baselines.map_closures import map_closures_detector
@@ -56,7 +56,12 @@ METHODS: dict[str, Method] = {
     for method in (
         Method("gradient", "Keypoints on Gaussian-process gradient maps.", MapDetector),
         Method("paper", "The paper to the letter.", PaperDetector, paper_params),
-        Method("elevation", "The same, keypoints on the elevation image.", elevation_detector),
+        Method(
+            "elevation",
+            "The same, keypoints on the elevation image.",
+            elevation_detector,
+            elevation_params,
+        ),
         Method("smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector),
         Method("fpfh", "FPFH and RANSAC.", fpfh_detector, judged_by_inliers),
         Method("fgr", "FPFH and fast global registration.", fgr_detector, judged_by_inliers),

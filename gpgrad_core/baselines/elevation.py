@@ -4,13 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 
+from gpgrad_core.features import DetectorParams
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import MapDetector, PipelineParams
 from gpgrad_core.types import GradientMap
 
 
+def elevation_params(params: PipelineParams) -> PipelineParams:
+    """Look at the image with AKAZE, where the detector asked for looks at slope vectors.
+
+    Of the detectors for images it ranks pairs best.
+    """
+    if params.features.detector.name != "slope":
+        return params
+    return replace(params, features=replace(params.features, detector=DetectorParams("akaze")))
+
+
 def elevation_detector(params: PipelineParams, memo: Memo) -> MapDetector:
-    """Make the pipeline with keypoints on the elevation image."""
+    """Make the pipeline with keypoints on the elevation image; see `elevation_params`."""
     return MapDetector(params, memo, drawn_from=elevation_as_image)
 
 

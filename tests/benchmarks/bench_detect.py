@@ -43,14 +43,14 @@ def test_sample(benchmark: BenchmarkFixture, pair: tuple[Submap, Submap]) -> Non
     benchmark(sample_map, pair[0], posterior, PARAMS.map.resolution)
 
 
-@pytest.mark.parametrize("name", ["akaze", "sift"])
+@pytest.mark.parametrize("name", ["slope", "akaze", "sift"])
 def test_detect(
     benchmark: BenchmarkFixture, maps: tuple[GradientMap, GradientMap], name: str
 ) -> None:
     benchmark(detect_features, maps[0], DetectorParams(name))
 
 
-@pytest.mark.parametrize("name", ["akaze", "sift"])
+@pytest.mark.parametrize("name", ["slope", "akaze", "sift"])
 def test_match(
     benchmark: BenchmarkFixture, maps: tuple[GradientMap, GradientMap], name: str
 ) -> None:

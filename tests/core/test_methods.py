@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.features import DetectorParams
 from gpgrad_core.memo import Memo
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.pipeline import PipelineParams
@@ -54,3 +55,13 @@ def test_chance_guesses_the_same_again_and_something_else_for_another_seed() -> 
     assert 0 <= first.score < 1
     scores = [detectors[0](submap(k, 50), b).score for k in range(3, 40)]
     assert abs(np.mean(scores) - 0.5) < 0.2
+
+
+def test_elevation_looks_at_its_image_with_a_detector_for_images() -> None:
+    asked = PipelineParams()
+    assert asked.features.detector.name == "slope"  # which would not look at the image
+    adapted = METHODS["elevation"].adapt(asked)
+    assert adapted.features.detector.name == "akaze"
+    assert replace(adapted, features=asked.features) == asked
+    other = replace(asked, features=replace(asked.features, detector=DetectorParams("sift")))
+    assert METHODS["elevation"].adapt(other) == other

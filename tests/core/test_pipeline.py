@@ -76,7 +76,7 @@ def shared_memo() -> Memo:
     return Memo()
 
 
-@pytest.mark.parametrize("detector", ["akaze", "sift"])
+@pytest.mark.parametrize("detector", ["slope", "akaze", "sift"])
 def test_a_place_seen_again_is_accepted_and_well_placed(
     query: Submap, database: Submap, shared_memo: Memo, detector: str
 ) -> None:

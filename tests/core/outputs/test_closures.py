@@ -35,7 +35,7 @@ def test_the_file_has_what_the_contract_promises(
     assert content["method"] == "gradient"
     assert content["seed"] == 0
     assert content["params"]["map"]["length_scale"] == PipelineParams().map.length_scale
-    assert content["params"]["features"]["detector"]["name"] == "akaze"
+    assert content["params"]["features"]["detector"]["name"] == "slope"
     assert content["versions"]["gpgrad"] == VERSION
     assert content["versions"].keys() == {"gpgrad", "numpy", "opencv"}
     assert content["seconds"] == {"maps": 0.123, "features": 0.0, "pairs": 0.5, "total": 0.62}
