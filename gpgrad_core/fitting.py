@@ -44,8 +44,9 @@ HALF_WAY = 8
 TOLERANCE = 1e-5
 """Gain of log likelihood a point, relative to its size, that is not worth another step: with
 8,000 points a tenth or two in all, far below what a standard error moves it by, one half."""
-INFORMATION_SPARED = 4.0
-"""Submaps that were not fitted to may be that much denser, and their map still be solved for."""
+MOST_INFORMATION_SOLVED = MOST_INFORMATION / 30
+"""Where the ground is a plane almost free of noise, the noise is raised up to here, so that the
+map can be solved for with digits to spare, and that of a denser submap too."""
 
 NOISE_PARAMETERS: dict[NoiseModel, tuple[str, ...]] = {
     "constant": ("noise_std",),
@@ -265,13 +266,13 @@ def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
     """Least and largest length-scale, signal and factor on the noise.
 
     All within what the params allow. A length-scale is neither below half the points' spacing,
-    where it and noise look alike, nor above the width of the clouds, where it and a slope do.
+    where it and noise look alike, nor above half the clouds' width, where it and a slope do.
     """
     bounds = {one.name: one.bounds for one in bounded_fields(TerrainParams)}
     sides = np.array([np.ptp(area.points[:, :2], axis=0) for area in areas])
     spacings = np.sqrt(sides.prod(axis=1) / [len(area.kept) for area in areas])
     length, signal = bounds["length_scale"], bounds["signal_std"]
-    shortest, longest = np.clip([spacings.min() / 2, sides.max()], length.low, length.high)
+    shortest, longest = np.clip([spacings.min() / 2, sides.max() / 2], length.low, length.high)
     scaled = [
         (getattr(params, name), bounds[name]) for name in NOISE_PARAMETERS[params.noise_model]
     ]
@@ -301,5 +302,5 @@ def _solvable(params: TerrainParams, areas: list[_Area]) -> TerrainParams:
         kernel = SquaredExponential(signal_std_of(area.points, params), params.length_scale)
         mean = float(area.points[:, 2].mean())
         most = max(most, information(Cloud.of(area.points, area.noise(params), mean), kernel))
-    excess = INFORMATION_SPARED * most / MOST_INFORMATION
+    excess = most / MOST_INFORMATION_SOLVED
     return params if excess <= 1 else _with_noise_times(float(np.sqrt(excess)), params)

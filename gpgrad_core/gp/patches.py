@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 Array = NDArray[np.float64]
-Members = Int[NDArray[np.intp], "k"]
+Members = Int[NDArray[np.intp], "_"]
 
 PATCH_POINTS = 500
 """Points of a patch: its dense GP takes 10 ms. Smaller ones, though more, were worse on held-out

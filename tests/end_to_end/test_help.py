@@ -20,11 +20,11 @@ def test_version(gpgrad: Run) -> None:
 def test_the_verbs_are_listed(gpgrad: Run) -> None:
     finished = gpgrad("--help")
     assert finished.code == 0
-    for verb in ("view", "detect", "evaluate", "map", "simulate"):
+    for verb in ("view", "detect", "evaluate", "map", "fit", "simulate"):
         assert re.search(rf"\b{verb}\b", finished.out)
 
 
-@pytest.mark.parametrize("verb", ["view", "detect", "evaluate", "map", "simulate"])
+@pytest.mark.parametrize("verb", ["view", "detect", "evaluate", "map", "fit", "simulate"])
 def test_every_flag_has_a_text_and_a_default(gpgrad: Run, verb: str) -> None:
     finished = gpgrad(verb, "--help")
     assert finished.code == 0
@@ -48,8 +48,11 @@ def test_every_flag_has_a_text_and_a_default(gpgrad: Run, verb: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ((), "Expected one of {view, detect, evaluate, map, simulate}"),
-        (("detekt", "x"), "unknown verb 'detekt'; known: view, detect, evaluate, map, simulate"),
+        ((), "Expected one of {view, detect, evaluate, map, fit, simulate}"),
+        (
+            ("detekt", "x"),
+            "unknown verb 'detekt'; known: view, detect, evaluate, map, fit, simulate",
+        ),
         (("detect",), "--out"),
         (("detect", "x", "--out", "a.json", "--bogus", "3"), "--bogus"),
         (("detect", "x", "--out", "a.json", "--method", "magic"), "known: gradient"),
@@ -63,6 +66,7 @@ def test_every_flag_has_a_text_and_a_default(gpgrad: Run, verb: str) -> None:
         (("detect", "x", "--out", "a.json", "--g2o", "no/a.g2o"), "no/a.g2o: cannot write"),
         (("evaluate", "x", "--out", "r", "--method", "magic"), "unknown --method 'magic'"),
         (("map", "x.ply", "--out", "a.jpg"), "a.jpg: the ending must be one of .npz"),
+        (("fit", "x", "--out", "a.json"), "a.json: the ending must be one of .toml"),
         (("simulate", "x", "--num-submaps", "-3"), "num_submaps must be from"),
         (("view", "--port", "abc"), "--port"),
     ],

@@ -1,0 +1,75 @@
+"""The likelihood against scikit-learn's, its gradient against finite differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel
+
+from gpgrad_core.gp.likelihood import JITTER, Hyperparameters, Patch, log_marginal_likelihood
+from tests.core.ground import cloud
+
+seeds = st.integers(0, 2**32 - 1)
+hyperparameters = st.builds(
+    Hyperparameters, st.floats(0.05, 5), st.floats(0.02, 2), st.floats(0.3, 3)
+)
+
+
+def patch(seed: int, num: int = 60) -> Patch:
+    """A patch of which each point has its own noise, about 3 cm."""
+    points = cloud(seed, num, (2.0, 2.0))
+    noise = 0.03 * np.random.default_rng(seed).uniform(0.5, 2, num)
+    return Patch(points[:, :2], points[:, 2] - points[:, 2].mean(), noise)
+
+
+@settings(max_examples=25)
+@given(seeds, hyperparameters)
+def test_it_is_scikit_learns(seed: int, at: Hyperparameters) -> None:
+    ours = patch(seed)
+    kernel = ConstantKernel(at.signal_std**2) * RBF(at.length_scale)
+    noise = (at.noise_std * ours.point_noise_std) ** 2 + JITTER * at.signal_std**2
+    theirs = GaussianProcessRegressor(kernel, alpha=noise, optimizer=None)
+    theirs.fit(ours.xy, ours.heights)
+    value, gradient = theirs.log_marginal_likelihood(kernel.theta, eval_gradient=True)
+    by_signal_squared, by_length_scale = gradient
+    found, slope = log_marginal_likelihood(ours, at)
+    assert found == pytest.approx(value, rel=1e-8, abs=1e-6)
+    # They have the signal's variance, and do not move the jitter with it.
+    assert slope[:2] == pytest.approx([by_length_scale, 2 * by_signal_squared], rel=1e-3, abs=1e-3)
+
+
+@settings(max_examples=25)
+@given(seeds, hyperparameters)
+def test_its_gradient_is_its_slope(seed: int, at: Hyperparameters) -> None:
+    one = patch(seed)
+    _, gradient = log_marginal_likelihood(one, at)
+    for k, step in enumerate(1e-5 * np.eye(3)):
+        ahead, behind = (
+            log_marginal_likelihood(one, Hyperparameters.from_logs(at.logs + s))[0]
+            for s in (step, -step)
+        )
+        assert gradient[k] == pytest.approx((ahead - behind) / 2e-5, rel=1e-4, abs=1e-3)
+
+
+def test_logarithms_and_back() -> None:
+    at = Hyperparameters(0.3, 0.2, 0.05)
+    back = Hyperparameters.from_logs(at.logs)
+    assert (back.length_scale, back.signal_std, back.noise_std) == pytest.approx((0.3, 0.2, 0.05))
+
+
+def test_noise_multiplies_that_of_the_points() -> None:
+    one, at = patch(0), Hyperparameters(0.3, 0.2, 2.0)
+    doubled = Patch(one.xy, one.heights, 2 * one.point_noise_std)
+    value, _ = log_marginal_likelihood(one, at)
+    assert log_marginal_likelihood(doubled, replace(at, noise_std=1.0))[0] == pytest.approx(value)
+
+
+def test_points_upon_each_other_without_noise_can_be_judged() -> None:
+    one = patch(0)
+    doubled = Patch(np.tile(one.xy, (2, 1)), np.tile(one.heights, 2), np.full(120, 1e-9))
+    value, gradient = log_marginal_likelihood(doubled, Hyperparameters(0.3, 0.2, 1.0))
+    assert np.isfinite(value)
+    assert np.isfinite(gradient).all()

@@ -1,0 +1,42 @@
+"""`gpgrad fit`, as a process."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.core.ground import cloud
+from tests.end_to_end.process import Run
+
+
+@pytest.fixture
+def ground(tmp_path: Path) -> Path:
+    np.save(tmp_path / "ground.npy", cloud(0, 1000, noise=0.02))
+    return tmp_path / "ground.npy"
+
+
+def test_what_is_found_is_told_and_serves_other_verbs(
+    gpgrad: Run, ground: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "fit.toml"
+    finished = gpgrad("fit", ground, "--out", out)
+    assert finished.code == 0, finished.err
+    assert finished.err == ""
+    length_scale, signal, noise, likelihood, file = finished.out.splitlines()
+    assert length_scale.startswith("length_scale: 0.3 -> ")
+    assert length_scale.endswith(" m")
+    assert signal.startswith("signal_std: the points' own -> ")
+    before, after = noise.removeprefix("noise_std: ").removesuffix(" m").split(" -> ")
+    assert before == "0.05"
+    assert float(after) == pytest.approx(0.02, rel=0.1)
+    assert "1 submap, " in likelihood
+    before, after = likelihood.split(": ")[1].split(" (")[0].split(" -> ")
+    assert float(after) > float(before)
+    assert file == str(out)
+    read = gpgrad("fit", ground, "--params", out, "--map.noise-model", "measured")
+    assert read.out.startswith(f"length_scale: {length_scale.split()[3]} -> ")
+    assert "noise_factor: 1 -> " in read.out
+
+
+def test_a_seed_below_zero(gpgrad: Run, ground: Path) -> None:
+    assert gpgrad("fit", ground, "--seed", "-1").refusal == "--seed must be 0 or more, got -1"
