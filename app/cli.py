@@ -277,7 +277,9 @@ class Fit:
     dataset: Annotated[
         tyro.conf.Positional[Path], Doc("Dataset folder, folder of clouds, or one cloud.")
     ]
-    out: Annotated[Path | None, Doc("File to write: .toml, which --params reads.")] = None
+    out: Annotated[
+        Path | None, Doc("File to write: .toml, which the other verbs take as parameters.")
+    ] = None
     seed: Annotated[int, Doc("Seed of the choice of points.")] = 0
     params: ParamsFile = None
     map: TerrainParams = field(default_factory=TerrainParams)

@@ -11,7 +11,7 @@ from gpgrad_core.gradient_map import (
     fit_terrain,
     kept_rows,
     map_grid,
-    point_noise,
+    ordinary_noise,
     sample_map,
     signal_std_of,
 )
@@ -69,12 +69,14 @@ def infer_coarse_map(
 def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
     """Replace the points of every cell of `THINNED_TO` length-scales by their weighted mean.
 
+    Outliers are not looked for here, but by the fit, among the means: it costs less.
+
     Args:
         submap: What is thinned, after what `max_points` asks for.
         params: Of the full map.
     """
     kept = kept_rows(submap, params.max_points)
-    points, noise_std = submap.points[kept], point_noise(submap, params).std[kept]
+    points, noise_std = submap.points[kept], ordinary_noise(submap, submap, params)[kept]
     longest = float(np.ptp(points[:, :2], axis=0).max())
     cell = min(THINNED_TO * params.length_scale, longest / FEWEST_CELLS)
     means, _ = bin_points(points, cell, noise_std)

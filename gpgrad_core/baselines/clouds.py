@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import open3d as o3d
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
@@ -38,6 +37,8 @@ def thinned(submap: Submap, voxel: float, normal_radius: float) -> Any:
     Returns:
         An Open3D cloud.
     """
+    import open3d as o3d  # noqa: PLC0415 - takes seconds to load, and few need it
+
     points = np.array(submap.points)  # Open3D refuses arrays that are read-only
     cloud: Any = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     if submap.colors is not None:

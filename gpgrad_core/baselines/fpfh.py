@@ -4,7 +4,6 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-import open3d as o3d
 from jaxtyping import Float
 from numpy.typing import NDArray
 
@@ -30,7 +29,6 @@ FEATURE_RADIUS = 5.0
 FEATURE_NEIGHBOURS = 100
 
 _open3d_random = Lock()
-_registration: Any = o3d.pipelines.registration  # its stubs are wrong about what is optional
 
 
 def fpfh_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedCloud]:
@@ -47,10 +45,11 @@ def describe_fpfh(submap: Submap, params: PipelineParams) -> DescribedCloud:
     """Describe every voxel of a submap."""
     voxel = VOXEL * params.map.length_scale
     cloud = thinned(submap, voxel, NORMAL_RADIUS * voxel)
+    o3d = _open3d()
     search = o3d.geometry.KDTreeSearchParamHybrid(
         radius=FEATURE_RADIUS * voxel, max_nn=FEATURE_NEIGHBOURS
     )
-    features = _registration.compute_fpfh_feature(cloud, search)
+    features = o3d.pipelines.registration.compute_fpfh_feature(cloud, search)
     return DescribedCloud(
         np.asarray(cloud.points).copy(),
         np.asarray(features.data, dtype=np.float32).T.copy(),
@@ -69,23 +68,32 @@ def register_by_fgr(
     if len(pairs) < 3:
         return outcome(None, np.zeros(len(pairs), bool))
     radius = params.registration.inlier_radius
-    option = _registration.FastGlobalRegistrationOption(
+    o3d = _open3d()
+    option = o3d.pipelines.registration.FastGlobalRegistrationOption(
         use_absolute_scale=True, maximum_correspondence_distance=radius
     )
     arguments = (
-        _open3d(query.points),
-        _open3d(database.points),
+        _cloud(query.points),
+        _cloud(database.points),
         o3d.utility.Vector2iVector(pairs.astype(np.int32)),
         option,
     )
     with _open3d_random:  # Open3D's random numbers are the process's
         o3d.utility.random.seed(params.registration.seed)
-        found = _registration.registration_fgr_based_on_correspondence(*arguments)
+        found = o3d.pipelines.registration.registration_fgr_based_on_correspondence(*arguments)
     motion = np.array(found.transformation, dtype=np.float64)
     moved = query.points[pairs[:, 0]] @ motion[:3, :3].T + motion[:3, 3]
     inliers = np.linalg.norm(moved - database.points[pairs[:, 1]], axis=1) <= radius
     return outcome(seen_from_above(motion, query.middle), inliers)
 
 
-def _open3d(points: Float[Array, "n 3"]) -> Any:
+def _cloud(points: Float[Array, "n 3"]) -> Any:
+    o3d = _open3d()
     return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(points)))
+
+
+def _open3d() -> Any:
+    """Load Open3D when it is asked for: it takes seconds, and its stubs are wrong in places."""
+    import open3d  # noqa: PLC0415
+
+    return open3d

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import open3d as o3d
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
@@ -32,6 +31,8 @@ def neighbours_within(
     points: Float[Array, "n 3"], queries: Float[Array, "q 3"], radius: float
 ) -> Neighbours:
     """Find the points within a radius [m] of each query, itself included if it is one."""
+    import open3d as o3d  # noqa: PLC0415 - takes seconds to load, and few need it
+
     core: Any = o3d.core  # its stubs do not know that a tensor can be made of an array
     search = core.nns.NearestNeighborSearch(core.Tensor(points))
     search.fixed_radius_index(radius)
