@@ -33,6 +33,8 @@ from gpgrad_core.types import Dataset, GradientMap, Submap
 
 LinePoints: TypeAlias = Float[NDArray[np.float32], "n 2 3"]
 
+PAIR = "/pair"
+"""Above all nodes of the pair, so that they come and go together."""
 BAR: Rgb = (60, 60, 60)
 MAX_SURFELS = 200_000
 """Of one surface; a finer map is drawn at every second cell, or third, …"""
@@ -218,7 +220,7 @@ class SubmapNode:
         self._outer = outer
         self.color = color
         self._role = role
-        root = f"/{role}"
+        root = f"{PAIR}/{role}"
         self._frame = server.scene.add_frame(root, show_axes=False)
         self.surface = Cloud(server, f"{root}/surface")
         self.cloud = Cloud(server, f"{root}/cloud", shape="circle")
@@ -257,14 +259,26 @@ class PairScene:
         scene.set_up_direction("+z")
         # Lit surfaces are not used, and an environment map would tint what is.
         scene.configure_environment_map(None)
+        self._root = scene.add_frame(PAIR, show_axes=False)
         self._query = SubmapNode(server, "query", QUERY, "right")
         self._database = SubmapNode(server, "database", DATABASE, "left")
-        self._outlier_lines = Segments(server, "/matches/outliers", OUTLIER, thickness=1.0)
-        self._inlier_lines = Segments(server, "/matches/inliers", INLIER, thickness=1.2)
-        self._bar = Segments(server, "/scale/bar", BAR, thickness=4.0)
-        self._bar_label = scene.add_label("/scale/label", "", anchor="top-center")
-        self._verdict = scene.add_label("/verdict", "", anchor="top-center", font_screen_scale=1.3)
+        self._outlier_lines = Segments(server, f"{PAIR}/matches/outliers", OUTLIER, thickness=1.0)
+        self._inlier_lines = Segments(server, f"{PAIR}/matches/inliers", INLIER, thickness=1.2)
+        self._bar = Segments(server, f"{PAIR}/scale/bar", BAR, thickness=4.0)
+        self._bar_label = scene.add_label(f"{PAIR}/scale/label", "", anchor="top-center")
+        self._verdict = scene.add_label(
+            f"{PAIR}/verdict", "", anchor="top-center", font_screen_scale=1.3
+        )
         self._registered: _Registered | None = None
+
+    @property
+    def visible(self) -> bool:
+        """Whether the pair is to be seen; what is shown meanwhile is there when it is again."""
+        return self._root.visible
+
+    @visible.setter
+    def visible(self, visible: bool) -> None:
+        self._root.visible = visible
 
     def show(self, state: ViewState, result: PairResult) -> Shown:
         """Show a pair as the state asks; one consistent change in the browser."""

@@ -117,7 +117,7 @@ def test_a_gp_slider_shows_coarse_surfaces_first(viewer: Viewer, pipeline: FakeP
     before: list[tuple[str, str, float]] = []
 
     def make(state: ViewState) -> PairResult:
-        surface: Any = gui(viewer).scene._handle_from_node_name["/query/surface"]
+        surface: Any = gui(viewer).scene._handle_from_node_name["/pair/query/surface"]
         before.append((said(viewer, "_status"), said(viewer, "_verdict"), surface.point_size))
         return make_result(state)
 

@@ -31,14 +31,14 @@ def seeing(**options: object) -> ViewState:
 def test_a_pair_is_shown_with_names_and_sizes(server: viser.ViserServer) -> None:
     shown = PairScene(server).show(STATE, RESULT)
     assert shown.num_surfels == sum(
-        len(node(server, f"/{role}/surface").points) for role in ("query", "database")
+        len(node(server, f"/pair/{role}/surface").points) for role in ("query", "database")
     )
     assert shown.num_points == 0
     assert shown.scale is not None
     assert shown.scale.unit == "m"
-    assert "query 003 · 5.0 m x 5.0 m" in node(server, "/query/label").text
-    assert "database 000" in node(server, "/database/label").text
-    assert node(server, "/scale/label").text == "1 m"
+    assert "query 003 · 5.0 m x 5.0 m" in node(server, "/pair/query/label").text
+    assert "database 000" in node(server, "/pair/database/label").text
+    assert node(server, "/pair/scale/label").text == "1 m"
 
 
 @pytest.fixture
@@ -78,16 +78,16 @@ def test_moving_an_inlier_slider_leaves_the_surfaces_alone(
     other = replace(other, database_map=RESULT.database_map)
     scene.show(state, other)
     assert "make_surfels" not in conversions
-    assert len(node(server, "/matches/inliers").points) == 3 * ARC_PIECES
+    assert len(node(server, "/pair/matches/inliers").points) == 3 * ARC_PIECES
 
 
 def test_the_nodes_of_a_surface_are_changed_in_place(server: viser.ViserServer) -> None:
     scene = PairScene(server)
     scene.show(STATE, RESULT)
-    handle = node(server, "/query/surface")
+    handle = node(server, "/pair/query/surface")
     colors = handle.colors.copy()  # viser writes into it
     scene.show(seeing(layer="std"), RESULT)
-    assert node(server, "/query/surface") is handle
+    assert node(server, "/pair/query/surface") is handle
     assert not np.array_equal(handle.colors, colors)
     assert handle.precision == "float32"
     assert handle.point_shading == "flat"
@@ -99,17 +99,17 @@ def test_registering_moves_the_frame_and_not_what_hangs_on_it(
     scene = PairScene(server)
     state = seeing(layer="gradient")
     scene.show(state, RESULT)
-    points = node(server, "/query/surface").points.copy()
-    assert tuple(node(server, "/query").wxyz) == (1.0, 0.0, 0.0, 0.0)
+    points = node(server, "/pair/query/surface").points.copy()
+    assert tuple(node(server, "/pair/query").wxyz) == (1.0, 0.0, 0.0, 0.0)
     shown = scene.show(seeing(layer="gradient", layout="registered"), RESULT)
     assert shown.registered
-    frames = node(server, "/query"), node(server, "/database")
+    frames = node(server, "/pair/query"), node(server, "/pair/database")
     assert 2 * np.arctan2(frames[0].wxyz[3], frames[0].wxyz[0]) == pytest.approx(
         T_DATABASE_QUERY.yaw
     )
     offset = np.array(frames[0].position) - np.array(frames[1].position)
     np.testing.assert_allclose(offset[:2], (T_DATABASE_QUERY.x, T_DATABASE_QUERY.y))
-    assert np.array_equal(node(server, "/query/surface").points, points)
+    assert np.array_equal(node(server, "/pair/query/surface").points, points)
 
 
 def test_each_switch_hides_and_shows_its_nodes(server: viser.ViserServer) -> None:
@@ -117,11 +117,11 @@ def test_each_switch_hides_and_shows_its_nodes(server: viser.ViserServer) -> Non
     everything = {"clouds": True, "outlier_lines": True}
     scene.show(seeing(**everything), RESULT)
     nodes = {
-        "surfaces": "/query/surface",
-        "clouds": "/database/cloud",
-        "keypoints": "/query/keypoints",
-        "inlier_lines": "/matches/inliers",
-        "outlier_lines": "/matches/outliers",
+        "surfaces": "/pair/query/surface",
+        "clouds": "/pair/database/cloud",
+        "keypoints": "/pair/query/keypoints",
+        "inlier_lines": "/pair/matches/inliers",
+        "outlier_lines": "/pair/matches/outliers",
     }
     for option, name in nodes.items():
         assert node(server, name).visible
@@ -136,8 +136,8 @@ def test_no_association_is_no_error(server: viser.ViserServer) -> None:
     state = seeing(outlier_lines=True)
     scene.show(state, make_result(STATE, num_inliers=4, num_outliers=3))
     scene.show(state, make_result(STATE, num_inliers=0, num_outliers=0))
-    assert not node(server, "/matches/inliers").visible
-    assert not node(server, "/matches/outliers").visible
+    assert not node(server, "/pair/matches/inliers").visible
+    assert not node(server, "/pair/matches/outliers").visible
 
 
 def test_a_mask_that_hides_everything_is_no_error(server: viser.ViserServer) -> None:
@@ -149,7 +149,7 @@ def test_a_mask_that_hides_everything_is_no_error(server: viser.ViserServer) -> 
     sure = replace(RESULT.query_map, variance=RESULT.query_map.variance + 1.0)
     shown = scene.show(STATE, replace(RESULT, query_map=sure, database_map=sure))
     assert shown.num_surfels == 0
-    assert not node(server, "/query/surface").visible
+    assert not node(server, "/pair/query/surface").visible
 
 
 def test_without_a_motion_registered_falls_back_to_side_by_side(
@@ -181,17 +181,17 @@ def test_a_preview_brings_surfaces_and_leaves_what_was_found(
     assert not scene.knows_motion(STATE)
     scene.show(seeing(layout="registered"), RESULT)
     assert scene.knows_motion(STATE)
-    frame = np.array(node(server, "/query").position)
-    lines = len(node(server, "/matches/inliers").points)
+    frame = np.array(node(server, "/pair/query").position)
+    lines = len(node(server, "/pair/matches/inliers").points)
     conversions.clear()
     coarse = make_map(STATE.query, 0.3), make_map(STATE.database, 0.3)
     shown = scene.preview(seeing(layout="registered"), coarse)
     assert shown.registered
     assert shown.num_surfels == sum(int(m.trusted(0.3).sum()) for m in coarse)
     assert conversions == ["make_surfels", "make_surfels"]
-    np.testing.assert_allclose(node(server, "/query").position, frame, atol=0.05)
-    assert node(server, "/matches/inliers").visible
-    assert len(node(server, "/matches/inliers").points) == lines
+    np.testing.assert_allclose(node(server, "/pair/query").position, frame, atol=0.05)
+    assert node(server, "/pair/matches/inliers").visible
+    assert len(node(server, "/pair/matches/inliers").points) == lines
 
 
 def test_a_preview_of_another_pair_hides_what_was_found_on_the_last(
@@ -204,9 +204,21 @@ def test_a_preview_of_another_pair_hides_what_was_found_on_the_last(
     maps = make_map(other.query, 0.3), make_map(other.database, 0.3)
     shown = scene.preview(with_options(other, ViewOptions(layout="registered")), maps)
     assert not shown.registered
-    found = ("/query/keypoints", "/database/keypoints", "/matches/inliers")
+    found = ("/pair/query/keypoints", "/pair/database/keypoints", "/pair/matches/inliers")
     assert not any(node(server, name).visible for name in found)
-    assert node(server, "/verdict").text == ""
-    assert "query 001" in node(server, "/query/label").text
+    assert node(server, "/pair/verdict").text == ""
+    assert "query 001" in node(server, "/pair/query/label").text
     scene.show(STATE, RESULT)
     assert all(node(server, name).visible for name in found)
+
+
+def test_the_pair_goes_out_of_sight_and_comes_back_as_it_was(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    scene.show(STATE, RESULT)
+    points = node(server, "/pair/query/surface").points
+    before = count_messages(server)
+    scene.visible = False
+    assert not scene.visible
+    scene.visible = True
+    assert count_messages(server) - before <= 2  # nothing is sent again
+    assert node(server, "/pair/query/surface").points is points
