@@ -5,9 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import viser
 
+from app.host import Host
 from app.panels.all_pairs import AllPairsPanel, Choice, Findings
+from app.part import Part
 from app.runner import Runner
 from app.state import ViewState
 from app.survey import RULES, Judged, Survey, TruthCheck, judge, survey_pairs
@@ -29,14 +30,15 @@ class _Judging:
     rule: str
 
 
-class AllPairs:
+class AllPairs(Part):
     """Registers all pairs when asked, and judges them anew as the thresholds move."""
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        host: Host,
         state: ViewState,
         memo: Memo,
+        turns: threading.Semaphore,
         *,
         on_pair: Callable[[str, str], None],
         message_of: Callable[[Exception], str],
@@ -44,13 +46,14 @@ class AllPairs:
         """Make the panel in the current container.
 
         Args:
-            server: Whose GUI it joins.
+            host: Whose GUI it joins.
             state: The session as it is.
             memo: Shared with the pair that is shown.
+            turns: Of what takes long.
             on_pair: Given the query and the database to show; must be quick.
             message_of: Says what went wrong in one line.
         """
-        self._server = server
+        self._host = host
         self._memo = memo
         self._message_of = message_of
         self._lock = threading.Lock()
@@ -59,7 +62,7 @@ class AllPairs:
         self._survey: Survey | None = None
         self._asked: tuple[object, ...] = ()
         self._panel = AllPairsPanel(
-            server,
+            host,
             tuple(RULES),
             on_run=self._run,
             on_cancel=self._cancel,
@@ -71,6 +74,7 @@ class AllPairs:
             self._on_survey,
             self._on_error,
             on_cancel=lambda state: self._panel.stopped("Cancelled."),  # noqa: ARG005
+            turns=turns,
             name="all pairs",
         )
         self._judge: Runner[_Judging, Judged] = Runner(
@@ -155,9 +159,9 @@ class AllPairs:
         del seconds
         if job.survey is not self._survey:
             return
-        with self._server.atomic():
+        with self._host.atomic():
             self._panel.show(findings(judged, job.state))
-        self._server.flush()
+        self._host.flush()
 
 
 def findings(judged: Judged, state: ViewState) -> Findings:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import (
     Annotated,
     Any,
+    Literal,
     TypeAlias,
     TypeVar,
     cast,
@@ -103,6 +104,10 @@ class View:
         8080
     )
     open: Annotated[bool, Doc("Open the browser by itself.")] = True
+    sessions: Annotated[
+        Literal["shared", "separate"],
+        Doc("shared: all pages see and change the same. separate: each page has its own."),
+    ] = "shared"
     params: ParamsFile = None
     pipeline: AllParams = field(default_factory=PipelineParams)
 
@@ -114,7 +119,9 @@ class View:
         source = self.dataset or demo_path()
         dataset = _load(source)
         params = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
-        viewer = Viewer(dataset, params, self.host, self.port, source=str(source))
+        viewer = Viewer(
+            dataset, params, self.host, self.port, source=str(source), sessions=self.sessions
+        )
         try:
             _say(f"{dataset.name} is at {viewer.url} (Ctrl-C ends)")
             if self.open:

@@ -4,9 +4,9 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 
-import viser
-
+from app.host import Host
 from app.panels.fit import FitPanel
+from app.part import Part
 from app.runner import Runner
 from app.state import ViewState
 from gpgrad_core.bounds import Bounds, bounded_fields
@@ -15,13 +15,14 @@ from gpgrad_core.gradient_map import MapParams, TerrainParams
 from gpgrad_core.progress import Progress
 
 
-class Fit:
+class Fit(Part):
     """Fits the terrain's parameters to the two submaps that are shown."""
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        host: Host,
         state: ViewState,
+        turns: threading.Semaphore,
         *,
         on_fitted: Callable[[dict[str, float]], None],
         message_of: Callable[[Exception], str],
@@ -29,21 +30,23 @@ class Fit:
         """Make the panel in the current container.
 
         Args:
-            server: Whose GUI it joins.
+            host: Whose GUI it joins.
             state: The session as it is.
+            turns: Of what takes long.
             on_fitted: Given the new values of map parameters, by name.
             message_of: Says what went wrong in one line.
         """
-        self._server = server
+        self._host = host
         self._lock = threading.Lock()
         self._state = state
         self._on_fitted = on_fitted
-        self._panel = FitPanel(server, on_fit=self._start, on_cancel=self._cancel)
+        self._panel = FitPanel(host, on_fit=self._start, on_cancel=self._cancel)
         self._fitter: Runner[ViewState, FitResult] = Runner(
             self._fit,
             self._on_result,
             lambda state, error: self._panel.stopped(message_of(error), bad=True),  # noqa: ARG005
             on_cancel=lambda state: self._panel.stopped("Cancelled."),  # noqa: ARG005
+            turns=turns,
             name="fit",
         )
 
@@ -86,7 +89,7 @@ class Fit:
         found = {name: _value(result.params, name) for name in fitted_names(start)}
         self._panel.show(_headline(result, seconds), _rows(start, found, result))
         self._on_fitted(found)
-        self._server.flush()
+        self._host.flush()
 
 
 def with_fitted(params: MapParams, found: dict[str, float]) -> MapParams:

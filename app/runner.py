@@ -1,9 +1,10 @@
 """One worker that always ends on the newest job: sliders move faster than terrain is inferred."""
 
+import contextlib
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Generic, TypeVar
 
 from gpgrad_core.progress import Cancelled, Progress
@@ -25,6 +26,10 @@ LONGEST_BLIND = 0.5
 
 Patience alone shows nothing during a long drag over work that takes longer than patience.
 """
+
+
+TURN_POLL = 0.05
+"""How often a worker that waits for its turn looks whether it is still wanted [s]."""
 
 
 class Runner(Generic[Job, Result]):
@@ -51,6 +56,7 @@ class Runner(Generic[Job, Result]):
         on_cancel: Callable[[Job], None] | None = None,
         patience: float = PATIENCE,
         longest_blind: float = LONGEST_BLIND,
+        turns: threading.Semaphore | None = None,
         name: str = "runner",
     ) -> None:
         """Start the worker.
@@ -62,9 +68,11 @@ class Runner(Generic[Job, Result]):
             on_error: Given the job and what was raised.
             on_start: Told of a job that begins.
             preview: Turns a job into a rough result for ``on_result``, or None for none.
-            on_cancel: Told of a job that `cancel` has stopped.
+            on_cancel: Told of a job that `cancel` has stopped, or that waited for its turn.
             patience: See `PATIENCE` [s].
             longest_blind: See `LONGEST_BLIND` [s].
+            turns: Held while a job runs; None shares the processors with nobody. The job is
+                chosen when the turn has come: still the newest.
             name: Of the thread, for debuggers.
         """
         self._work = work
@@ -75,8 +83,10 @@ class Runner(Generic[Job, Result]):
         self._on_cancel = on_cancel
         self._patience = patience
         self._longest_blind = longest_blind
+        self._turns = turns
         self._changed = threading.Condition()
         self._waiting: list[Job] = []  # none or one
+        self._dropped: list[Job] = []  # by `cancel`, before its turn came
         self._running = False
         self._closing = False
         self._cancelling = False
@@ -98,7 +108,7 @@ class Runner(Generic[Job, Result]):
     def cancel(self) -> None:
         """Stop what runs at its next progress call, and forget what waits; returns at once."""
         with self._changed:
-            self._waiting = []
+            self._dropped, self._waiting = self._waiting, []
             self._cancelling = self._running
             self._changed.notify_all()
 
@@ -127,14 +137,41 @@ class Runner(Generic[Job, Result]):
                 self._running = False
                 self._changed.notify_all()
                 self._changed.wait_for(lambda: bool(self._waiting) or self._closing)
-                if self._closing:
-                    return
-                job = self._waiting.pop()
+            if self._closing:
+                return
+            with self._turn():
+                job = self._take()
+                if job is not None:
+                    try:
+                        self._run(job)
+                    except Exception as error:
+                        self._report(job, error)
+
+    @contextlib.contextmanager
+    def _turn(self) -> Generator[None]:
+        """Hold a turn, unless there is nothing left to do with it."""
+        if self._turns is None:
+            yield
+            return
+        mine = False
+        while not mine and self._waiting and not self._closing:
+            mine = self._turns.acquire(timeout=TURN_POLL)
+        try:
+            yield
+        finally:
+            if mine:
+                self._turns.release()
+
+    def _take(self) -> Job | None:
+        """Take the newest job; tell of one that was cancelled before its turn."""
+        with self._changed:
+            dropped, self._dropped = self._dropped, []
+            if self._waiting and not self._closing:
                 self._running, self._cancelling = True, False
-            try:
-                self._run(job)
-            except Exception as error:
-                self._report(job, error)
+                return self._waiting.pop()
+        if dropped and self._on_cancel is not None and not self._closing:
+            self._on_cancel(dropped[0])
+        return None
 
     def _run(self, job: Job) -> None:
         if self._on_start is not None:

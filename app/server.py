@@ -1,87 +1,26 @@
-"""The viewer: wires panels to the runner and the runner to the views.
-
-A widget's callback only takes a new snapshot of the session and submits it; one worker turns
-the newest snapshot into a result, shows it, and writes the read-outs.
-"""
+"""The server: pages come and go, sessions with them."""
 
 import contextlib
 import io
-import logging
 import threading
-from dataclasses import dataclass, replace
-from pathlib import Path
+from typing import Literal, TypeAlias
 
 import viser
 
-from app import state as session
-from app.all_pairs import AllPairs
-from app.fit import Fit, with_fitted
-from app.panels.dataset import DatasetPanel, PairPanel
-from app.panels.params import ParamsPanel
-from app.panels.status import StatusLine
-from app.panels.text import FAINT, paragraph
-from app.panels.verdict import VerdictCard
-from app.panels.view import ViewPanel
-from app.runner import Runner
-from app.state import ViewOptions, ViewState
-from app.views.colors import legend_uri
-from app.views.layers import Scale
-from app.views.scene import PairScene, Shown
-from gpgrad_core.coarse import infer_quick_map
-from gpgrad_core.datasets import demo_path, load_dataset
-from gpgrad_core.errors import InputError
+from app.session import Opened, Session
+from app.turns import Turns
 from gpgrad_core.memo import Memo
 from gpgrad_core.parameters import preferred_parameters
-from gpgrad_core.pipeline import PairResult, PipelineParams, register_pair
-from gpgrad_core.progress import Progress
+from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset
 
-_log = logging.getLogger(__name__)
-
-MAIN_PARAMETERS = {
-    "map.length_scale": "Length-scale",
-    "map.noise_std": "Noise",
-    "features.max_std_ratio": "Variance mask",
-    "registration.inlier_radius": "Inlier radius",
-    "closure.min_inliers": "Minimum inliers",
-    "closure.min_score": "Minimum score",
-}
-"""The parameters that stand in the open, and what people call them."""
-
-INTRODUCTION = (
-    "Do the two submaps show the same place? Drag a slider: surfaces, matches and verdict follow."
-)
-CONTROL_WIDTH = 310
-VIEW_WIDTH = 280
 MEMO_BYTES = 1_500_000_000
 
-
-@dataclass(frozen=True, eq=False)
-class Opened:
-    """A dataset that was read, and what to start it with."""
-
-    dataset: Dataset
-    params: PipelineParams
-    source: str
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """What the worker has shown.
-
-    Attributes:
-        shown: What is to be seen.
-        pair: What was found; None in a preview, which has nothing but surfaces.
-        coarse: Whether the surfaces are not yet the full ones.
-    """
-
-    shown: Shown
-    pair: PairResult | None = None
-    coarse: bool = False
+Sessions: TypeAlias = Literal["shared", "separate"]
 
 
 class Viewer:
-    """Serves one session to any number of browser pages, which all show the same."""
+    """Serves one session to all pages, which then show the same, or one to each."""
 
     def __init__(
         self,
@@ -91,6 +30,7 @@ class Viewer:
         port: int = 8080,
         *,
         source: str = "",
+        sessions: Sessions = "shared",
     ) -> None:
         """Start serving; returns at once.
 
@@ -100,35 +40,28 @@ class Viewer:
             host: Address to listen on. There is no password: whoever reaches it can use it.
             port: Port to listen on; if it is taken, the next free one. 0 takes any.
             source: Path of the dataset, for the box in which it can be changed.
+            sessions: "shared": all pages see and change the same. "separate": each page has a
+                session of its own, which ends with it; what one has computed serves all.
 
         Raises:
             InputError: If the dataset prefers parameters that there are not.
         """
         start = params if params is not None else preferred_parameters(dataset, PipelineParams())
-        self._state = session.open_dataset(dataset, start)
-        self._lock = threading.Lock()
+        self._opened = Opened(dataset, start, source)
         self._memo = Memo(MEMO_BYTES)
+        self._turns = Turns()
+        self._lock = threading.Lock()
         self._closed = threading.Event()
         # viser prints a box with its addresses; the command line says ours.
         with contextlib.redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(host=host, port=port, verbose=False)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
-        self._scene = PairScene(self._server)
-        self._build_panels(source)
-        self._scene.start_camera(self._scene.camera(self._state))
-        self._painted: ViewState | None = None  # whose full surfaces are to be seen
-        self._runner: Runner[ViewState, Picture] = Runner(
-            self._compute,
-            self._on_result,
-            self._on_error,
-            on_start=self._on_start,
-            preview=self._preview,
-            name="pair",
-        )
-        self._loader: Runner[Path | None, Opened] = Runner(
-            self._load, self._on_loaded, self._on_load_error, name="dataset"
-        )
-        self._runner.submit(self._state)
+        self._shared: Session | None = None
+        self._separate: dict[int, Session] = {}
+        if sessions == "shared":
+            self._shared = Session(self._server, self._opened, self._memo, self._turns)
+        self._server.on_client_connect(self._enter)
+        self._server.on_client_disconnect(self._leave)
 
     @property
     def url(self) -> str:
@@ -138,9 +71,12 @@ class Viewer:
         return f"http://{shown}:{self._server.get_port()}"
 
     @property
-    def state(self) -> ViewState:
-        """The session as it is now."""
-        return self._state
+    def sessions(self) -> tuple[Session, ...]:
+        """The shared session; else those of the pages that are open, the oldest first."""
+        if self._shared is not None:
+            return (self._shared,)
+        with self._lock:
+            return tuple(self._separate.values())
 
     def run_forever(self) -> None:
         """Serve until `close` or Ctrl-C (KeyboardInterrupt)."""
@@ -148,223 +84,42 @@ class Viewer:
             pass
 
     def wait_idle(self, timeout: float = 60.0) -> bool:
-        """Wait until the picture is up to date; says whether that came true in time [s]."""
-        workers = (self._loader, self._fit, self._runner, self._all_pairs)
-        return all(worker.wait_idle(timeout) for worker in workers)
+        """Wait until all pictures are up to date; says whether that came true in time [s]."""
+        return all(session.wait_idle(timeout) for session in self.sessions)
 
     def close(self) -> None:
         """Stop working and serving."""
         if self._closed.is_set():
             return
         self._closed.set()
-        self._loader.close()
-        self._runner.close()
-        self._all_pairs.close()
-        self._fit.close()
+        for session in self.sessions:
+            session.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
 
-    # What the user sees: verdict and parameters right, what is drawn left.
+    # Called from the server's pool of threads, so in any order.
 
-    def _build_panels(self, source: str) -> None:
-        gui, state = self._server.gui, self._state
-        gui.set_panel_label("Loop closure")
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(CONTROL_WIDTH)
-        gui.add_html(paragraph(INTRODUCTION, FAINT))
-        self._verdict = VerdictCard(self._server)
-        self._status = StatusLine(self._server)
-        self._params = ParamsPanel(
-            self._server,
-            state.params,
-            lambda params: self._change(params=params),
-            main=MAIN_PARAMETERS,
-            on_error=self._status.error,
-        )
-        self._fit = Fit(self._server, state, on_fitted=self._take_fitted, message_of=message_of)
-        reset = gui.add_button(
-            "Reset parameters", hint="Back to the parameters that this dataset started with."
-        )
-
-        @reset.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            self._change(params=self._params.reset())
-
-        left = gui.add_panel()
-        with left.add_tab("Submaps and view"):
-            self._dataset_panel = DatasetPanel(
-                self._server,
-                self._open,
-                lambda: self._loader.submit(None),
-            )
-            self._dataset_panel.show(state.dataset, source)
-            self._pair_panel = PairPanel(
-                self._server, state, lambda query, database: self._change(pair=(query, database))
-            )
-            self._view_panel = ViewPanel(
-                self._server,
-                state.options,
-                lambda options: self._change(options=options),
-                self._reset_camera,
-            )
-        with left.add_tab("All pairs"):
-            self._all_pairs = AllPairs(
-                self._server,
-                state,
-                self._memo,
-                on_pair=self._show_pair,
-                message_of=message_of,
-            )
-        left.dock_left()
-        left.set_width(VIEW_WIDTH)
-
-    def _change(
-        self,
-        *,
-        pair: tuple[str, str] | None = None,
-        params: PipelineParams | None = None,
-        options: ViewOptions | None = None,
-    ) -> None:
-        """Take a new snapshot and submit it; quick, for callbacks."""
-        with self._lock:
-            state = self._state
-            if pair is not None:
-                state = session.with_pair(state, query_id=pair[0], database_id=pair[1])
-            if params is not None:
-                state = session.with_params(state, params)
-            if options is not None:
-                state = session.with_options(state, options)
-            self._state = state
-            self._runner.submit(state)
-            self._all_pairs.follow(state)
-            self._fit.follow(state)
-
-    def _take_fitted(self, found: dict[str, float]) -> None:
-        params = self._params.value
-        params = replace(params, map=with_fitted(params.map, found))
-        self._params.set(params)
-        self._change(params=params)
-
-    def _show_pair(self, query_id: str, database_id: str) -> None:
-        self._change(pair=(query_id, database_id))
-        self._pair_panel.show(self._state)
-
-    def _reset_camera(self) -> None:
-        self._scene.move_cameras(self._scene.camera(self._state))
-
-    # What the worker does.
-
-    def _preview(self, state: ViewState, progress: Progress) -> Picture | None:
-        """Show the surfaces, coarse if need be: what is found on them takes longer."""
-        if self._painted is not None and session.same_surfaces(self._painted, state):
-            return None
-        if state.options.layout == "registered" and not self._scene.knows_motion(state):
-            return None  # it would jump as soon as the motion is known
-        query_map, database_map = (
-            infer_quick_map(submap, state.params.map, self._memo, progress)
-            for submap in (state.query, state.database)
-        )
-        coarse = any(
-            made.grid.resolution != state.params.map.resolution
-            for made in (query_map, database_map)
-        )
-        self._painted = None if coarse else state
-        return Picture(self._scene.preview(state, (query_map, database_map)), coarse=coarse)
-
-    def _compute(self, state: ViewState, progress: Progress) -> Picture:
-        result = register_pair(
-            state.query, state.database, state.params, self._memo, progress=progress
-        )
-        self._painted = state
-        return Picture(self._scene.show(state, result), result)
-
-    def _on_start(self, state: ViewState) -> None:
-        del state
-        self._status.computing()
-
-    def _on_result(self, state: ViewState, picture: Picture, seconds: float) -> None:
-        self._show_legend(state, picture.shown.scale)
-        if picture.pair is None:
-            if picture.coarse:
-                self._verdict.outdate()
-            self._status.preview(seconds, coarse=picture.coarse)
-        else:
-            self._verdict.show(state, picture.pair)
-            if self._runner.newer_waits:
-                self._status.stale(seconds)
-            else:
-                self._status.up_to_date(seconds, details(picture.shown, state))
-        self._server.flush()
-
-    def _show_legend(self, state: ViewState, scale: Scale | None) -> None:
-        if scale is None:
-            self._view_panel.hide_legend()
+    def _enter(self, client: viser.ClientHandle) -> None:
+        if self._shared is not None:
+            self._count()
             return
-        mask = state.params.features.max_std_ratio
-        self._view_panel.show_legend(
-            legend_uri(scale.color_map),
-            scale.label,
-            scale.unit,
-            low=scale.low,
-            high=scale.high,
-            mark=mask if state.options.layer == "mask" else None,
-        )
-
-    def _on_error(self, state: ViewState, error: Exception) -> None:
-        del state
-        self._status.error(message_of(error))
-
-    # Opening another dataset.
-
-    def _open(self, path: str) -> None:
-        if not path:
-            self._dataset_panel.error("Type the path of a dataset folder first.")
-            return
-        self._loader.submit(Path(path).expanduser())
-
-    def _load(self, path: Path | None, progress: Progress) -> Opened:
-        source = path if path is not None else demo_path()
-        self._dataset_panel.loading(str(source))
-        dataset = load_dataset(source, progress=progress)
-        return Opened(dataset, preferred_parameters(dataset, PipelineParams()), str(source))
-
-    def _on_loaded(self, path: Path | None, opened: Opened, seconds: float) -> None:
-        del path, seconds
         with self._lock:
-            self._state = session.open_dataset(opened.dataset, opened.params, self._state.options)
-            state = self._state
-            self._runner.submit(state)
-            self._all_pairs.follow(state)
-            self._fit.follow(state)
-        self._params.set_default(opened.params)
-        self._params.reset()
-        self._dataset_panel.show(opened.dataset, opened.source)
-        self._pair_panel.show(state)
-        camera = self._scene.camera(state)
-        self._scene.start_camera(camera)
-        self._scene.move_cameras(camera)
+            if self._closed.is_set() or client.client_id not in self._server.get_clients():
+                return  # it left before its turn came
+            self._separate[client.client_id] = Session(
+                client, self._opened, self._memo, self._turns
+            )
 
-    def _on_load_error(self, path: Path | None, error: Exception) -> None:
-        del path
-        self._dataset_panel.error(message_of(error))
+    def _leave(self, client: viser.ClientHandle) -> None:
+        if self._shared is not None:
+            self._count()
+            return
+        with self._lock:
+            session = self._separate.pop(client.client_id, None)
+        if session is not None:
+            session.close()
 
-
-def message_of(error: Exception) -> str:
-    """Say what went wrong in one line; what is not the user's doing goes to the log too."""
-    if isinstance(error, InputError):
-        return str(error)
-    _log.error("unexpected error", exc_info=error)
-    return f"Unexpected {type(error).__name__}: {error}"
-
-
-def details(shown: Shown, state: ViewState) -> str:
-    """Count what is drawn."""
-    parts: list[str] = []
-    if shown.num_surfels:
-        parts.append(f"{shown.num_surfels:,} cells")
-    if shown.num_points:
-        parts.append(f"{shown.num_points:,} points")
-    if state.options.layout == "registered" and not shown.registered:
-        parts.append("no motion found: shown side by side")
-    return " · ".join(parts) or "nothing is switched on"
+    def _count(self) -> None:
+        assert self._shared is not None
+        with self._lock:  # so that the last to count is the last to tell
+            self._shared.show_presence(len(self._server.get_clients()))

@@ -7,6 +7,7 @@ from typing import Any
 
 import viser
 
+from app.host import Host
 from app.panels.text import BAD, BUSY, FAINT, paragraph
 
 INTRODUCTION = "Compare every submap with all earlier ones, with the parameters as they are now."
@@ -68,7 +69,7 @@ class AllPairsPanel:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        host: Host,
         rules: tuple[str, ...],
         *,
         on_run: Callable[[], None],
@@ -79,14 +80,14 @@ class AllPairsPanel:
         """Make the widgets in the current container.
 
         Args:
-            server: Whose GUI they join.
+            host: Whose GUI they join.
             rules: Names of the rules by which a pair is truly the same place.
             on_run: Called when all pairs are asked for.
             on_cancel: Called when they are no longer wanted.
             on_rule: Given the name of the rule chosen.
             on_pair: Given the query and the database to show.
         """
-        gui = server.gui
+        gui = host.gui
         self._on_pair = on_pair
         self._choices: tuple[Choice, ...] = ()
         self._listed: dict[str, Choice] = {}

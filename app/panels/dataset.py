@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import viser
 
+from app.host import Host
 from app.panels.text import BAD, paragraph
 from app.state import ViewState, neighbour
 from gpgrad_core.types import Dataset
@@ -14,18 +15,18 @@ class DatasetPanel:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        host: Host,
         on_load: Callable[[str], None],
         on_demo: Callable[[], None],
     ) -> None:
         """Make the widgets in the current container.
 
         Args:
-            server: Whose GUI they join.
+            host: Whose GUI they join.
             on_load: Given the path as typed.
             on_demo: Called for the built-in demo.
         """
-        gui = server.gui
+        gui = host.gui
         self._summary = gui.add_html("")
         self._path = gui.add_text(
             "Folder",
@@ -72,33 +73,33 @@ class PairPanel:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        host: Host,
         state: ViewState,
         on_change: Callable[[str, str], None],
     ) -> None:
         """Make the widgets in the current container.
 
         Args:
-            server: Whose GUI they join.
+            host: Whose GUI they join.
             state: What they start at.
             on_change: Given the ids of the query and the database submap.
         """
         self._dataset = state.dataset
         self._on_change = on_change
         ids = tuple(submap.id for submap in state.dataset.submaps)
-        self._query = server.gui.add_dropdown(
+        self._query = host.gui.add_dropdown(
             "Query", ids, initial_value=state.query_id, hint="Submap that is to be recognised."
         )
-        query_steps = server.gui.add_button_group(
+        query_steps = host.gui.add_button_group(
             "Step query", ("previous", "next"), hint="Step the query."
         )
-        self._database = server.gui.add_dropdown(
+        self._database = host.gui.add_dropdown(
             "Database",
             ids,
             initial_value=state.database_id,
             hint="Earlier submap that the query is compared with.",
         )
-        database_steps = server.gui.add_button_group(
+        database_steps = host.gui.add_button_group(
             "Step database", ("previous", "next"), hint="Step the database submap."
         )
         for dropdown in (self._query, self._database):

@@ -5,6 +5,7 @@ from html import escape
 
 import viser
 
+from app.host import Host
 from app.panels.text import BAD, BUSY, table
 
 
@@ -13,7 +14,7 @@ class FitPanel:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        host: Host,
         *,
         on_fit: Callable[[], None],
         on_cancel: Callable[[], None],
@@ -21,11 +22,11 @@ class FitPanel:
         """Make the widgets in the current container.
 
         Args:
-            server: Whose GUI they join.
+            host: Whose GUI they join.
             on_fit: Called when a fit is asked for.
             on_cancel: Called when it is no longer wanted.
         """
-        gui = server.gui
+        gui = host.gui
         self._fit = gui.add_button(
             "Fit to these submaps",
             hint="Sets length-scale, noise and signal to what explains the points of both submaps "

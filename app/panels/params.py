@@ -17,6 +17,7 @@ from typing import (
 import viser
 from typing_extensions import Doc
 
+from app.host import Host
 from gpgrad_core.bounds import Bounds
 from gpgrad_core.errors import InputError
 
@@ -114,7 +115,7 @@ class ParamsPanel(Generic[P]):
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        host: Host,
         value: P,
         on_change: Callable[[P], None],
         *,
@@ -125,7 +126,7 @@ class ParamsPanel(Generic[P]):
         """Make the widgets in the current container.
 
         Args:
-            server: Whose GUI they join.
+            host: Whose GUI they join.
             value: What they start at, and what "default" means until `set_default`.
             on_change: Given the whole new value after each change by a user.
             main: Paths of the parameters that stand outside the folder, in this order, and
@@ -133,7 +134,7 @@ class ParamsPanel(Generic[P]):
             folder: Title of the folder of all others.
             on_error: Given the message if a value is refused.
         """
-        self._server = server
+        self._host = host
         self._default = value
         self._value = value
         self._on_change = on_change
@@ -145,7 +146,7 @@ class ParamsPanel(Generic[P]):
             self._add(self._settings[path], name)
         others = [setting for path, setting in self._settings.items() if path not in main]
         if others:
-            with server.gui.add_folder(folder, expand_by_default=False):
+            with host.gui.add_folder(folder, expand_by_default=False):
                 self._add_groups(others)
 
     @property
@@ -173,12 +174,12 @@ class ParamsPanel(Generic[P]):
         for setting in settings:
             groups.setdefault(setting.path.partition(".")[0], []).append(setting)
         for group, members in groups.items():
-            with self._server.gui.add_folder(group.replace("_", " ").capitalize()):
+            with self._host.gui.add_folder(group.replace("_", " ").capitalize()):
                 for setting in members:
                     self._add(setting, None)
 
     def _add(self, setting: Setting, name: str | None) -> None:
-        gui, path = self._server.gui, setting.path
+        gui, path = self._host.gui, setting.path
         label = with_unit(name, setting.bounds) if name else setting.label
         current: Any = get_path(self._value, path)
         if isinstance(setting.kind, tuple):
@@ -216,7 +217,7 @@ class ParamsPanel(Generic[P]):
         default: Any = get_path(self._default, setting.path)
         default_text = "automatic" if default is None else f"{default:g}{unit}"
         kind: Any = int if whole else float
-        return self._server.gui.add_slider(
+        return self._host.gui.add_slider(
             label,
             min=kind(low),
             max=kind(high),
@@ -229,7 +230,7 @@ class ParamsPanel(Generic[P]):
         )
 
     def _add_automatic(self, setting: Setting, label: str, current: float | None) -> None:
-        box = self._server.gui.add_checkbox(
+        box = self._host.gui.add_checkbox(
             f"automatic {label.partition(' [')[0]}", current is None, hint=setting.doc
         )
         self._automatic[setting.path] = box

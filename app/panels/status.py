@@ -2,17 +2,16 @@
 
 from html import escape
 
-import viser
-
+from app.host import Host
 from app.panels.text import BAD, BUSY, GOOD
 
 
 class StatusLine:
     """Computing, up to date, or out of date; an error stays until the next good picture."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    def __init__(self, host: Host) -> None:
         """Make it in the current container."""
-        self._handle = server.gui.add_html(status_html("Starting …", BUSY))
+        self._handle = host.gui.add_html(status_html("Starting …", BUSY))
         self._error: str | None = None
 
     def computing(self, what: str = "Computing …") -> None:

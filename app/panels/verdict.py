@@ -3,8 +3,7 @@
 from html import escape
 from math import degrees
 
-import viser
-
+from app.host import Host
 from app.panels.text import BAD, GOOD, badge, table
 from app.state import ViewState
 from gpgrad_core.pipeline import PairResult
@@ -13,10 +12,10 @@ from gpgrad_core.pipeline import PairResult
 class VerdictCard:
     """A card that is rewritten with each result."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    def __init__(self, host: Host) -> None:
         """Make it in the current container, empty."""
         self._card = frame('<div style="opacity:.7">No result yet.</div>')
-        self._handle = server.gui.add_html(self._card)
+        self._handle = host.gui.add_html(self._card)
 
     def show(self, state: ViewState, result: PairResult) -> None:
         """Show a result."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import viser
 
+from app.host import Host
 from app.state import COLOR_MAPS, LAYERS, LAYOUTS, UNTRUSTED, Layer, ViewOptions
 
 LAYER_NAMES: dict[Layer, str] = {
@@ -25,7 +26,7 @@ class ViewPanel:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        host: Host,
         options: ViewOptions,
         on_change: Callable[[ViewOptions], None],
         on_reset_camera: Callable[[], None],
@@ -33,12 +34,12 @@ class ViewPanel:
         """Make the widgets in the current container.
 
         Args:
-            server: Whose GUI they join.
+            host: Whose GUI they join.
             options: What they start at.
             on_change: Given the whole new options after each change by a user.
             on_reset_camera: Called when the user asks for the view of both submaps.
         """
-        gui = server.gui
+        gui = host.gui
         self._options = options
         self._on_change = on_change
         self._bind(

@@ -13,6 +13,7 @@ import viser
 from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
+from app.host import Host, pages
 from app.state import ViewState
 from app.views.associations import inlier_color, keypoint_dots, match_lines, outline
 from app.views.colors import DATABASE, INLIER, OUTLIER, QUERY, Rgb, for_lines
@@ -98,9 +99,9 @@ class _Stage:
 class Cloud:
     """One point cloud node, made when first needed and then changed in place."""
 
-    def __init__(self, server: viser.ViserServer, name: str, *, shape: str = "square") -> None:
+    def __init__(self, host: Host, name: str, *, shape: str = "square") -> None:
         """Prepare the node of that name."""
-        self._server = server
+        self._host = host
         self._name = name
         self._shape: Any = shape
         self._handle: viser.PointCloudHandle | None = None
@@ -129,7 +130,7 @@ class Cloud:
             self.hide()
             return
         if self._handle is None:
-            self._handle = self._server.scene.add_point_cloud(
+            self._handle = self._host.scene.add_point_cloud(
                 self._name,
                 points,
                 colors,
@@ -153,10 +154,10 @@ class Cloud:
 class Segments:
     """One node of line segments, made when first needed and then changed in place."""
 
-    def __init__(self, server: viser.ViserServer, name: str, color: Rgb, thickness: float) -> None:
+    def __init__(self, host: Host, name: str, color: Rgb, thickness: float) -> None:
         """Prepare the node of that name, its colour as shown, its thickness in pixels."""
         self._color = color
-        self._server = server
+        self._host = host
         self._name = name
         self._thickness = thickness
         self._handle: viser.LineSegmentsHandle | None = None
@@ -175,7 +176,7 @@ class Segments:
             self.hide()
             return
         if self._handle is None:
-            self._handle = self._server.scene.add_line_segments(
+            self._handle = self._host.scene.add_line_segments(
                 self._name,
                 points,
                 for_lines(self._color),
@@ -206,13 +207,11 @@ class SubmapNode:
     Registering moves the frame; what hangs on it follows without being sent again.
     """
 
-    def __init__(
-        self, server: viser.ViserServer, role: str, color: Rgb, outer: Literal["left", "right"]
-    ) -> None:
+    def __init__(self, host: Host, role: str, color: Rgb, outer: Literal["left", "right"]) -> None:
         """Make the frame of the query or the database.
 
         Args:
-            server: Whose scene it joins.
+            host: Whose scene it joins.
             role: "query" or "database".
             color: Of its outline and its points.
             outer: Which way the other submap is not.
@@ -221,12 +220,12 @@ class SubmapNode:
         self.color = color
         self._role = role
         root = f"{PAIR}/{role}"
-        self._frame = server.scene.add_frame(root, show_axes=False)
-        self.surface = Cloud(server, f"{root}/surface")
-        self.cloud = Cloud(server, f"{root}/cloud", shape="circle")
-        self.keypoints = Cloud(server, f"{root}/keypoints", shape="circle")
-        self.outline = Segments(server, f"{root}/outline", color, thickness=2.0)
-        self._label = server.scene.add_label(
+        self._frame = host.scene.add_frame(root, show_axes=False)
+        self.surface = Cloud(host, f"{root}/surface")
+        self.cloud = Cloud(host, f"{root}/cloud", shape="circle")
+        self.keypoints = Cloud(host, f"{root}/keypoints", shape="circle")
+        self.outline = Segments(host, f"{root}/outline", color, thickness=2.0)
+        self._label = host.scene.add_label(
             f"{root}/label", role, anchor="bottom-left" if outer == "left" else "bottom-right"
         )
 
@@ -252,19 +251,19 @@ class SubmapNode:
 class PairScene:
     """The two submaps, what joins them, and a scale bar."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    def __init__(self, host: Host) -> None:
         """Make the nodes; nothing is shown until `show`."""
-        self._server = server
-        scene = server.scene
+        self._host = host
+        scene = host.scene
         scene.set_up_direction("+z")
         # Lit surfaces are not used, and an environment map would tint what is.
         scene.configure_environment_map(None)
         self._root = scene.add_frame(PAIR, show_axes=False)
-        self._query = SubmapNode(server, "query", QUERY, "right")
-        self._database = SubmapNode(server, "database", DATABASE, "left")
-        self._outlier_lines = Segments(server, f"{PAIR}/matches/outliers", OUTLIER, thickness=1.0)
-        self._inlier_lines = Segments(server, f"{PAIR}/matches/inliers", INLIER, thickness=1.2)
-        self._bar = Segments(server, f"{PAIR}/scale/bar", BAR, thickness=4.0)
+        self._query = SubmapNode(host, "query", QUERY, "right")
+        self._database = SubmapNode(host, "database", DATABASE, "left")
+        self._outlier_lines = Segments(host, f"{PAIR}/matches/outliers", OUTLIER, thickness=1.0)
+        self._inlier_lines = Segments(host, f"{PAIR}/matches/inliers", INLIER, thickness=1.2)
+        self._bar = Segments(host, f"{PAIR}/scale/bar", BAR, thickness=4.0)
         self._bar_label = scene.add_label(f"{PAIR}/scale/label", "", anchor="top-center")
         self._verdict = scene.add_label(
             f"{PAIR}/verdict", "", anchor="top-center", font_screen_scale=1.3
@@ -284,13 +283,13 @@ class PairScene:
         """Show a pair as the state asks; one consistent change in the browser."""
         motion = result.registration.T_database_query
         self._registered = _Registered(state.dataset, state.query_id, state.database_id, motion)
-        with self._server.atomic():
+        with self._host.atomic():
             shown, stage = self._show_submaps(
                 state, (result.query_map, result.database_map), motion
             )
             self._show_associations(state, result, stage.at_query, stage.at_database)
             self._show_verdict(result, stage.corners)
-        self._server.flush()
+        self._host.flush()
         return shown
 
     def preview(self, state: ViewState, maps: tuple[GradientMap, GradientMap]) -> Shown:
@@ -301,13 +300,13 @@ class PairScene:
         """
         known = self._registered
         same_pair = self.knows_motion(state)
-        with self._server.atomic():
+        with self._host.atomic():
             shown, _ = self._show_submaps(
                 state, maps, known.motion if known and same_pair else None
             )
             if not same_pair:
                 self._hide_associations()
-        self._server.flush()
+        self._host.flush()
         return shown
 
     def knows_motion(self, state: ViewState) -> bool:
@@ -363,17 +362,21 @@ class PairScene:
 
     def start_camera(self, camera: Camera) -> None:
         """Set the view that new pages, and "reset view", begin with."""
-        initial = self._server.initial_camera
+        if isinstance(self._host, viser.ClientHandle):
+            self.move_cameras(camera)  # the page is open already
+            return
+        initial = self._host.initial_camera
         initial.fov = float(FIELD_OF_VIEW)
         initial.position = camera.position
         initial.look_at = camera.look_at
 
     def move_cameras(self, camera: Camera) -> None:
         """Bring every open page to a view."""
-        for client in self._server.get_clients().values():
-            with client.atomic():
-                client.camera.position = camera.position
-                client.camera.look_at = camera.look_at
+        for page in pages(self._host).values():
+            with page.atomic():
+                page.camera.fov = float(FIELD_OF_VIEW)
+                page.camera.position = camera.position
+                page.camera.look_at = camera.look_at
 
     def _show_surface(
         self,

@@ -68,6 +68,7 @@ def tab(
         server,
         STATE,
         Memo(),
+        threading.Semaphore(),
         on_pair=lambda query, database: shown.append((query, database)),
         message_of=str,
     )

@@ -33,6 +33,7 @@ class FakeViewer:
     host: str
     port: int
     source: str = ""
+    sessions: str = "shared"
     url: str = "http://127.0.0.1:8080"
     closed: bool = False
 

@@ -61,7 +61,7 @@ def fit(
     fitter: Fitter,  # noqa: ARG001
     fitted: list[dict[str, float]],
 ) -> Iterator[Fit]:
-    made = Fit(server, STATE, on_fitted=fitted.append, message_of=str)
+    made = Fit(server, STATE, threading.Semaphore(), on_fitted=fitted.append, message_of=str)
     yield made
     made.close()
 
@@ -141,7 +141,7 @@ def test_the_real_fit_is_called_as_it_wants(
     fitted: list[dict[str, float]] = []
     monkeypatch.setattr(fit_module, "fit_parameters", fit_parameters)
     state = open_dataset(make_dataset(num_points=300), PipelineParams())
-    fit = Fit(server, state, on_fitted=fitted.append, message_of=repr)
+    fit = Fit(server, state, threading.Semaphore(), on_fitted=fitted.append, message_of=repr)
     run(fit, server)
     fit.close()
     assert "Fitted to" in said(fit)

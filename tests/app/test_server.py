@@ -1,247 +1,115 @@
 import socket
-from collections.abc import Iterator
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 
 import pytest
-import viser
 
-from app import server as app_server
-from app.server import MAIN_PARAMETERS, Viewer, message_of
-from app.state import ViewState
-from app.views.surfels import OVERLAP
-from gpgrad_core.coarse import COARSER
-from gpgrad_core.datasets import write_dataset
-from gpgrad_core.errors import InputError
-from gpgrad_core.pipeline import PairResult, PipelineParams
-from tests.app.synthetic import FakePipeline, make_dataset, make_result, needing
-from tests.app.widgets import find, user_presses, user_sets
+from app import session as app_session
+from app.server import Sessions, Viewer
+from tests.app.page import ProtocolPage
+from tests.app.synthetic import FakePipeline, make_dataset, needing
 
-START = needing(8)
+Serve = Callable[[Sessions], Viewer]
 
 
 @pytest.fixture
-def pipeline(monkeypatch: pytest.MonkeyPatch) -> FakePipeline:
-    fake = FakePipeline()
-    monkeypatch.setattr(app_server, "register_pair", fake)
-    return fake
+def serve(monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
+    monkeypatch.setattr(app_session, "register_pair", FakePipeline())
+    viewers: list[Viewer] = []
+
+    def start(sessions: Sessions) -> Viewer:
+        viewers.append(Viewer(make_dataset(), needing(8), port=0, sessions=sessions))
+        return viewers[-1]
+
+    yield start
+    for viewer in viewers:
+        viewer.close()
 
 
 @pytest.fixture
-def viewer(pipeline: FakePipeline) -> Iterator[Viewer]:  # noqa: ARG001
-    made = Viewer(make_dataset(), START, port=0)
-    assert made.wait_idle(20)
-    yield made
-    made.close()
+def visit() -> Iterator[Callable[[Viewer], ProtocolPage]]:
+    pages: list[ProtocolPage] = []
+
+    def enter(viewer: Viewer) -> ProtocolPage:
+        pages.append(ProtocolPage(viewer.url))
+        pages[-1].wait(lambda: "Up to date" in pages[-1].html(), "a picture")
+        return pages[-1]
+
+    yield enter
+    for page in pages:
+        with suppress(OSError):
+            page.close()
 
 
-def gui(viewer: Viewer) -> viser.ViserServer:
-    return viewer._server
+Visit = Callable[[Viewer], ProtocolPage]
 
 
-def said(viewer: Viewer, panel: str) -> str:
-    return "".join(
-        handle.content
-        for handle in vars(getattr(viewer, panel)).values()
-        if isinstance(handle, viser.GuiHtmlHandle)
-    )
-
-
-def test_it_opens_at_a_revisit_with_a_verdict(viewer: Viewer) -> None:
-    assert (viewer.state.query_id, viewer.state.database_id) == ("003", "000")
-    assert "Loop closure" in said(viewer, "_verdict")
-    assert "Up to date" in said(viewer, "_status")
-    assert "Elevation" in said(viewer, "_view_panel")
-    assert viewer.url.startswith("http://127.0.0.1:")
-
-
-def test_nothing_is_printed(
-    pipeline: FakePipeline,  # noqa: ARG001
-    capsys: pytest.CaptureFixture[str],
+def test_nothing_is_printed_and_the_address_is_told(
+    serve: Serve, visit: Visit, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    viewer = Viewer(make_dataset(), port=0)
+    viewer = serve("shared")
+    assert viewer.url.startswith("http://127.0.0.1:")
+    visit(viewer)
     viewer.close()
+    viewer.close()
+    viewer.run_forever()  # returns at once
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.parametrize(
-    ("path", "value"),
-    [
-        ("map.length_scale", 0.5),
-        ("map.noise_std", 0.1),
-        ("features.max_std_ratio", 0.2),
-        ("registration.inlier_radius", 0.6),
-        ("closure.min_inliers", 20),
-    ],
-)
-def test_each_slider_reaches_the_pipeline(
-    viewer: Viewer, pipeline: FakePipeline, path: str, value: float
-) -> None:
-    user_sets(find(gui(viewer), MAIN_PARAMETERS[path]), value)
-    assert viewer.wait_idle(20)
-    group, name = path.split(".")
-    used: Any = getattr(getattr(pipeline.calls[-1], group), name)
-    assert used == value
-
-
-def test_minimum_inliers_turns_the_verdict_and_reset_turns_it_back(
-    viewer: Viewer, pipeline: FakePipeline
-) -> None:
-    user_sets(find(gui(viewer), "Minimum inliers"), 20)
-    assert viewer.wait_idle(20)
-    assert "No loop closure" in said(viewer, "_verdict")
-    user_presses(find(gui(viewer), "Reset parameters"))
-    assert viewer.wait_idle(20)
-    assert "No loop closure" not in said(viewer, "_verdict")
-    assert find(gui(viewer), "Minimum inliers").value == START.closure.min_inliers
-    assert pipeline.calls[-1] == START
-
-
-def test_many_events_end_on_the_last_and_do_not_echo(
-    viewer: Viewer, pipeline: FakePipeline
-) -> None:
-    before = len(pipeline.calls)
-    slider = find(gui(viewer), "Minimum inliers")
-    for value in [*range(2, 40)] * 5 + [23]:
-        user_sets(slider, value)
-    assert viewer.wait_idle(20)
-    assert pipeline.calls[-1] == needing(23)
-    assert "of 23 needed" in said(viewer, "_verdict")
-    calls = len(pipeline.calls)
-    assert calls - before <= 191
-    assert not viewer._runner._waiting
-
-
-def test_a_gp_slider_shows_coarse_surfaces_first(viewer: Viewer, pipeline: FakePipeline) -> None:
-    before: list[tuple[str, str, float]] = []
-
-    def make(state: ViewState) -> PairResult:
-        surface: Any = gui(viewer).scene._handle_from_node_name["/pair/query/surface"]
-        before.append((said(viewer, "_status"), said(viewer, "_verdict"), surface.point_size))
-        return make_result(state)
-
-    pipeline.make = make
-    user_sets(find(gui(viewer), "Length-scale"), 0.5)
-    assert viewer.wait_idle(20)
-    ((status, card, size),) = before
-    assert "Coarse picture" in status
-    assert "opacity:.4" in card  # the last verdict is faded
-    assert size == pytest.approx(OVERLAP * COARSER * START.map.resolution)
-    assert "Up to date" in said(viewer, "_status")
-    assert "opacity:.4" not in said(viewer, "_verdict")
-
-
-def test_sliders_of_later_stages_need_no_coarse_surfaces(
-    viewer: Viewer, pipeline: FakePipeline
-) -> None:
-    before: list[str] = []
-
-    def make(state: ViewState) -> PairResult:
-        before.append(said(viewer, "_status"))
-        return make_result(state)
-
-    pipeline.make = make
-    for name, value in (("Inlier radius", 0.6), ("Minimum inliers", 20), ("Minimum score", 9.0)):
-        user_sets(find(gui(viewer), name), value)
-        assert viewer.wait_idle(20)
-    assert len(before) == 3
-    assert all("Computing" in status for status in before)
-
-
-def test_an_error_is_told_and_the_next_slider_works(viewer: Viewer, pipeline: FakePipeline) -> None:
-    pipeline.error = InputError("003 spans 10,000 m x 10,000 m: raise the resolution")
-    user_sets(find(gui(viewer), "Length-scale"), 0.5)
-    assert viewer.wait_idle(20)
-    assert "raise the resolution" in said(viewer, "_status")
-    assert "out of date" in said(viewer, "_status")
-    assert "Loop closure" in said(viewer, "_verdict")  # the last good one stays
-    pipeline.error = None
-    user_sets(find(gui(viewer), "Length-scale"), 0.6)
-    assert viewer.wait_idle(20)
-    assert "Up to date" in said(viewer, "_status")
-
-
-def test_an_unexpected_error_is_told_and_logged(
-    viewer: Viewer, pipeline: FakePipeline, caplog: pytest.LogCaptureFixture
-) -> None:
-    pipeline.error = ZeroDivisionError("division by zero")
-    user_sets(find(gui(viewer), "Noise"), 0.1)
-    assert viewer.wait_idle(20)
-    assert "Unexpected ZeroDivisionError: division by zero" in said(viewer, "_status")
-    assert "unexpected error" in caplog.text
-    assert message_of(InputError("plain words")) == "plain words"
-
-
-def test_another_dataset_is_opened(viewer: Viewer, tmp_path: Path) -> None:
-    other = replace(make_dataset(num_points=300, name="other hills"), description="Smaller.")
-    other = replace(other, submaps=other.submaps[:3])
-    write_dataset(other, tmp_path / "other")
-    user_sets(find(gui(viewer), "Minimum inliers"), 30)
-    user_sets(find(gui(viewer), "Folder"), str(tmp_path / "other"))
-    user_sets(find(gui(viewer), "Open"), "Load")
-    assert viewer.wait_idle(20)
-    assert len(viewer.state.dataset.submaps) == 3
-    assert find(gui(viewer), "Query").options == ("000", "001", "002")
-    default = PipelineParams().closure.min_inliers  # the other dataset prefers none
-    assert find(gui(viewer), "Minimum inliers").value == default
-    assert "Up to date" in said(viewer, "_status")
-
-
-def test_a_missing_folder_is_told_and_the_rest_works(viewer: Viewer, tmp_path: Path) -> None:
-    missing = tmp_path / "nowhere"
-    user_sets(find(gui(viewer), "Folder"), str(missing))
-    user_sets(find(gui(viewer), "Open"), "Load")
-    assert viewer.wait_idle(20)
-    assert f"{missing}: no such file or folder" in said(viewer, "_dataset_panel")
-    assert viewer.state.dataset.name == "hills"
-    user_sets(find(gui(viewer), "Minimum inliers"), 20)
-    assert viewer.wait_idle(20)
-    assert "No loop closure" in said(viewer, "_verdict")
-
-
-def test_an_empty_path_is_told(viewer: Viewer) -> None:
-    user_sets(find(gui(viewer), "Open"), "Load")
-    assert "Type the path" in said(viewer, "_dataset_panel")
-
-
-def test_hiding_the_surfaces_hides_the_legend(viewer: Viewer) -> None:
-    user_sets(find(gui(viewer), "Surfaces"), False)
-    assert viewer.wait_idle(20)
-    assert "Elevation" not in said(viewer, "_view_panel")
-
-
-def test_a_busy_port_moves_on_to_the_next(pipeline: FakePipeline) -> None:  # noqa: ARG001
+def test_a_busy_port_moves_on_to_the_next() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        viewer = Viewer(make_dataset(), port=port)
+        viewer = Viewer(make_dataset(), port=port, sessions="separate")
         try:
             assert viewer.url != f"http://127.0.0.1:{port}"
         finally:
             viewer.close()
 
 
-def test_a_fit_moves_the_sliders_and_the_picture(viewer: Viewer, pipeline: FakePipeline) -> None:
-    viewer._take_fitted({"length_scale": 0.62, "noise_std": 0.02, "signal_std": 0.4})
-    assert viewer.wait_idle(20)
-    assert find(gui(viewer), "Length-scale").value == 0.62
-    assert find(gui(viewer), "Noise [m]").value == 0.02
-    assert not find(gui(viewer), "automatic signal").value
-    assert pipeline.calls[-1].map.signal_std == 0.4
-    assert viewer.state.params.map.resolution == START.map.resolution
+def test_in_a_shared_session_all_see_the_same(serve: Serve, visit: Visit) -> None:
+    viewer = serve("shared")
+    first, second = visit(viewer), visit(viewer)
+    for page in (first, second):
+        page.wait(lambda page=page: "2 pages are open" in page.html(), "the number of pages")
+    first.set("Minimum inliers", 20)
+    for page in (first, second):
+        page.wait(lambda page=page: "of 20 needed" in page.html(), "the verdict")
+        page.wait(lambda page=page: "Up to date" in page.html(), "the status")
+    assert second.find("Minimum inliers")["value"] == 20
+    late = visit(viewer)
+    late.wait(lambda: "of 20 needed" in late.html(), "the present state")
+    assert late.find("Minimum inliers")["value"] == 20
+    for page in (first, late):
+        page.close()
+    second.wait(lambda: "pages are open" not in second.html(), "to be alone")
+    second.set("Minimum inliers", 9)
+    second.wait(lambda: "of 9 needed" in second.html(), "the verdict")
+    assert len(viewer.sessions) == 1
 
 
-def test_a_pair_chosen_from_all_pairs_is_shown(viewer: Viewer) -> None:
-    viewer._show_pair("002", "001")
-    assert viewer.wait_idle(20)
-    assert find(gui(viewer), "Query").value == "002"
-    assert find(gui(viewer), "Database").value == "001"
-    assert "query 002" in said(viewer, "_verdict")
+def test_separate_sessions_are_each_for_itself(serve: Serve, visit: Visit) -> None:
+    viewer = serve("separate")
+    assert viewer.sessions == ()
+    first, second = visit(viewer), visit(viewer)
+    assert len(viewer.sessions) == 2
+    first.set("Minimum inliers", 20)
+    first.wait(lambda: "No loop closure" in first.html(), "its verdict")
+    assert viewer.wait_idle()
+    assert "No loop closure" not in second.html()
+    assert second.find("Minimum inliers")["value"] == 8
+    assert set(first.nodes) == set(second.nodes)
+    assert "pages are open" not in first.html()
 
 
-def test_closing_twice_is_closing_once(viewer: Viewer) -> None:
-    viewer.close()
-    viewer.close()
-    viewer.run_forever()  # returns at once
+def test_a_separate_session_ends_with_its_page(serve: Serve, visit: Visit) -> None:
+    viewer = serve("separate")
+    first, second = visit(viewer), visit(viewer)
+    (gone, _) = viewer.sessions
+    first.set("Length-scale", 0.5)
+    first.close()  # in the middle
+    second.wait(lambda: len(viewer.sessions) == 1, "the other session's end")
+    second.wait(lambda: not gone._runner._thread.is_alive(), "its worker's end")
+    second.set("Minimum inliers", 20)
+    second.wait(lambda: "No loop closure" in second.html(), "the verdict")

@@ -21,9 +21,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from app import state as session
+from app import state as states
 from app.panels.params import with_path
-from app.server import MAIN_PARAMETERS, Viewer
+from app.server import Viewer
+from app.session import MAIN_PARAMETERS
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.gradient_map import MapParams, kept_points
 from gpgrad_core.pipeline import PipelineParams
@@ -148,13 +149,14 @@ def measure_server(viewer: Viewer, path: str) -> tuple[Times, Times]:
     """Time the runner's two stages, each value new to the memo; wall clock, and process time."""
     wall: list[Times] = []
     process: list[Times] = []
-    state = viewer.state
+    (session,) = viewer.sessions
+    state = session.state
     for value in VALUES[path]:
-        changed = session.with_params(state, with_path(PARAMS, path, value))
+        changed = states.with_params(state, with_path(PARAMS, path, value))
         start, start_process = time.perf_counter(), time.process_time()
-        rough = viewer._preview(changed, silent)
+        rough = session._preview(changed, silent)
         first = time.perf_counter() - start, time.process_time() - start_process
-        viewer._compute(changed, silent)
+        session._compute(changed, silent)
         last = time.perf_counter() - start, time.process_time() - start_process
         if rough is None:
             first = last

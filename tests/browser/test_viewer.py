@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from app.server import MAIN_PARAMETERS
+from app.session import MAIN_PARAMETERS
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams
 
@@ -77,7 +77,7 @@ def test_a_drag_of_200_events_ends_on_the_last_value(open_viewer: Open) -> None:
     page.drag("Length-scale", 40, steps=100, pause_ms=10)
     page.drag("Length-scale", -25, steps=100, pause_ms=10)
     page.settle()
-    last = page.viewer.state.params.map.length_scale  # type: ignore[attr-defined]
+    last = page.viewer.sessions[0].state.params.map.length_scale  # type: ignore[attr-defined]
     assert page.value("Length-scale") == pytest.approx(last)
     card = page.verdict()
     page.press("Reset parameters")

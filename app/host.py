@@ -1,0 +1,19 @@
+"""Whom a session is shown to: all pages of a server alike, or one page by itself.
+
+viser's server and its handle of one client have the same ``gui`` and ``scene``, so that nothing
+else needs to know which of the two it is drawing on.
+"""
+
+from collections.abc import Mapping
+from typing import TypeAlias
+
+import viser
+
+Host: TypeAlias = viser.ViserServer | viser.ClientHandle
+
+
+def pages(host: Host) -> Mapping[int, viser.ClientHandle]:
+    """List the open pages that show what the host shows, by their number."""
+    if isinstance(host, viser.ViserServer):
+        return host.get_clients()
+    return {host.client_id: host}

@@ -1,0 +1,360 @@
+"""One session: wires panels to the runner and the runner to the views.
+
+A widget's callback only takes a new snapshot of the session and submits it; one worker turns
+the newest snapshot into a result, shows it, and writes the read-outs. A session is shown on a
+server, to all of whose pages alike, or on one page; it never asks which.
+"""
+
+import logging
+import threading
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import viser
+
+from app import state as states
+from app.all_pairs import AllPairs
+from app.fit import Fit, with_fitted
+from app.host import Host
+from app.panels.dataset import DatasetPanel, PairPanel
+from app.panels.params import ParamsPanel
+from app.panels.presence import PresenceLine
+from app.panels.status import StatusLine
+from app.panels.text import FAINT, paragraph
+from app.panels.verdict import VerdictCard
+from app.panels.view import ViewPanel
+from app.part import Part
+from app.runner import Runner
+from app.state import ViewOptions, ViewState
+from app.turns import Turns
+from app.views.colors import legend_uri
+from app.views.layers import Scale
+from app.views.scene import PairScene, Shown
+from gpgrad_core.coarse import infer_quick_map
+from gpgrad_core.datasets import demo_path, load_dataset
+from gpgrad_core.errors import InputError
+from gpgrad_core.memo import Memo
+from gpgrad_core.parameters import preferred_parameters
+from gpgrad_core.pipeline import PairResult, PipelineParams, register_pair
+from gpgrad_core.progress import Progress
+from gpgrad_core.types import Dataset
+
+_log = logging.getLogger(__name__)
+
+MAIN_PARAMETERS = {
+    "map.length_scale": "Length-scale",
+    "map.noise_std": "Noise",
+    "features.max_std_ratio": "Variance mask",
+    "registration.inlier_radius": "Inlier radius",
+    "closure.min_inliers": "Minimum inliers",
+    "closure.min_score": "Minimum score",
+}
+"""The parameters that stand in the open, and what people call them."""
+
+INTRODUCTION = (
+    "Do the two submaps show the same place? Drag a slider: surfaces, matches and verdict follow."
+)
+CONTROL_WIDTH = 310
+VIEW_WIDTH = 280
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A dataset that was read, and what to start it with."""
+
+    dataset: Dataset
+    params: PipelineParams
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What the worker has shown.
+
+    Attributes:
+        shown: What is to be seen.
+        pair: What was found; None in a preview, which has nothing but surfaces.
+        coarse: Whether the surfaces are not yet the full ones.
+    """
+
+    shown: Shown
+    pair: PairResult | None = None
+    coarse: bool = False
+
+
+class Session:
+    """Panels, scene and workers of one session."""
+
+    def __init__(self, host: Host, opened: Opened, memo: Memo, turns: Turns) -> None:
+        """Build it on a host and start on the first picture; returns at once.
+
+        Args:
+            host: Whose GUI and scene it fills.
+            opened: What to open with; its parameters are what "reset" goes back to.
+            memo: Shared by all sessions, so that none computes what another has.
+            turns: Shared by all sessions, so that they do not outnumber the processors.
+        """
+        self._state = states.open_dataset(opened.dataset, opened.params)
+        self._lock = threading.Lock()
+        self._memo = memo
+        self._turns = turns
+        self._host = host
+        self._parts: list[Part] = []
+        self._scene = PairScene(host)
+        self._build_panels(opened.source)
+        self._scene.start_camera(self._scene.camera(self._state))
+        self._painted: ViewState | None = None  # whose full surfaces are to be seen
+        self._runner: Runner[ViewState, Picture] = Runner(
+            self._compute,
+            self._on_result,
+            self._on_error,
+            on_start=self._on_start,
+            preview=self._preview,
+            turns=turns.pictures,
+            name="pair",
+        )
+        self._loader: Runner[Path | None, Opened] = Runner(
+            self._load, self._on_loaded, self._on_load_error, name="dataset"
+        )
+        self._runner.submit(self._state)
+
+    @property
+    def state(self) -> ViewState:
+        """The session as it is now."""
+        return self._state
+
+    def show_presence(self, count: int) -> None:
+        """Say how many pages show this session."""
+        self._presence.show(count)
+
+    def wait_idle(self, timeout: float = 60.0) -> bool:
+        """Wait until the picture is up to date; says whether that came true in time [s]."""
+        workers = (self._loader, *self._parts, self._runner, *self._parts)
+        return all(worker.wait_idle(timeout) for worker in workers)
+
+    def close(self) -> None:
+        """Stop working; what was shown stays until its page goes."""
+        self._loader.close()
+        self._runner.close()
+        for part in self._parts:
+            part.close()
+
+    # What the user sees: verdict and parameters right, what is drawn left.
+
+    def _build_panels(self, source: str) -> None:
+        gui, state = self._host.gui, self._state
+        gui.set_panel_label("Loop closure")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(CONTROL_WIDTH)
+        gui.add_html(paragraph(INTRODUCTION, FAINT))
+        self._presence = PresenceLine(self._host)
+        self._verdict = VerdictCard(self._host)
+        self._status = StatusLine(self._host)
+        self._params = ParamsPanel(
+            self._host,
+            state.params,
+            lambda params: self._change(params=params),
+            main=MAIN_PARAMETERS,
+            on_error=self._status.error,
+        )
+        self._parts.append(
+            Fit(
+                self._host,
+                state,
+                self._turns.long,
+                on_fitted=self._take_fitted,
+                message_of=message_of,
+            )
+        )
+        reset = gui.add_button(
+            "Reset parameters", hint="Back to the parameters that this dataset started with."
+        )
+
+        @reset.on_click
+        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+            del event
+            self._change(params=self._params.reset())
+
+        left = gui.add_panel()
+        with left.add_tab("Submaps and view"):
+            self._dataset_panel = DatasetPanel(
+                self._host,
+                self._open,
+                lambda: self._loader.submit(None),
+            )
+            self._dataset_panel.show(state.dataset, source)
+            self._pair_panel = PairPanel(
+                self._host, state, lambda query, database: self._change(pair=(query, database))
+            )
+            self._view_panel = ViewPanel(
+                self._host,
+                state.options,
+                lambda options: self._change(options=options),
+                self._reset_camera,
+            )
+        with left.add_tab("All pairs"):
+            self._parts.append(
+                AllPairs(
+                    self._host,
+                    state,
+                    self._memo,
+                    self._turns.long,
+                    on_pair=self._show_pair,
+                    message_of=message_of,
+                )
+            )
+        left.dock_left()
+        left.set_width(VIEW_WIDTH)
+
+    def _change(
+        self,
+        *,
+        pair: tuple[str, str] | None = None,
+        params: PipelineParams | None = None,
+        options: ViewOptions | None = None,
+    ) -> None:
+        """Take a new snapshot and submit it; quick, for callbacks."""
+        with self._lock:
+            state = self._state
+            if pair is not None:
+                state = states.with_pair(state, query_id=pair[0], database_id=pair[1])
+            if params is not None:
+                state = states.with_params(state, params)
+            if options is not None:
+                state = states.with_options(state, options)
+            self._set(state)
+
+    def _set(self, state: ViewState) -> None:
+        """Make a snapshot the present one, and let all who follow know; the lock is held."""
+        self._state = state
+        self._runner.submit(state)
+        for part in self._parts:
+            part.follow(state)
+
+    def _take_fitted(self, found: dict[str, float]) -> None:
+        params = self._params.value
+        params = replace(params, map=with_fitted(params.map, found))
+        self._params.set(params)
+        self._change(params=params)
+
+    def _show_pair(self, query_id: str, database_id: str) -> None:
+        self._change(pair=(query_id, database_id))
+        self._pair_panel.show(self._state)
+
+    def _reset_camera(self) -> None:
+        self._scene.move_cameras(self._scene.camera(self._state))
+
+    # What the worker does.
+
+    def _preview(self, state: ViewState, progress: Progress) -> Picture | None:
+        """Show the surfaces, coarse if need be: what is found on them takes longer."""
+        if self._painted is not None and states.same_surfaces(self._painted, state):
+            return None
+        if state.options.layout == "registered" and not self._scene.knows_motion(state):
+            return None  # it would jump as soon as the motion is known
+        query_map, database_map = (
+            infer_quick_map(submap, state.params.map, self._memo, progress)
+            for submap in (state.query, state.database)
+        )
+        coarse = any(
+            made.grid.resolution != state.params.map.resolution
+            for made in (query_map, database_map)
+        )
+        self._painted = None if coarse else state
+        return Picture(self._scene.preview(state, (query_map, database_map)), coarse=coarse)
+
+    def _compute(self, state: ViewState, progress: Progress) -> Picture:
+        result = register_pair(
+            state.query, state.database, state.params, self._memo, progress=progress
+        )
+        self._painted = state
+        return Picture(self._scene.show(state, result), result)
+
+    def _on_start(self, state: ViewState) -> None:
+        del state
+        self._status.computing()
+
+    def _on_result(self, state: ViewState, picture: Picture, seconds: float) -> None:
+        self._show_legend(state, picture.shown.scale)
+        if picture.pair is None:
+            if picture.coarse:
+                self._verdict.outdate()
+            self._status.preview(seconds, coarse=picture.coarse)
+        else:
+            self._verdict.show(state, picture.pair)
+            if self._runner.newer_waits:
+                self._status.stale(seconds)
+            else:
+                self._status.up_to_date(seconds, details(picture.shown, state))
+            for part in self._parts:
+                part.show(state, picture.pair)
+        self._host.flush()
+
+    def _show_legend(self, state: ViewState, scale: Scale | None) -> None:
+        if scale is None:
+            self._view_panel.hide_legend()
+            return
+        mask = state.params.features.max_std_ratio
+        self._view_panel.show_legend(
+            legend_uri(scale.color_map),
+            scale.label,
+            scale.unit,
+            low=scale.low,
+            high=scale.high,
+            mark=mask if state.options.layer == "mask" else None,
+        )
+
+    def _on_error(self, state: ViewState, error: Exception) -> None:
+        del state
+        self._status.error(message_of(error))
+
+    # Opening another dataset.
+
+    def _open(self, path: str) -> None:
+        if not path:
+            self._dataset_panel.error("Type the path of a dataset folder first.")
+            return
+        self._loader.submit(Path(path).expanduser())
+
+    def _load(self, path: Path | None, progress: Progress) -> Opened:
+        source = path if path is not None else demo_path()
+        self._dataset_panel.loading(str(source))
+        dataset = load_dataset(source, progress=progress)
+        return Opened(dataset, preferred_parameters(dataset, PipelineParams()), str(source))
+
+    def _on_loaded(self, path: Path | None, opened: Opened, seconds: float) -> None:
+        del path, seconds
+        with self._lock:
+            state = states.open_dataset(opened.dataset, opened.params, self._state.options)
+            self._set(state)
+        self._params.set_default(opened.params)
+        self._params.reset()
+        self._dataset_panel.show(opened.dataset, opened.source)
+        self._pair_panel.show(state)
+        camera = self._scene.camera(state)
+        self._scene.start_camera(camera)
+        self._scene.move_cameras(camera)
+
+    def _on_load_error(self, path: Path | None, error: Exception) -> None:
+        del path
+        self._dataset_panel.error(message_of(error))
+
+
+def message_of(error: Exception) -> str:
+    """Say what went wrong in one line; what is not the user's doing goes to the log too."""
+    if isinstance(error, InputError):
+        return str(error)
+    _log.error("unexpected error", exc_info=error)
+    return f"Unexpected {type(error).__name__}: {error}"
+
+
+def details(shown: Shown, state: ViewState) -> str:
+    """Count what is drawn."""
+    parts: list[str] = []
+    if shown.num_surfels:
+        parts.append(f"{shown.num_surfels:,} cells")
+    if shown.num_points:
+        parts.append(f"{shown.num_points:,} points")
+    if state.options.layout == "registered" and not shown.registered:
+        parts.append("no motion found: shown side by side")
+    return " · ".join(parts) or "nothing is switched on"

@@ -1,0 +1,144 @@
+"""A page without a browser: speaks the viewer's protocol, and remembers what it was told."""
+
+import hashlib
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+import viser
+import zstandard
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
+
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+    "position": (0.0, -10.0, 10.0),
+    "fov": 0.8,
+    "near": 0.01,
+    "far": 1000.0,
+    "image_height": 600,
+    "image_width": 960,
+    "look_at": (0.0, 0.0, 0.0),
+    "up_direction": (0.0, 0.0, 1.0),
+}
+
+
+class ProtocolPage:
+    """Connects as a page does; widgets and nodes are as the last message said."""
+
+    def __init__(self, url: str) -> None:
+        self.widgets: dict[str, dict[str, Any]] = {}  # by uuid
+        self.nodes: dict[str, dict[str, Any]] = {}  # by name; arrays as their digests
+        self.received: list[tuple[float, str]] = []  # what was told when, for latencies
+        self.num_bytes = 0
+        self._socket = connect(
+            url.replace("http", "ws"),
+            subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+            max_size=None,
+            compression=None,
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        self.send(CAMERA)
+
+    def send(self, message: dict[str, Any]) -> None:
+        """Send a message."""
+        self._socket.send(msgspec.msgpack.encode(message))
+
+    def close(self) -> None:
+        """Leave."""
+        self._socket.close()
+        self._reader.join(timeout=5)
+
+    def find(self, label: str) -> dict[str, Any]:
+        """Find the widget whose label begins so."""
+        found = [
+            widget
+            for widget in list(self.widgets.values())
+            if str(widget["props"].get("label", "")).startswith(label)
+        ]
+        assert len(found) == 1, f"{len(found)} widgets are called {label!r}"
+        return found[0]
+
+    def set(self, label: str, value: object) -> None:
+        """Change a widget, as a user does."""
+        widget = self.find(label)
+        widget["value"] = value
+        self.send({"type": "GuiUpdateMessage", "uuid": widget["uuid"], "updates": {"value": value}})
+
+    def html(self) -> str:
+        """Give all that stands in the panels."""
+        return "".join(str(one["props"].get("content", "")) for one in [*self.widgets.values()])
+
+    def wait(self, condition: Callable[[], bool], what: str, timeout: float = 20.0) -> None:
+        """Wait until a condition comes true."""
+        end = time.monotonic() + timeout
+        while True:
+            with suppress(AssertionError, RuntimeError):  # not there yet; changed while looking
+                if condition():
+                    return
+            assert time.monotonic() < end, f"waited {timeout:.0f} s for {what}"
+            time.sleep(0.02)
+
+    def seen(self) -> dict[str, object]:
+        """Give all that its user sees, to be compared with another page's."""
+        widgets = {
+            uuid: (widget.get("value"), widget["props"]) for uuid, widget in self.widgets.items()
+        }
+        return {**widgets, **self.nodes}
+
+    def _read(self) -> None:
+        with suppress(ConnectionClosed):
+            for frame in self._socket:
+                assert isinstance(frame, bytes)
+                self.num_bytes += len(frame)
+                for message in _messages(frame):
+                    self._take(message)
+
+    def _take(self, message: dict[str, Any]) -> None:
+        kind = message["type"]
+        self.received.append((time.monotonic(), kind))
+        if kind == "GuiUpdateMessage" and message["uuid"] in self.widgets:
+            widget = self.widgets[message["uuid"]]
+            for name, value in message["updates"].items():
+                (widget if name == "value" else widget["props"])[name] = value
+        elif kind == "GuiRemoveMessage":
+            self.widgets.pop(message["uuid"], None)
+        elif kind.startswith("Gui") and "props" in message and "uuid" in message:
+            self.widgets[message["uuid"]] = message
+        elif kind == "SceneNodeUpdateMessage" and message["name"] in self.nodes:
+            self.nodes[message["name"]].update(message["updates"])
+        elif kind == "RemoveSceneNodeMessage":
+            self.nodes.pop(message["name"], None)
+        elif "props" in message and "name" in message:
+            self.nodes[message["name"]] = dict(message["props"])
+        elif kind in ("SetPositionMessage", "SetOrientationMessage"):
+            values = {key: value for key, value in message.items() if key not in ("type", "name")}
+            self.nodes.setdefault(message["name"], {}).update(values)
+
+
+def _messages(frame: bytes) -> list[dict[str, Any]]:
+    """Take a frame apart: compressed messages, then the arrays that they point to."""
+    length = int.from_bytes(frame[8:16], "little")
+    inner = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(frame[16 : 16 + length]))
+    offset, digests = 16 + length, []
+    for size in inner["binaryBufferLengths"]:
+        offset += -offset % 8
+        digests.append(hashlib.sha256(frame[offset : offset + size]).hexdigest())
+        offset += size
+    return [_resolved(message, digests) for message in inner["messages"]]
+
+
+def _resolved(value: Any, digests: list[str]) -> Any:
+    if isinstance(value, dict):
+        if "__binary_index" in value:
+            return digests[value["__binary_index"]]
+        return {key: _resolved(inner, digests) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_resolved(inner, digests) for inner in value]
+    return value
