@@ -16,6 +16,7 @@ from app import state as states
 from app.all_pairs import AllPairs
 from app.fit import Fit, with_fitted
 from app.host import Host
+from app.panels.commands import Commands
 from app.panels.dataset import DatasetPanel, PairPanel
 from app.panels.params import ParamsPanel
 from app.panels.presence import PresenceLine
@@ -101,6 +102,7 @@ class Session:
         self._host = host
         self._parts: list[Part] = []
         self._scene = PairScene(host)
+        self._commands = Commands(host)
         self._build_panels(opened.source)
         self._scene.start_camera(self._scene.camera(self._state))
         self._painted: ViewState | None = None  # whose full surfaces are to be seen
