@@ -14,6 +14,8 @@ import viser
 
 from app import state as states
 from app.all_pairs import AllPairs
+from app.demo import Demo
+from app.explore import Explore
 from app.fit import Fit, with_fitted
 from app.host import Host
 from app.panels.commands import Commands
@@ -21,11 +23,12 @@ from app.panels.dataset import DatasetPanel, PairPanel
 from app.panels.params import ParamsPanel
 from app.panels.presence import PresenceLine
 from app.panels.status import StatusLine
-from app.panels.text import FAINT, paragraph
 from app.panels.verdict import VerdictCard
 from app.panels.view import ViewPanel
+from app.panels.ways import Way, WaysPanel
 from app.part import Part
 from app.runner import Runner
+from app.stage import Stage
 from app.state import ViewOptions, ViewState
 from app.turns import Turns
 from app.views.colors import legend_uri
@@ -52,9 +55,6 @@ MAIN_PARAMETERS = {
 }
 """The parameters that stand in the open, and what people call them."""
 
-INTRODUCTION = (
-    "Do the two submaps show the same place? Drag a slider: surfaces, matches and verdict follow."
-)
 CONTROL_WIDTH = 310
 VIEW_WIDTH = 280
 
@@ -148,7 +148,7 @@ class Session:
         gui.set_panel_label("Loop closure")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(CONTROL_WIDTH)
-        gui.add_html(paragraph(INTRODUCTION, FAINT))
+        ways = WaysPanel(self._host, "Tune", lambda way: self._stage.go(way, self._state))
         self._presence = PresenceLine(self._host)
         self._verdict = VerdictCard(self._host)
         self._status = StatusLine(self._host)
@@ -205,8 +205,38 @@ class Session:
                     message_of=message_of,
                 )
             )
-        left.dock_left()
-        left.set_width(VIEW_WIDTH)
+        explore_panel, demo_panel = gui.add_panel(), gui.add_panel()
+        with explore_panel.add_tab("World"):
+            explore = Explore(
+                self._host,
+                state,
+                self._memo,
+                self._turns,
+                on_tune=self._tune,
+                message_of=message_of,
+            )
+        with demo_panel.add_tab("Demo"):
+            demo = Demo(
+                self._host,
+                state,
+                self._turns,
+                self._scene,
+                explore,
+                on_subject=lambda subject: self._stage.show(subject, self._state),
+                on_registered=self._register,
+                on_full_screen=lambda: self._stage.set_full_screen(True),
+                message_of=message_of,
+            )
+        self._parts += [explore, demo]
+        for panel in (left, explore_panel, demo_panel):  # one at a time is to be seen
+            panel.dock_left()
+            panel.set_width(VIEW_WIDTH)
+        panels: dict[Way, viser.PanelHandle] = {
+            "Explore": explore_panel,
+            "Tune": left,
+            "Demo": demo_panel,
+        }
+        self._stage = Stage(self._host, self._scene, explore, panels, ways, self._commands)
 
     def _change(
         self,
@@ -242,6 +272,16 @@ class Session:
     def _show_pair(self, query_id: str, database_id: str) -> None:
         self._change(pair=(query_id, database_id))
         self._pair_panel.show(self._state)
+
+    def _tune(self, query_id: str, database_id: str) -> None:
+        self._show_pair(query_id, database_id)
+        self._stage.go("Tune", self._state)
+
+    def _register(self) -> None:
+        """Show the pair registered."""
+        options = replace(self._state.options, layout="registered")
+        self._view_panel.set(options)
+        self._change(options=options)
 
     def _reset_camera(self) -> None:
         self._scene.move_cameras(self._scene.camera(self._state))
@@ -333,9 +373,11 @@ class Session:
         self._params.reset()
         self._dataset_panel.show(opened.dataset, opened.source)
         self._pair_panel.show(state)
-        camera = self._scene.camera(state)
-        self._scene.start_camera(camera)
-        self._scene.move_cameras(camera)
+        self._stage.forget_views()
+        if self._stage.subject == "pair":  # the world brings the cameras to itself
+            camera = self._scene.camera(state)
+            self._scene.start_camera(camera)
+            self._scene.move_cameras(camera)
 
     def _on_load_error(self, path: Path | None, error: Exception) -> None:
         del path

@@ -42,16 +42,13 @@ class ViewPanel:
         gui = host.gui
         self._options = options
         self._on_change = on_change
-        self._bind(
-            "layout",
-            gui.add_dropdown(
-                "Layout",
-                LAYOUTS,
-                initial_value=options.layout,
-                hint="Each submap by itself, or the query laid onto the database "
-                "by the registration.",
-            ),
+        self._layout = gui.add_dropdown(
+            "Layout",
+            LAYOUTS,
+            initial_value=options.layout,
+            hint="Each submap by itself, or the query laid onto the database by the registration.",
         )
+        self._bind("layout", self._layout)
         self._layer = gui.add_dropdown(
             "Layer",
             tuple(LAYER_NAMES[layer] for layer in LAYERS),
@@ -151,6 +148,11 @@ class ViewPanel:
     def options(self) -> ViewOptions:
         """The options as the widgets show them."""
         return self._options
+
+    def set(self, options: ViewOptions) -> None:
+        """Show other options of the layout; nothing is called."""
+        self._options = options
+        self._layout.value = options.layout
 
     def show_legend(
         self, bar: str, label: str, unit: str, *, low: float, high: float, mark: float | None

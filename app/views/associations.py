@@ -63,11 +63,25 @@ def match_lines(
     matches = result.matches
     start = query.apply(on_surface(result.query_map, matches.query_xy[chosen], lift))
     end = database.apply(on_surface(result.database_map, matches.database_xy[chosen], lift))
-    along = np.linspace(0.0, 1.0, ARC_PIECES + 1)[None, :, None]
-    arcs = start[:, None] * (1.0 - along) + end[:, None] * along
+    return arcs(start, end, ARC_PIECES, ARC_RISE)
+
+
+def arcs(
+    start: Float[Array, "n 3"], end: Float[Array, "n 3"], pieces: int, rise: float
+) -> Float[NDArray[np.float32], "k 2 3"]:
+    """Span arches in straight pieces, so many an arch, one arch after the other.
+
+    Args:
+        start: Where each stands [m].
+        end: Where each comes down [m].
+        pieces: Of one arch.
+        rise: Height of its middle over its feet, as a share of its span.
+    """
+    along = np.linspace(0.0, 1.0, pieces + 1)[None, :, None]
+    points = start[:, None] * (1.0 - along) + end[:, None] * along
     span = np.linalg.norm((end - start)[:, :2], axis=1)
-    arcs[..., 2] += (4.0 * ARC_RISE * span)[:, None] * (along * (1.0 - along))[..., 0]
-    return np.stack([arcs[:, :-1], arcs[:, 1:]], axis=2).reshape(-1, 2, 3).astype(np.float32)
+    points[..., 2] += (4.0 * rise * span)[:, None] * (along * (1.0 - along))[..., 0]
+    return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3).astype(np.float32)
 
 
 def keypoint_dots(result: PairResult, *, of_query: bool, lift: float) -> Dots:

@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 GAP = 0.12
 """Room between submaps side by side, as a share of their width."""
+HOP = 0.12
+"""How high a submap that glides into place goes, as a share of its width."""
 MAX_OVERLAP_SAMPLES = 5_000
 FIELD_OF_VIEW = np.deg2rad(45.0)
 CAMERA_TILT = np.deg2rad(55.0)
@@ -144,6 +146,40 @@ def place(
     return (
         Placement(query_x + (query.size[0] + gap) / 2, query_y, query_z),
         Placement(database_x - (database.size[0] + gap) / 2, database_y, database_z),
+    )
+
+
+def glide(
+    query: Extent, database: Extent, T_database_query: SE2, dz: float, share: float
+) -> tuple[Placement, Placement]:
+    """Place (query, database) on the way from beside each other to registered.
+
+    The query goes over the ground, not through it, and comes down on its place.
+
+    Args:
+        query: Box of the query submap.
+        database: Box of the database submap.
+        T_database_query: The registration.
+        dz: Height of the query's zero in the database's frame [m].
+        share: Of the way, in [0, 1].
+    """
+    starts = place(query, database, "side by side", None, 0.0)
+    ends = place(query, database, "registered", T_database_query, dz)
+    hop = HOP * float(max(query.size[:2])) * 4 * share * (1 - share)
+    (from_query, from_database), (to_query, to_database) = starts, ends
+    # Round the middle of its box, which goes straight; its corner would swing.
+    yaw = share * to_query.yaw
+    middle = query.center[None]
+    begin, end = from_query.apply(middle)[0], to_query.apply(middle)[0]
+    x, y, z = (1 - share) * begin + share * end - Placement(yaw=yaw).apply(middle)[0]
+    return (
+        Placement(float(x), float(y), float(z) + hop, yaw),
+        Placement(
+            *(
+                float((1 - share) * a + share * b)
+                for a, b in zip(from_database.position, to_database.position, strict=True)
+            )
+        ),
     )
 
 

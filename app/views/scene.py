@@ -1,5 +1,7 @@
 """The scene of a pair: two submaps, what joins them, and what is pointed at."""
 
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,14 +14,15 @@ from app.host import Host, pages
 from app.state import ViewState
 from app.views.associations import inlier_color, keypoint_dots, match_lines
 from app.views.colors import DATABASE, INLIER, OUTLIER, QUERY, Rgb
+from app.views.flight import set_start, set_view
 from app.views.layers import Scale, shared_scale
 from app.views.nodes import LinePoints, Segments, SubmapNode
 from app.views.placement import (
-    FIELD_OF_VIEW,
     Camera,
     Extent,
     Placement,
     frame_camera,
+    glide,
     height_offset,
     place,
 )
@@ -111,6 +114,8 @@ class PairScene:
             f"{PAIR}/verdict", "", anchor="top-center", font_screen_scale=1.3
         )
         self._registered: _Registered | None = None
+        self._lock = threading.Lock()  # two workers draw: the pair's, and the one that plays
+        self._last: PairResult | None = None
 
     @property
     def visible(self) -> bool:
@@ -125,7 +130,8 @@ class PairScene:
         """Show a pair as the state asks; one consistent change in the browser."""
         motion = result.registration.T_database_query
         self._registered = _Registered(state.dataset, state.query_id, state.database_id, motion)
-        with self._host.atomic():
+        with self._lock, self._host.atomic():
+            self._last = result
             shown, stage = self._show_submaps(
                 state, (result.query_map, result.database_map), motion
             )
@@ -142,7 +148,8 @@ class PairScene:
         """
         known = self._registered
         same_pair = self.knows_motion(state)
-        with self._host.atomic():
+        with self._lock, self._host.atomic():
+            self._last = None
             shown, _ = self._show_submaps(
                 state, maps, known.motion if known and same_pair else None
             )
@@ -150,6 +157,37 @@ class PairScene:
                 self._hide_associations()
         self._host.flush()
         return shown
+
+    def gliding(self, state: ViewState, result: PairResult) -> Callable[[float], None] | None:
+        """Give what moves the query from beside the database to where it registers.
+
+        Args:
+            state: As it was shown, in the registered layout.
+            result: What was shown.
+
+        Returns:
+            A function of the share of the way in [0, 1], which does nothing once another picture
+            has been shown; None where there is no motion.
+        """
+        motion = result.registration.T_database_query
+        if motion is None:
+            return None
+        boxes = Extent.of(state.query), Extent.of(state.database)
+        ratio = state.params.features.max_std_ratio
+        dz = height_offset(result.query_map, result.database_map, motion, ratio)
+
+        def draw(share: float) -> None:
+            with self._lock:
+                if self._last is not result:
+                    return
+                at_query, at_database = glide(*boxes, motion, dz, share)
+                with self._host.atomic():
+                    self._query.move(at_query)
+                    self._database.move(at_database)
+                    self._show_associations(state, result, at_query, at_database)
+            self._host.flush()
+
+        return draw
 
     def knows_motion(self, state: ViewState) -> bool:
         """Say whether the pair of a state is the one last shown with its registration."""
@@ -207,18 +245,12 @@ class PairScene:
         if isinstance(self._host, viser.ClientHandle):
             self.move_cameras(camera)  # the page is open already
             return
-        initial = self._host.initial_camera
-        initial.fov = float(FIELD_OF_VIEW)
-        initial.position = camera.position
-        initial.look_at = camera.look_at
+        set_start(self._host, camera)
 
     def move_cameras(self, camera: Camera) -> None:
         """Bring every open page to a view."""
         for page in pages(self._host).values():
-            with page.atomic():
-                page.camera.fov = float(FIELD_OF_VIEW)
-                page.camera.position = camera.position
-                page.camera.look_at = camera.look_at
+            set_view(page, camera)
 
     def _show_surface(
         self,

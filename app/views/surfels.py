@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
 from app.state import Layer, Untrusted
-from app.views.colors import UNTRUSTED_GREY, colorize, hillshade, shade
+from app.views.colors import UNTRUSTED_GREY, Rgb, colorize, hillshade, shade
 from app.views.layers import Scale, layer_values
 from gpgrad_core.types import GradientMap
 
@@ -45,6 +45,7 @@ def make_surfels(
     yaw: float = 0.0,
     offset: float = 0.0,
     stride: int = 1,
+    tint: Rgb | None = None,
 ) -> Surfels:
     """Turn a gradient map into coloured squares.
 
@@ -58,6 +59,7 @@ def make_surfels(
         yaw: Of the map in the scene [rad], for the light.
         offset: Added to the values before they are coloured.
         stride: Draw every so many rows and columns.
+        tint: One colour for all, in place of the layer's.
     """
     grid = gradient_map.grid
     cells = (slice(None, None, stride), slice(None, None, stride))
@@ -69,11 +71,14 @@ def make_surfels(
     kept = trusted if untrusted == "hidden" else np.ones(len(positions), dtype=bool)
     # Where nothing was seen for kilometres numbers may overflow; the browser must not see them.
     kept = kept & np.isfinite(positions[:, 2])
-    values = layer_values(gradient_map, layer)[cells].ravel()[kept]
-    colors = colorize(values + offset, scale.low, scale.high, scale.color_map)
+    if tint is None:
+        values = layer_values(gradient_map, layer)[cells].ravel()[kept]
+        colors = colorize(values + offset, scale.low, scale.high, scale.color_map)
+    else:
+        colors = np.tile(np.array(tint, dtype=np.uint8), (int(kept.sum()), 1))
     if untrusted == "grey":
         colors[~trusted[kept]] = UNTRUSTED_GREY
-    if hillshaded and layer in SHADED_LAYERS:
+    if hillshaded and (tint is not None or layer in SHADED_LAYERS):
         slope = gradient_map.slope[cells].reshape(-1, 2)[kept]
         colors = shade(colors, hillshade(slope, yaw))
     return Surfels(positions[kept], colors, OVERLAP * stride * grid.resolution)
