@@ -42,7 +42,7 @@ from gpgrad_core.pipeline import (
     detect_loop_closures,
     register_pair,
 )
-from gpgrad_core.registration import RegistrationParams, register
+from gpgrad_core.registration import RegistrationParams, refine, register
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import (
     Dataset,
@@ -100,6 +100,7 @@ __all__ = [
     "preferred_parameters",
     "read_closures",
     "read_parameters",
+    "refine",
     "register",
     "register_pair",
     "report_closures",

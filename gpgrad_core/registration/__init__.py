@@ -1,6 +1,6 @@
 """Registers a pair of maps: hypotheses, alignment, and how surprising their agreement is."""
 
 from gpgrad_core.registration.params import RegistrationParams
-from gpgrad_core.registration.register import Prepared, prepare, register
+from gpgrad_core.registration.register import Prepared, prepare, refine, register
 
-__all__ = ["Prepared", "RegistrationParams", "prepare", "register"]
+__all__ = ["Prepared", "RegistrationParams", "prepare", "refine", "register"]

@@ -83,9 +83,53 @@ def register(
             progress(0.6 + 0.4 * (k + 1) / len(chosen))
     if best is None:
         return _nothing(len(matches), progress)
+    return _finish(query, database, matches, best, (of_query, of_database), params)
+
+
+def refine(
+    query: GradientMap,
+    database: GradientMap,
+    matches: Matches,
+    start: SE2,
+    params: RegistrationParams | None = None,
+    prepared: tuple[Prepared, Prepared] | None = None,
+) -> Registration:
+    """Register from a motion that is nearly right, such as one that a person has set by hand.
+
+    Args:
+        query: Map to be placed.
+        database: Map it is placed on.
+        matches: Associations; those that agree are counted, none is needed.
+        start: ``T_database_query``, up to a few length-scales off.
+        params: Of the inliers.
+        prepared: Query and database as `prepare` makes them, where they are at hand.
+
+    Returns:
+        The motion nearby under which the ground agrees best; `start` where too little of it is
+        common. The score judges it as `register`'s does.
+    """
+    params = params or RegistrationParams()
+    both = prepared or (prepare(query), prepare(database))
+    maps = both[0].relief, both[1].relief
+    tried = align(*maps, [start], num_cells=PLACED_CELLS, iterations=TRIED_ITERATIONS)
+    rough = _judge(tried, 0, maps, matches, params)
+    return _finish(query, database, matches, rough, both, params)
+
+
+def _finish(
+    query: GradientMap,
+    database: GradientMap,
+    matches: Matches,
+    rough: "_Candidate",
+    prepared: tuple[Prepared, Prepared],
+    params: RegistrationParams,
+) -> Registration:
+    """Place the best motion to a few centimetres, on the unsmoothed maps."""
+    of_query, of_database = prepared
+    maps = of_query.relief, of_database.relief
     sharp = of_query.sharp, of_database.sharp
-    placed = align(*sharp, [best.motion], num_cells=PLACED_CELLS, iterations=PLACED_ITERATIONS)
-    rough, best = best, _judge(placed, 0, maps, matches, params)
+    placed = align(*sharp, [rough.motion], num_cells=PLACED_CELLS, iterations=PLACED_ITERATIONS)
+    best = _judge(placed, 0, maps, matches, params)
     check = DenseCheck(query, database)
     area, correlation = check.compare(best.motion)
     return Registration(
