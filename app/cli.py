@@ -73,6 +73,7 @@ from gpgrad_core.outputs import (
 from gpgrad_core.parameters import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
 from gpgrad_core.progress import Progress, silent
+from gpgrad_core.scans import BuildParams, RecordingSources, build_dataset, simulate_recording
 from gpgrad_core.types import Dataset
 from gpgrad_core.version import VERSION
 
@@ -309,29 +310,113 @@ class Fit:
 
 
 @dataclass(frozen=True)
+class Build:
+    """Build submaps from scans and poses; what was stopped is gone on with by the same command."""
+
+    scans: Annotated[
+        tyro.conf.Positional[Path],
+        Doc("Folder of clouds with a file of poses, or a ROS 1 or ROS 2 bag."),
+    ]
+    out: Annotated[Path, Doc("Dataset folder to make; must not exist yet.")]
+    poses: Annotated[
+        Path | None,
+        Doc("File of poses, TUM or KITTI; None: poses.txt beside the scans, or a bag's topic."),
+    ] = None
+    truth: Annotated[
+        Path | None,
+        Doc("File of true poses, to evaluate by; None: poses_gt.txt beside the scans, if any."),
+    ] = None
+    times: Annotated[
+        Path | None,
+        Doc("File of the scans' times [s], one a row; None: times.txt, or else their names."),
+    ] = None
+    mount: Annotated[
+        Path | None,
+        Doc(
+            "File with the sensor's pose on the body that the poses are of, tx ty tz qx qy qz qw, "
+            "or KITTI's calib.txt; None: mount.txt, a bag's transforms, or the body itself."
+        ),
+    ] = None
+    cloud_topic: Annotated[
+        str | None, Doc("Topic of a bag's clouds; None: the only one there is.")
+    ] = None
+    pose_topic: Annotated[
+        str | None,
+        Doc("Topic of a bag's poses; None: the only one there is, or else the transforms."),
+    ] = None
+    world_frame: Annotated[
+        str | None,
+        Doc("Frame to build in where poses are transforms; None: the root of their tree."),
+    ] = None
+    restart: Annotated[bool, Doc("Throw away what a stopped build has left.")] = False
+    build: Annotated[BuildParams, tyro.conf.arg(name="")] = field(default_factory=BuildParams)
+
+    def run(self, given: Sequence[str]) -> None:  # noqa: ARG002 - as the other verbs
+        """Build and write."""
+        sources = RecordingSources(
+            poses=self.poses,
+            truth=self.truth,
+            times=self.times,
+            mount=self.mount,
+            cloud_topic=self.cloud_topic,
+            pose_topic=self.pose_topic,
+            world_frame=self.world_frame,
+        )
+        try:
+            with _progress("build") as progress:
+                report = build_dataset(
+                    self.scans,
+                    self.out,
+                    self.build,
+                    sources=sources,
+                    restart=self.restart,
+                    progress=progress,
+                )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt("interrupted; the same command goes on from here") from None
+        for note in report.notes:
+            _warn(note)
+        resumed = f", {report.num_resumed} of them from before" if report.num_resumed else ""
+        _say(
+            f"{_count(report.num_submaps, 'submap')} of {_count(report.num_scans, 'scan')}"
+            f"{resumed}: {self.out}"
+        )
+
+
+@dataclass(frozen=True)
 class Simulate:
     """Make a synthetic dataset with known truth."""
 
     directory: Annotated[tyro.conf.Positional[Path], Doc("Folder to make; must not exist yet.")]
+    scans: Annotated[
+        int,
+        Doc("Make a recording of so many scans instead, for `gpgrad build`; 0: submaps."),
+    ] = 0
     simulation: Annotated[SimulationParams, tyro.conf.arg(name="")] = field(
         default_factory=SimulationParams
     )
 
     def run(self, given: Sequence[str]) -> None:  # noqa: ARG002 - as the other verbs
         """Simulate and write."""
+        if self.scans:
+            with _progress("simulate") as progress:
+                simulate_recording(self.directory, self.scans, self.simulation, progress=progress)
+            _say(f"{_count(self.scans, 'scan')}: {self.directory}")
+            return
         with _progress("simulate") as progress:
             dataset = simulate_dataset(self.simulation, progress)
         write_dataset(dataset, self.directory)
         _say(f"{len(dataset.submaps)} submaps: {self.directory}")
 
 
-Verb: TypeAlias = View | Detect | Evaluate | Map | Fit | Simulate
+Verb: TypeAlias = View | Detect | Evaluate | Map | Fit | Build | Simulate
 VERBS: dict[str, type[Verb]] = {
     "view": View,
     "detect": Detect,
     "evaluate": Evaluate,
     "map": Map,
     "fit": Fit,
+    "build": Build,
     "simulate": Simulate,
 }
 
@@ -359,8 +444,8 @@ def run(arguments: Sequence[str]) -> int:
         what = error.strerror or str(error)
         _warn(_one_line(f"{error.filename}: {what}" if error.filename else what))
         return FAILED
-    except KeyboardInterrupt:
-        _warn("interrupted")
+    except KeyboardInterrupt as stopped:
+        _warn(str(stopped) or "interrupted")
         return INTERRUPTED
     return 0
 
@@ -462,6 +547,15 @@ def _fitted(start: TerrainParams, result: FitResult) -> list[str]:
         f"submap{'' if count == 1 else 's'}, {result.num_evaluations} evaluations)"
     )
     return lines
+
+
+def _count(number: int, what: str) -> str:
+    """Say how many there are.
+
+    >>> _count(1, "scan"), _count(1200, "scan")
+    ('1 scan', '1,200 scans')
+    """
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
 def _say(line: str) -> None:

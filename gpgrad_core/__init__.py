@@ -43,6 +43,7 @@ from gpgrad_core.pipeline import (
     register_pair,
 )
 from gpgrad_core.registration import RegistrationParams, refine, register
+from gpgrad_core.scans import BuildParams, BuildReport, RecordingSources, build_dataset
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import (
     Dataset,
@@ -60,6 +61,8 @@ from gpgrad_core.version import VERSION as __version__
 
 __all__ = [
     "SE2",
+    "BuildParams",
+    "BuildReport",
     "ClosureParams",
     "Dataset",
     "DetectionResult",
@@ -82,11 +85,13 @@ __all__ = [
     "PipelineParams",
     "Pose",
     "PrecisionRecall",
+    "RecordingSources",
     "Registration",
     "RegistrationParams",
     "SimulationParams",
     "Submap",
     "__version__",
+    "build_dataset",
     "classify",
     "demo_path",
     "detect_loop_closures",

@@ -45,8 +45,8 @@ class TerrainParams:
         NoiseModel,
         Doc(
             "Noise of a point: constant (noise_std), range (noise_std + noise_growth r², r from "
-            "the submap's origin), measured (by the scatter of its neighbours), or file (as the "
-            "cloud gives it)."
+            "the sensor if the cloud says so, else from the submap's origin), measured (by the "
+            "scatter of its neighbours), or file (as the cloud gives it)."
         ),
     ] = "constant"
     noise_growth: Annotated[
@@ -152,7 +152,9 @@ def ordinary_noise(points_of: Submap, known_by: Submap, params: TerrainParams) -
         case "constant":
             return np.full(len(xy), params.noise_std)
         case "range":
-            return params.noise_std + params.noise_growth * np.sum(xy**2, axis=1)
+            known = points_of.ranges
+            squared = np.sum(xy**2, axis=1) if known is None else known**2
+            return params.noise_std + params.noise_growth * squared
         case "measured":
             measured = measure_noise(known_by.points, params.length_scale, params.noise_std)
             return params.noise_factor * measured.std_at(xy)

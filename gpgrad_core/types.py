@@ -67,6 +67,7 @@ class Submap:
         colors: Red, green and blue of each point in [0, 1], for rivals that use them.
         images: Files of what a camera saw there, for rivals that use them.
         noise_std: Standard deviation of each point's height [m], where the source gives it.
+        ranges: Distance that each point was seen from [m], where the source gives it.
     """
 
     id: str
@@ -78,6 +79,7 @@ class Submap:
     colors: Float[Array, "n 3"] | None = None
     images: tuple[Path, ...] = ()
     noise_std: Float[Array, "n"] | None = None
+    ranges: Float[Array, "n"] | None = None
 
     @classmethod
     def from_points(
@@ -89,6 +91,7 @@ class Submap:
         pose_odometry: Pose | None = None,
         colors: Float[NDArray[np.floating], "n 3"] | None = None,
         noise_std: Float[NDArray[np.floating], "n"] | None = None,
+        ranges: Float[NDArray[np.floating], "n"] | None = None,
     ) -> "Submap":
         """Make a submap of points, dropping rows that are not finite.
 
@@ -99,10 +102,11 @@ class Submap:
             pose_odometry: See the class.
             colors: See the class.
             noise_std: See the class.
+            ranges: See the class.
 
         Raises:
-            InputError: If there are fewer than three finite points, all lie on one line, or a
-                noise is not above zero.
+            InputError: If there are fewer than three finite points, all lie on one line, a noise
+                is not above zero, or a range is negative.
         """
         rows = np.asarray(points)
         if rows.ndim != 2 or rows.shape[1] != 3:
@@ -139,6 +143,17 @@ class Submap:
                 )
             read_only(noise)
             digest.update(noise.tobytes())
+        seen_from = None
+        if ranges is not None:
+            seen_from = np.array(ranges[finite], dtype=np.float64)
+            wrong = np.flatnonzero(~(np.isfinite(seen_from) & (seen_from >= 0)))
+            if len(wrong):
+                raise InputError(
+                    f"{id}: range must be 0 m or more at every point, "
+                    f"got {seen_from[wrong[0]]:g} at point {wrong[0]}"
+                )
+            read_only(seen_from)
+            digest.update(b"ranges" + seen_from.tobytes())
         return cls(
             id,
             kept,
@@ -148,6 +163,7 @@ class Submap:
             num_dropped=int(np.sum(~finite)),
             colors=seen,
             noise_std=noise,
+            ranges=seen_from,
         )
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from gpgrad_core.datasets.pcd import read_pcd, read_pcd_colors
-from gpgrad_core.datasets.ply import read_ply, read_ply_colors, read_ply_noise
+from gpgrad_core.datasets.ply import read_ply, read_ply_colors, read_ply_property
 from gpgrad_core.datasets.tables import as_floats, read_table
 from gpgrad_core.errors import InputError
 from gpgrad_core.types import Submap
@@ -23,7 +23,7 @@ COARSE_STEP = 1e-3
 
 
 def load_cloud(path: Path | str) -> Submap:
-    """Load one gravity-aligned cloud: .ply .pcd .npz .npy .xyz .csv .las .laz.
+    """Load one gravity-aligned cloud: .ply .pcd .npz .npy .xyz .csv .las .laz .bin.
 
     float64 files keep their precision. Rows that are not finite are dropped and counted in
     ``Submap.num_dropped``.
@@ -44,12 +44,16 @@ def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
     Raises:
         InputError: See `load_cloud`.
     """
-    points = _read_points(path)
+    points = read_points(path)
     if len(points) == 0:
         raise InputError(f"{path}: is an empty cloud: it holds no points")
     try:
         submap = Submap.from_points(
-            points, path.stem, colors=_read_colors(path), noise_std=_read_noise(path)
+            points,
+            path.stem,
+            colors=_read_colors(path),
+            noise_std=_read_property(path, "noise_std"),
+            ranges=_read_property(path, "range"),
         )
     except InputError as error:
         # The submap knows only its name; the user needs the file.
@@ -67,8 +71,12 @@ def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
     return submap, tuple(notes)
 
 
-def _read_points(path: Path) -> Points:
-    """Read a cloud's rows as they are, NaN and all, in the precision of the file."""
+def read_points(path: Path) -> Points:
+    """Read a cloud's rows [m] as they are, NaN and all, in the precision of the file.
+
+    Raises:
+        InputError: See `load_cloud`; but any points will do, and even none.
+    """
     if not path.exists():
         raise InputError(f"{path}: no such file")
     reader = READERS.get(path.suffix.lower())
@@ -87,16 +95,14 @@ def _read_colors(path: Path) -> Float[NDArray[np.floating], "n 3"] | None:
     return None if reader is None else reader(path)
 
 
-def _read_noise(path: Path) -> Float[NDArray[np.floating], "n"] | None:
-    reader = NOISE_READERS.get(path.suffix.lower())
-    return None if reader is None else reader(path)
+def _read_property(path: Path, name: str) -> Float[NDArray[np.floating], "n"] | None:
+    reader = PROPERTY_READERS.get(path.suffix.lower())
+    return None if reader is None else reader(path, name)
 
 
-def _read_npz_noise(path: Path) -> Float[NDArray[np.floating], "n"] | None:
+def _read_npz_property(path: Path, name: str) -> Float[NDArray[np.floating], "n"] | None:
     with np.load(path, allow_pickle=False) as archive:
-        return (
-            np.asarray(archive["noise_std"], np.float64).ravel() if "noise_std" in archive else None
-        )
+        return np.asarray(archive[name], np.float64).ravel() if name in archive else None
 
 
 def _read_npy(path: Path) -> Points:
@@ -145,6 +151,17 @@ def _check_points(array: NDArray[Any], where: str) -> Points:
     return as_floats(array)
 
 
+def _read_bin(path: Path) -> Points:
+    """Read KITTI's rows of x, y, z and reflectance: float32, and nothing else."""
+    size = path.stat().st_size
+    if size % 16:
+        raise InputError(
+            f"{path}: is not a whole KITTI scan: {size:,} bytes are no multiple of 16, four "
+            "float32 a point"
+        )
+    return np.fromfile(path, "<f4").reshape(-1, 4)[:, :3]
+
+
 def _read_las(path: Path) -> Points:
     try:
         # By name, because it is an extra: the default install does without.
@@ -174,14 +191,16 @@ READERS: dict[str, Callable[[Path], Points]] = {
     ".csv": read_table,
     ".las": _read_las,
     ".laz": _read_las,
+    ".bin": _read_bin,
 }
 """What reads a file, by its ending."""
 
-NOISE_READERS: dict[str, Callable[[Path], Float[NDArray[np.floating], "n"] | None]] = {
-    ".ply": read_ply_noise,
-    ".npz": _read_npz_noise,
+PROPERTY_READERS: dict[str, Callable[[Path, str], Float[NDArray[np.floating], "n"] | None]] = {
+    ".ply": read_ply_property,
+    ".npz": _read_npz_property,
 }
-"""What reads ``noise_std``, the standard deviation of each point's height [m], by its ending."""
+"""What reads a number of each point by its name, by the file's ending: ``noise_std``, the standard
+deviation of its height [m], and ``range``, the distance it was seen from [m]."""
 
 COLOR_READERS: dict[str, Callable[[Path], Float[NDArray[np.floating], "n 3"] | None]] = {
     ".ply": read_ply_colors,

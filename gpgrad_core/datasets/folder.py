@@ -166,11 +166,8 @@ def write_dataset(dataset: Dataset, directory: Path | str, progress: Progress = 
     """
     directory = Path(directory)
     _check_ids(dataset)
+    check_vacant(directory)
     try:
-        if directory.exists() and not directory.is_dir():
-            raise InputError(f"{directory}: is a file; name a new or empty folder")
-        if directory.exists() and any(directory.iterdir()):
-            raise InputError(f"{directory}: is not empty; name a new or empty folder")
         directory.parent.mkdir(parents=True, exist_ok=True)
         # Written beside its place and renamed: a run that is stopped leaves no half dataset.
         unfinished = directory.resolve().with_name(f".{directory.name}.{uuid.uuid4().hex[:8]}")
@@ -183,6 +180,18 @@ def write_dataset(dataset: Dataset, directory: Path | str, progress: Progress = 
             shutil.rmtree(unfinished, ignore_errors=True)
     except OSError as error:
         raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from None
+
+
+def check_vacant(directory: Path) -> None:
+    """Check that a dataset may be written there.
+
+    Raises:
+        InputError: If something is there already.
+    """
+    if directory.exists() and not directory.is_dir():
+        raise InputError(f"{directory}: is a file; name a new or empty folder")
+    if directory.exists() and any(directory.iterdir()):
+        raise InputError(f"{directory}: is not empty; name a new or empty folder")
 
 
 def _check_ids(dataset: Dataset) -> None:
@@ -209,7 +218,9 @@ def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
     truth: dict[int, Pose] = {}
     odometry: dict[int, Pose] = {}
     for count, submap in enumerate(dataset.submaps, start=1):
-        write_ply(folder / "submaps" / f"{submap.id}.ply", submap.points, submap.colors)
+        extras = {"noise_std": submap.noise_std, "range": submap.ranges}
+        known = {name: values for name, values in extras.items() if values is not None}
+        write_ply(folder / "submaps" / f"{submap.id}.ply", submap.points, submap.colors, known)
         index = index_of(submap.id)
         if index is not None and submap.pose_true is not None:
             truth[index] = submap.pose_true

@@ -6,7 +6,7 @@ refuse, but cannot say how much is missing. With the header's own promise checke
 one NumPy call.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -96,8 +96,8 @@ def read_ply_colors(path: Path) -> Float[Array, "n 3"] | None:
     return colors / np.iinfo(kinds["red"]).max if whole else colors
 
 
-def read_ply_noise(path: Path) -> Float[Array, "n"] | None:
-    """Read the vertices' ``noise_std`` [m]; None if they have none.
+def read_ply_property(path: Path, name: str) -> Float[Array, "n"] | None:
+    """Read one number of each vertex, such as its ``noise_std`` [m]; None if they have none.
 
     Raises:
         InputError: See `read_ply`.
@@ -105,9 +105,9 @@ def read_ply_noise(path: Path) -> Float[Array, "n"] | None:
     data = path.read_bytes()
     header = _parse_header(data, path)
     vertex = next(element for element in header.elements if element.name == "vertex")
-    if not dict(vertex.properties).get("noise_std"):
+    if not dict(vertex.properties).get(name):
         return None
-    return _read_vertices(data, header, ("noise_std",), path).astype(np.float64).ravel()
+    return _read_vertices(data, header, (name,), path).astype(np.float64).ravel()
 
 
 def _read_vertices(
@@ -185,17 +185,19 @@ def _with_property(element: _Element, name: str, kind: str) -> _Element:
     return _Element(element.name, element.count, (*element.properties, (name, kind)))
 
 
-def _columns(vertex: _Element, wanted: Sequence[str], path: Path) -> tuple[int, int, int]:
+def _columns(vertex: _Element, wanted: Sequence[str], path: Path) -> tuple[int, ...]:
     found = {name: column for column, (name, kind) in enumerate(vertex.properties) if kind}
     missing = [name for name in wanted if name not in found]
     if missing:
         raise InputError(f"{path}: its vertices have no property {' or '.join(missing)}")
-    first, second, third = (found[name] for name in wanted)
-    return first, second, third
+    return tuple(found[name] for name in wanted)
 
 
 def write_ply(
-    path: Path, points: Float[Array, "n 3"], colors: Float[Array, "n 3"] | None = None
+    path: Path,
+    points: Float[Array, "n 3"],
+    colors: Float[Array, "n 3"] | None = None,
+    extras: Mapping[str, Float[Array, "n"]] | None = None,
 ) -> None:
     """Write points as a little-endian binary PLY.
 
@@ -205,7 +207,9 @@ def write_ply(
         path: The file; overwritten if it exists.
         points: Positions [m].
         colors: Red, green and blue in [0, 1]; kept to a 255th.
+        extras: Further numbers of each point, by name; kept as float32.
     """
+    extras = extras or {}
     wide = bool(len(points)) and float(np.abs(points).max()) > MAX_FLOAT32_EXTENT
     kind, dtype = ("double", "<f8") if wide else ("float", "<f4")
     header = "\n".join(
@@ -215,11 +219,13 @@ def write_ply(
             f"element vertex {len(points)}",
             *(f"property {kind} {name}" for name in "xyz"),
             *(f"property uchar {name}" for name in RGB if colors is not None),
+            *(f"property float {name}" for name in extras),
             "end_header\n",
         ]
     )
-    body = points.astype(dtype)
+    columns = [points.astype(dtype)]
     if colors is not None:
-        shades = np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8)
-        body = np.hstack([body.view(np.uint8).reshape(len(points), -1), shades])
-    path.write_bytes(header.encode("ascii") + body.tobytes())
+        columns.append(np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8))
+    columns += [values.astype("<f4")[:, None] for values in extras.values()]
+    rows = [np.ascontiguousarray(column).view(np.uint8) for column in columns]
+    path.write_bytes(header.encode("ascii") + np.hstack(rows).tobytes())

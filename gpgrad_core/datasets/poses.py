@@ -50,21 +50,40 @@ def _parse_row(words: list[str], where: str) -> tuple[int, Pose]:
         raise InputError(
             f"{where}: has {len(words)} columns, a pose needs 8: index tx ty tz qx qy qz qw"
         )
+    values = parse_numbers(words, where)
+    if not values[0].is_integer():
+        raise InputError(f"{where}: the index must be a whole number, got {words[0]}")
+    return int(values[0]), make_pose(values[1:], where)
+
+
+def parse_numbers(words: list[str], where: str) -> list[float]:
+    """Parse the columns of a row.
+
+    Raises:
+        InputError: If one is not a number, or not finite; says where.
+    """
     try:
         values = [float(word) for word in words]
     except ValueError:
         raise InputError(f"{where}: holds something that is not a number") from None
     if not np.isfinite(values).all():
         raise InputError(f"{where}: holds a value that is not finite")
-    if not values[0].is_integer():
-        raise InputError(f"{where}: the index must be a whole number, got {words[0]}")
-    quaternion = np.array(values[4:])
+    return values
+
+
+def make_pose(values: list[float], where: str) -> Pose:
+    """Make a pose of ``tx ty tz qx qy qz qw``.
+
+    Raises:
+        InputError: If the quaternion is not of unit length; says where.
+    """
+    quaternion = np.array(values[3:])
     length = float(np.linalg.norm(quaternion))
     if abs(length - 1.0) > QUATERNION_TOLERANCE:
         raise InputError(
             f"{where}: the quaternion qx qy qz qw must have length 1, this one has {length:.3g}"
         )
-    return int(values[0]), Pose(np.array(values[1:4]), quaternion / length)
+    return Pose(np.array(values[:3]), quaternion / length)
 
 
 def write_poses(path: Path, poses: Mapping[int, Pose]) -> None:
@@ -75,8 +94,17 @@ def write_poses(path: Path, poses: Mapping[int, Pose]) -> None:
         poses: By index.
     """
     rows = ["# index tx ty tz qx qy qz qw   (p_world = R p_submap + t)"]
-    for index, pose in poses.items():
-        translation = " ".join(f"{value:.6f}" for value in pose.translation)
-        quaternion = " ".join(f"{value:.9f}" for value in pose.quaternion)
-        rows.append(f"{index} {translation} {quaternion}")
+    rows += [pose_row(str(index), pose) for index, pose in poses.items()]
     path.write_text("\n".join(rows) + "\n", encoding="utf-8", newline="\n")
+
+
+def pose_row(key: str, pose: Pose) -> str:
+    """Spell a pose as a TUM row.
+
+    Args:
+        key: Its index or time.
+        pose: Goes to a micrometre and nine digits of quaternion.
+    """
+    translation = " ".join(f"{value:.6f}" for value in pose.translation)
+    quaternion = " ".join(f"{value:.9f}" for value in pose.quaternion)
+    return f"{key} {translation} {quaternion}"

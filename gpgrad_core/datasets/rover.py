@@ -6,10 +6,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gpgrad_core.datasets.simulation_params import SimulationParams
 from gpgrad_core.datasets.terrain import HeightField
 from gpgrad_core.errors import InputError
+from gpgrad_core.types import Pose
 
 Array = NDArray[np.float64]
 STEP = 0.05  # between the points of a track [m]
@@ -39,6 +41,17 @@ class Track:
 
     xy: Float[Array, "n 2"]  # [m]
     yaw: Float[Array, "n"]  # of the rover, along the drive [rad]
+
+    @property
+    def length(self) -> float:
+        """Of the whole drive [m]."""
+        return STEP * (len(self.xy) - 1)
+
+    def between(self, distance: float) -> Stop:
+        """Find the rover after some driving [m], also between the points of the track."""
+        after = STEP * np.arange(len(self.xy))
+        x, y = (float(np.interp(distance, after, self.xy[:, axis])) for axis in range(2))
+        return Stop(x, y, float(np.interp(distance, after, np.unwrap(self.yaw))))
 
     def at(self, distance: float) -> Stop:
         """Find the rover after some driving [m]; at the end it stays."""
@@ -103,6 +116,26 @@ def _headings(xy: Float[Array, "n 2"]) -> Float[Array, "n"]:
     return np.arctan2(along[:, 1], along[:, 0])
 
 
+def sensor_pose(terrain: HeightField, stop: Stop, params: SimulationParams) -> Pose:
+    """Give the sensor's pose in the world, tilted as the ground tilts the rover; x is forward."""
+    eye, pitch, roll = _stand(terrain, stop, params)
+    turn = Rotation.from_euler("ZYX", [stop.yaw, pitch, roll])
+    return Pose(eye, turn.as_quat(canonical=True))
+
+
+def _stand(
+    terrain: HeightField, stop: Stop, params: SimulationParams
+) -> tuple[Float[Array, "3"], float, float]:
+    """Put the rover on the ground: where its sensor is [m], its pitch and its roll [rad]."""
+    wheels = 0.5 * WHEELBASE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    c, s = np.cos(stop.yaw), np.sin(stop.yaw)
+    heights = terrain.height(wheels @ np.array([[c, s], [-s, c]]) + np.array([stop.x, stop.y]))
+    pitch = np.arctan2(heights[1] - heights[0], WHEELBASE)  # positive: nose down
+    roll = np.arctan2(heights[2] - heights[3], WHEELBASE)  # positive: left side up
+    eye = np.array([stop.x, stop.y, heights.mean() + params.camera_height])
+    return eye, pitch, roll
+
+
 def scan(
     terrain: HeightField, stop: Stop, params: SimulationParams, rng: Generator
 ) -> Float[Array, "n 3"]:
@@ -121,12 +154,8 @@ def scan(
     Returns:
         Measured points in the world [m].
     """
-    wheels = 0.5 * WHEELBASE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    eye, pitch, roll = _stand(terrain, stop, params)
     c, s = np.cos(stop.yaw), np.sin(stop.yaw)
-    heights = terrain.height(wheels @ np.array([[c, s], [-s, c]]) + np.array([stop.x, stop.y]))
-    pitch = np.arctan2(heights[1] - heights[0], WHEELBASE)  # positive: nose down
-    roll = np.arctan2(heights[2] - heights[3], WHEELBASE)  # positive: left side up
-    eye = np.array([stop.x, stop.y, heights.mean() + params.camera_height])
 
     # The fan is wider than the view, because a tilted rover sees a tilted part of it.
     lidar = params.sensor == "lidar"

@@ -36,11 +36,11 @@ def simulate_dataset(params: SimulationParams, progress: Progress = silent) -> D
         InputError: If the route does not fit into the extent.
     """
     track = plan_track(params)
-    terrain = make_terrain(params, track.xy, _stream(params.seed, TERRAIN_STREAM))
+    terrain = make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM))
     progress(0.2)
     starts = [track.at(k * params.spacing) for k in range(params.num_submaps)]
-    truth = [_true_pose(terrain, start) for start in starts]
-    odometry = _drift(truth, params, _stream(params.seed, ODOMETRY_STREAM))
+    truth = [true_pose(terrain, start) for start in starts]
+    odometry = drift(truth, params, stream(params.seed, ODOMETRY_STREAM), params.spacing)
     submaps: list[Submap] = []
     for k in range(params.num_submaps):
         points = _make_submap(terrain, track, k, params)
@@ -60,12 +60,13 @@ def simulate_dataset(params: SimulationParams, progress: Progress = silent) -> D
     )
 
 
-def _stream(*path: int) -> Generator:
+def stream(*path: int) -> Generator:
     """Make a source of chance of its own, so that one more submap changes no other."""
     return Generator(PCG64(SeedSequence(path)))
 
 
-def _true_pose(terrain: HeightField, stop: Stop) -> Pose:
+def true_pose(terrain: HeightField, stop: Stop) -> Pose:
+    """Give the level frame on the ground under the rover."""
     ground = float(terrain.height(np.array([[stop.x, stop.y]]))[0])
     return _level_pose(stop.x, stop.y, ground, stop.yaw)
 
@@ -77,20 +78,28 @@ def _level_pose(x: float, y: float, z: float, yaw: float) -> Pose:
     )
 
 
-def _drift(truth: list[Pose], params: SimulationParams, rng: Generator) -> list[Pose]:
-    """Retell the drive as odometry has it: each step a little long or short, and a little off."""
+def drift(truth: list[Pose], params: SimulationParams, rng: Generator, step: float) -> list[Pose]:
+    """Retell the drive as odometry has it: each step a little long or short, and a little off.
+
+    Args:
+        truth: Level poses along the drive.
+        params: Of the odometry.
+        rng: Source of all chance.
+        step: From pose to pose [m]; many small ones drift as far as a few large ones.
+    """
     believed = [truth[0]]
+    more = np.sqrt(params.spacing / step)
     for before, after in pairwise(truth):
-        step = before.planar.inverse() @ after.planar
-        length_error, height_error = rng.normal(0.0, params.odometry_drift, 2)
-        turn_error = rng.normal(0.0, params.heading_drift * np.sqrt(params.spacing))
+        motion = before.planar.inverse() @ after.planar
+        length_error, height_error = more * rng.normal(0.0, params.odometry_drift, 2)
+        turn_error = rng.normal(0.0, params.heading_drift * np.sqrt(step))
         # Half of the turn's error has built up by the middle of the step.
         off_course = SE2(yaw=0.5 * turn_error)
-        x, y = off_course.rotation @ (step.translation * (1.0 + length_error))
+        x, y = off_course.rotation @ (motion.translation * (1.0 + length_error))
         last = believed[-1]
-        here = last.planar @ SE2(float(x), float(y), step.yaw + turn_error)
+        here = last.planar @ SE2(float(x), float(y), motion.yaw + turn_error)
         climb = float(after.translation[2] - before.translation[2])
-        z = float(last.translation[2]) + climb + params.spacing * height_error
+        z = float(last.translation[2]) + climb + step * height_error
         believed.append(_level_pose(here.x, here.y, z, here.yaw))
     return believed
 
@@ -99,10 +108,10 @@ def _make_submap(
     terrain: HeightField, track: Track, index: int, params: SimulationParams
 ) -> Float[Array, "n 3"]:
     """Put together what the sensor saw from the stops of one submap."""
-    rng = _stream(params.seed, SUBMAP_STREAM, index)
+    rng = stream(params.seed, SUBMAP_STREAM, index)
     start_distance = index * params.spacing
     start = track.at(start_distance)
-    pose = _true_pose(terrain, start)
+    pose = true_pose(terrain, start)
     num_stops = max(1, round(params.spacing / STOP_SPACING))
     clouds: list[Array] = []
     offset, yaw_error = np.zeros(3), 0.0

@@ -69,18 +69,18 @@ def _named_columns(words: list[str]) -> tuple[int, int, int] | None:
 def read_body(
     text: str,
     count: int,
-    columns: tuple[int, int, int],
+    columns: tuple[int, ...],
     path: Path,
     *,
     skipped: int = 0,
     first_line: int,
-) -> Float[Array, "n 3"]:
+) -> Float[Array, "n columns"]:
     """Read the rows of an ascii body whose header promised how many there are.
 
     Args:
         text: All that follows the header.
         count: Rows promised.
-        columns: Which columns are x, y and z.
+        columns: Which columns are wanted, such as those of x, y and z.
         path: The file, for the error message.
         skipped: Lines before the rows that belong to something else.
         first_line: Number of the body's first line in the file.
@@ -116,17 +116,17 @@ def cut_short(path: Path, promised: int, found: int) -> InputError:
 
 def parse_rows(
     lines: Sequence[str],
-    columns: tuple[int, int, int],
+    columns: tuple[int, ...],
     separator: str | None,
     path: Path,
     *,
     first_line: int,
-) -> Float[Array, "n 3"]:
-    """Parse three columns out of rows of numbers, at full precision.
+) -> Float[Array, "n columns"]:
+    """Parse columns out of rows of numbers, at full precision.
 
     Args:
         lines: Text, a row a line; empty lines and comments are skipped.
-        columns: Which columns are x, y and z, counted from 0.
+        columns: Which columns are wanted, such as those of x, y and z, counted from 0.
         separator: What parts the columns; None means spaces.
         path: The file, for the error message.
         first_line: Number of the first of these lines in the file, for the error message.
@@ -136,7 +136,7 @@ def parse_rows(
     """
     rows = [line for line in lines if _is_data(line)]
     if not rows:
-        return np.empty((0, 3))
+        return np.empty((0, len(columns)))
     try:
         return np.loadtxt(rows, delimiter=separator, usecols=columns, comments=None, ndmin=2)
     except ValueError:
@@ -146,11 +146,11 @@ def parse_rows(
 
 def _parse_slowly(
     lines: Sequence[str],
-    columns: tuple[int, int, int],
+    columns: tuple[int, ...],
     separator: str | None,
     path: Path,
     first_line: int,
-) -> Float[Array, "n 3"]:
+) -> Float[Array, "n columns"]:
     points: list[list[float]] = []
     for number, line in enumerate(lines, start=first_line):
         if not _is_data(line):
@@ -159,7 +159,8 @@ def _parse_slowly(
         if len(fields) <= max(columns):
             raise InputError(
                 f"{path}, line {number}: has {len(fields)} column{'s' * (len(fields) != 1)}, "
-                f"x, y and z need {max(columns) + 1}: {_shorten(line)!r}"
+                f"{'x, y and z need' if len(columns) == 3 else 'it needs'} {max(columns) + 1}: "
+                f"{_shorten(line)!r}"
             )
         point: list[float] = []
         for column in columns:
@@ -171,7 +172,7 @@ def _parse_slowly(
                     f"{path}, line {number}: {_shorten(fields[column])!r} is not a number{hint}"
                 ) from None
         points.append(point)
-    return np.array(points, dtype=np.float64).reshape(-1, 3)
+    return np.array(points, dtype=np.float64).reshape(-1, len(columns))
 
 
 def _is_data(line: str) -> bool:

@@ -103,10 +103,13 @@ def calibrate(
 def _split(submap: Submap, seed: int) -> tuple[Submap, Submap]:
     """Part a submap's points into those seen and those held out."""
     held_out = np.random.default_rng(seed).random(len(submap.points)) < HELD_OUT
-    noise = submap.noise_std
+    noise, ranges = submap.noise_std, submap.ranges
     seen, unseen = (
         Submap.from_points(
-            submap.points[rows], submap.id, noise_std=None if noise is None else noise[rows]
+            submap.points[rows],
+            submap.id,
+            noise_std=None if noise is None else noise[rows],
+            ranges=None if ranges is None else ranges[rows],
         )
         for rows in (~held_out, held_out)
     )

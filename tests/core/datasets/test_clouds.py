@@ -154,7 +154,7 @@ def test_a_missing_file_and_an_unknown_ending(tmp_path: Path) -> None:
     assert_refused(
         lambda: load_cloud(tmp_path / "a.e57"),
         "a.e57: unknown ending '.e57'",
-        ".ply .pcd .npz .npy .xyz .csv .las .laz",
+        ".ply .pcd .npz .npy .xyz .csv .las .laz .bin",
     )
     (tmp_path / "folder.ply").mkdir()
     assert_refused(lambda: load_cloud(tmp_path / "folder.ply"), "folder.ply: cannot be read")

@@ -153,7 +153,7 @@ def test_it_is_written_and_read_without_loss(dataset: Dataset, tmp_path: Path) -
 
 
 def test_params_out_of_bounds_are_refused() -> None:
-    assert_refused(lambda: SimulationParams(max_range=0.0), "max_range must be from 2 to 20 m")
+    assert_refused(lambda: SimulationParams(max_range=0.0), "max_range must be from 2 to 60 m")
     assert_refused(lambda: SimulationParams(seed=-1), "seed must be from 0")
     assert_refused(lambda: simulate_dataset(replace(SMALL, extent=15.0)), "extent must be")
 

@@ -1,0 +1,312 @@
+"""A ROS 1 or ROS 2 bag -> a recording."""
+
+import contextlib
+import importlib
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.datasets.poses import make_pose
+from gpgrad_core.errors import InputError
+from gpgrad_core.progress import Cancelled
+from gpgrad_core.scans.params import BuildParams
+from gpgrad_core.scans.point_cloud2 import points_of
+from gpgrad_core.scans.pose_files import read_mount, read_pose_file
+from gpgrad_core.scans.recording import (
+    Reader,
+    Recording,
+    RecordingSources,
+    identify,
+    place,
+    spelled,
+    truth_at,
+)
+from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
+from gpgrad_core.scans.transforms import FrameRows, FrameTree, plain, seconds
+
+Array = NDArray[np.float64]
+CLOUDS = ("sensor_msgs/msg/PointCloud2",)
+ODOMETRY = "nav_msgs/msg/Odometry"
+WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+POSES = (ODOMETRY, WITH_COVARIANCE, "geometry_msgs/msg/PoseStamped")
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+ENDINGS = (".bag", ".mcap", ".db3")
+
+
+def is_bag(path: Path) -> bool:
+    """Say whether a path is a bag: a file of one, a folder of ROS 2, or a folder of ``.bag``."""
+    return bool(_files(path))
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path] if path.suffix.lower() in ENDINGS else []
+    if (path / "metadata.yaml").exists():
+        return [path]
+    return sorted(file for file in path.glob("*.bag") if not file.name.startswith("."))
+
+
+def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
+    """Open a bag.
+
+    The clouds are ``PointCloud2``; the poses ``Odometry``, ``PoseStamped`` or
+    ``PoseWithCovarianceStamped``, or else the transforms from the root of their tree to the
+    clouds' frame. Where the poses are of another frame than the clouds, the transforms between
+    the two are taken.
+
+    Args:
+        path: A ``.bag``, ``.mcap`` or ``.db3``, a folder of ROS 2, or a folder of ``.bag``, which
+            count as one.
+        sources: Topics and frames, where they are not the only ones; files to be read besides.
+        params: How scans and poses are brought together.
+
+    Raises:
+        InputError: If the bag is broken, or what is needed is not in it or more than once.
+    """
+    with _reading(path) as reader:
+        cloud_topic = _choose(reader, CLOUDS, sources.cloud_topic, "clouds", "--cloud-topic", path)
+        pose_topic = None
+        if sources.poses is None and not _asks_for_transforms(reader, sources.pose_topic):
+            candidates = _topics(reader, POSES)
+            if candidates or sources.pose_topic or not _topics(reader, TRANSFORMS):
+                pose_topic = _choose(
+                    reader, POSES, sources.pose_topic, "poses", "--pose-topic", path
+                )
+        contents = _gather(reader, cloud_topic, pose_topic, path)
+    stamps = np.array(contents.stamps)
+    tree = contents.frames.tree()
+    body, span, notes = _body(contents, tree, stamps, sources, params, path)
+    mount, mount_notes = _mount(contents, tree, stamps, sources, params, path)
+    both = body.known & mount.known
+    notes += mount_notes + place(stamps, Located(body.poses, both), span, str(path), params)
+    kept = np.flatnonzero(both)
+    truth = None if sources.truth is None else read_pose_file(sources.truth).trajectory
+    true_poses, truth_notes = truth_at(truth, stamps[kept], str(sources.truth), params)
+    files = [
+        f for file in _files(path) for f in (sorted(file.iterdir()) if file.is_dir() else [file])
+    ]
+    texts = [file for file in (sources.poses, sources.truth, sources.mount) if file]
+    return Recording(
+        name=path.resolve().stem,
+        identity=identify([*files, *texts]),
+        stamps=stamps[kept],
+        body=body.poses[kept],
+        mount=mount.poses[kept],
+        read=_reader(path, cloud_topic, np.array(contents.logged), kept),
+        labels=tuple(f"{path.name}, {cloud_topic}, message {k}" for k in kept),
+        covariance=None if body.covariance is None else body.covariance[kept],
+        truth=true_poses,
+        notes=(*notes, *truth_notes),
+    )
+
+
+@dataclass(eq=False)
+class _Contents:
+    """What a first pass over a bag leaves in memory: all but the points."""
+
+    frame: str = ""  # of the clouds
+    stamps: list[float] = field(default_factory=list[float])  # of the clouds [s]
+    logged: list[int] = field(default_factory=list[int])  # when they were recorded [ns]
+    pose_topic: str | None = None
+    body_frame: str = ""  # what the poses are of, if the messages say
+    rows: list[list[float]] = field(default_factory=list[list[float]])
+    covariances: list[Array] = field(default_factory=list[Array])
+    frames: FrameRows = field(default_factory=FrameRows)
+
+
+def _gather(reader: Any, cloud_topic: str, pose_topic: str | None, path: Path) -> _Contents:
+    contents = _Contents(pose_topic=pose_topic)
+    transforms = _topics(reader, TRANSFORMS)
+    wanted = {cloud_topic, pose_topic, *transforms}
+    connections = [c for c in reader.connections if c.topic in wanted]
+    for connection, logged, raw in reader.messages(connections):
+        message = reader.deserialize(raw, connection.msgtype)
+        where = f"{path}, {connection.topic}"
+        if connection.topic == cloud_topic:
+            contents.frame = plain(message.header.frame_id)
+            contents.stamps.append(seconds(message.header))
+            contents.logged.append(int(logged))
+        elif connection.topic == pose_topic:
+            _add_pose(contents, message, connection.msgtype, where)
+        else:
+            static = connection.topic.endswith("tf_static")
+            contents.frames.add(message, static=static, where=where)
+    if not contents.stamps:
+        raise InputError(f"{path}: its topic {cloud_topic} has no messages")
+    return contents
+
+
+def _add_pose(contents: _Contents, message: Any, kind: str, where: str) -> None:
+    pose = message.pose.pose if kind in (ODOMETRY, WITH_COVARIANCE) else message.pose
+    position, turn = pose.position, pose.orientation
+    stamp = seconds(message.header)
+    values = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
+    make_pose([float(value) for value in values], f"{where}, at {stamp:.3f} s")
+    contents.rows.append([stamp, *values])
+    if kind == ODOMETRY:
+        contents.body_frame = plain(message.child_frame_id)
+    if kind in (ODOMETRY, WITH_COVARIANCE):
+        covariance = np.asarray(message.pose.covariance, np.float64).reshape(6, 6)
+        contents.covariances.append(covariance[:3, :3].copy())
+
+
+def _body(
+    contents: _Contents,
+    tree: FrameTree,
+    stamps: Float[Array, "n"],
+    sources: RecordingSources,
+    params: BuildParams,
+    path: Path,
+) -> tuple[Located, str, tuple[str, ...]]:
+    """Find the body's pose at each scan; and say what time is known, and what was assumed."""
+    if sources.poses is not None:
+        found = read_pose_file(sources.poses)
+        if found.numbered:
+            raise InputError(
+                f"{sources.poses}: KITTI poses have no times to find a bag's scans by; "
+                "give TUM poses"
+            )
+        trajectory = found.trajectory
+    elif contents.pose_topic is not None:
+        if not contents.rows:
+            raise InputError(f"{path}: its topic {contents.pose_topic} has no messages")
+        table = np.array(contents.rows)
+        known = np.array(contents.covariances)
+        trajectory = Trajectory.in_order(
+            table[:, 0],
+            Poses(table[:, 1:4], Rotation.from_quat(table[:, 4:])),
+            # All zeros is ROS's way of saying that nothing is known.
+            known if len(known) and np.any(known) else None,
+        )
+    else:
+        world = sources.world_frame or tree.root(contents.frame)
+        located = tree.between(plain(world), contents.frame, stamps, params)
+        if located is None or plain(world) == contents.frame:
+            raise InputError(
+                f"{path}: its transforms do not join the clouds' frame {contents.frame!r} to "
+                f"{world!r}; they have {_listed(tree.parents)}"
+            )
+        moving = [edge.stamps for edge in tree.edges.values() if not edge.fixed]
+        span = f"from {spelled(np.concatenate(moving))}" if moving else "fixed"
+        return located, span, (f"poses are the transforms from {world} to {contents.frame}",)
+    return trajectory.at(stamps, params), f"from {spelled(trajectory.stamps)}", ()
+
+
+def _mount(
+    contents: _Contents,
+    tree: FrameTree,
+    stamps: Float[Array, "n"],
+    sources: RecordingSources,
+    params: BuildParams,
+    path: Path,
+) -> tuple[Located, tuple[str, ...]]:
+    """Find the sensor's pose on the body at each scan, and say what was assumed."""
+    if sources.mount is not None:
+        fixed = Trajectory(np.zeros(1), read_mount(sources.mount).pose, fixed=True)
+        return fixed.at(stamps, params), ()
+    itself = Trajectory(np.zeros(1), Poses.identity(), fixed=True).at(stamps, params)
+    body, frame = contents.body_frame, contents.frame
+    if not body:
+        if sources.poses is None and contents.pose_topic is None:
+            return itself, ()
+        return itself, (
+            f"the poses are taken as those of the clouds' frame {frame!r}; if they are of another, "
+            "say where the sensor sits on it: --mount FILE",
+        )
+    between = tree.between(body, frame, stamps, params)
+    if between is None:
+        raise InputError(
+            f"{path}: no transforms join {body!r}, which the poses are of, to the clouds' frame "
+            f"{frame!r}; say where the sensor sits: --mount FILE with tx ty tz qx qy qz qw"
+        )
+    return between, ()
+
+
+def _reader(
+    path: Path, topic: str, logged: Int[NDArray[np.int64], "n"], kept: Int[NDArray[np.intp], "m"]
+) -> Reader:
+    def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
+        wanted = kept[start:stop]
+        if not len(wanted):
+            return
+        # Where the bag is in order, all before the first one wanted is skipped unread.
+        in_order = bool(np.all(logged[1:] >= logged[:-1]))
+        since = int(logged[wanted[0]]) if in_order else None
+        number = int(np.searchsorted(logged, since)) if since is not None else 0
+        chosen = {int(k) for k in wanted}
+        with _reading(path) as reader:
+            connections = [c for c in reader.connections if c.topic == topic]
+            for connection, _, raw in reader.messages(connections, start=since):
+                if number in chosen:
+                    message = reader.deserialize(raw, connection.msgtype)
+                    yield points_of(message, f"{path}, {topic}, message {number}")
+                if number >= wanted[-1]:
+                    return
+                number += 1
+
+    return read
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Generator[Any]:
+    """Open a bag's reader; whatever goes wrong with the bag becomes one line.
+
+    Raises:
+        InputError: If the extra is not installed, or the bag is broken.
+    """
+    try:
+        # By name, because it is an extra: the default install does without.
+        highlevel: Any = importlib.import_module("rosbags.highlevel")
+        typesys: Any = importlib.import_module("rosbags.typesys")
+    except ModuleNotFoundError:
+        raise InputError(
+            f"{path}: reading bags needs the extra 'ros': pip install 'gpgrad[ros]'"
+        ) from None
+    # Bags of early ROS 2 do not say how their messages are laid out.
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    try:
+        with highlevel.AnyReader(_files(path), default_typestore=store) as reader:
+            yield reader
+    except (InputError, Cancelled):
+        raise
+    except Exception as error:  # rosbags, sqlite, lz4 and zstd each raise their own
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: is not a whole bag: {said}") from None
+
+
+def _topics(reader: Any, kinds: Sequence[str]) -> dict[str, int]:
+    """Topics of some kinds, with the number of their messages."""
+    found = {name: info for name, info in reader.topics.items() if info.msgtype in kinds}
+    return {name: int(info.msgcount) for name, info in found.items()}
+
+
+def _asks_for_transforms(reader: Any, topic: str | None) -> bool:
+    return topic is not None and topic in _topics(reader, TRANSFORMS)
+
+
+def _choose(
+    reader: Any, kinds: Sequence[str], wanted: str | None, what: str, flag: str, path: Path
+) -> str:
+    found = _topics(reader, kinds)
+    listed = ", ".join(f"{name} ({count:,})" for name, count in sorted(found.items()))
+    if wanted is not None:
+        if wanted not in found:
+            raise InputError(
+                f"{path}: {flag} {wanted}: is no topic of {what} there; it has {listed or 'none'}"
+            )
+        return wanted
+    if len(found) != 1:
+        names = ", ".join(kind.split("/")[-1] for kind in kinds)
+        has = f"has {len(found)} topics of {what}, {listed}: choose one with {flag}"
+        raise InputError(f"{path}: {has if found else f'has no topic of {what} ({names})'}")
+    return next(iter(found))
+
+
+def _listed(parents: dict[str, str]) -> str:
+    return ", ".join(f"{parent} > {child}" for child, parent in parents.items()) or "none"

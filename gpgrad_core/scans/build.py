@@ -1,0 +1,363 @@
+"""Recording -> dataset: cut, level, accumulate, write; one scan and one submap in memory."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.datasets.about import About, write_about
+from gpgrad_core.datasets.folder import ABOUT_FILE, ODOMETRY_FILES, TRUTH_FILE, check_vacant
+from gpgrad_core.datasets.ply import write_ply
+from gpgrad_core.datasets.poses import pose_row, write_poses
+from gpgrad_core.errors import InputError
+from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.scans.bag import is_bag, open_bag
+from gpgrad_core.scans.cutting import cut
+from gpgrad_core.scans.folder import open_folder
+from gpgrad_core.scans.gravity import (
+    estimate_up,
+    ground_normal,
+    level_pose,
+    turned_upright,
+    up_axis,
+)
+from gpgrad_core.scans.journal import Entry, Journal, open_journal
+from gpgrad_core.scans.params import BuildParams
+from gpgrad_core.scans.recording import Reader, Recording, RecordingSources
+from gpgrad_core.scans.trajectory import Located, Poses
+from gpgrad_core.scans.voxels import Voxels, VoxelSums, reach
+from gpgrad_core.types import Pose, Submap
+from gpgrad_core.version import VERSION
+
+Array = NDArray[np.float64]
+LOOKED_AT = 24
+"""Scans, spread over the recording, whose ground tells what is up."""
+TRAJECTORIES = "trajectory"
+COUNTED = ("measured", "not_finite", "too_close", "too_far", "empty_scans")
+
+
+@dataclass(frozen=True, eq=False)
+class BuildReport:
+    """What a build made, and of what.
+
+    Attributes:
+        num_submaps: Submaps written.
+        num_scans: Scans that went into them.
+        num_resumed: Submaps that an earlier, unfinished run had written.
+        notes: What was left out or assumed, a line each.
+    """
+
+    num_submaps: int
+    num_scans: int
+    num_resumed: int
+    notes: tuple[str, ...]
+
+
+def open_recording(
+    path: Path | str, sources: RecordingSources | None = None, params: BuildParams | None = None
+) -> Recording:
+    """Open a folder of clouds with poses, or a ROS bag.
+
+    Args:
+        path: The folder, or the bag.
+        sources: Where its parts are, so far as they are not found by themselves.
+        params: How scans and poses are brought together.
+
+    Raises:
+        InputError: If it cannot be used; one line: what, where, what to do.
+    """
+    path = Path(path)
+    sources, params = sources or RecordingSources(), params or BuildParams()
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    try:
+        if is_bag(path):
+            return open_bag(path, sources, params)
+        if path.is_file():
+            raise InputError(
+                f"{path}: is one file; give a folder of clouds, or a bag (.bag .mcap .db3)"
+            )
+        return open_folder(path, sources, params)
+    except OSError as error:
+        place = error.filename or path
+        raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
+
+
+def build_dataset(
+    scans: Path | str,
+    directory: Path | str,
+    params: BuildParams | None = None,
+    *,
+    sources: RecordingSources | None = None,
+    restart: bool = False,
+    progress: Progress = silent,
+) -> BuildReport:
+    """Build a dataset of submaps from scans and poses.
+
+    Each submap's frame is level, with its origin at the robot's body at its first scan and x
+    along the body's x axis there as seen from above. Its points are the means of voxels, each
+    with the standard deviation of its height, the range it was seen from, and how many points it
+    stands for. ``trajectory/`` holds where the sensor was at each scan, in the submap's frame.
+
+    A build that was stopped, in whatever way, is gone on with by the same call; the result is the
+    same, byte for byte. Until it is whole it is called ``DATASET.partial``.
+
+    Args:
+        scans: A folder of clouds with poses, or a ROS bag.
+        directory: The dataset to make; must not exist, or be empty.
+        params: Where to cut, what is up, and how points are put together.
+        sources: Where the recording's parts are, so far as they are not found by themselves.
+        restart: Throw away what an earlier run has begun.
+        progress: Called once a scan; may raise Cancelled.
+
+    Raises:
+        InputError: If anything there cannot be used; one line: what, where, what to do.
+    """
+    directory = Path(directory)
+    sources, params = sources or RecordingSources(), params or BuildParams()
+    check_vacant(directory)  # before the recording is read
+    recording = open_recording(scans, sources, params)
+    recording, notes = _levelled(recording, params)
+    if params.max_time is not None and recording.stamps is None:
+        raise InputError(f"{scans}: max_time needs the scans' times: --times FILE")
+    stamps = np.zeros(len(recording)) if recording.stamps is None else recording.stamps
+    pieces = cut(stamps, recording.body, params, recording.covariance)
+    header = {
+        "made_by": f"gpgrad {VERSION}",
+        "recording": recording.name,
+        "identity": recording.identity,
+        "params": asdict(params),
+        "topics": [sources.cloud_topic, sources.pose_topic, sources.world_frame],
+    }
+    with open_journal(directory, header, restart=restart) as begun:
+        resumed = len(begun.entries)
+        whole = _add_submaps(begun, recording, pieces, params, progress)
+        written = [entry for entry in whole.entries if "hash" in entry]
+        if not written:
+            whole.abandon()
+            measured = sum(entry["measured"] for entry in whole.entries)
+            raise InputError(
+                f"{scans}: no submap has {params.min_points} points or more: "
+                f"{len(recording):,} scans have {measured:,} points in all"
+            )
+        _write_rest(whole, recording, pieces, params)
+        whole.finish()
+    progress(1.0)
+    return BuildReport(
+        num_submaps=len(written),
+        num_scans=sum(entry["scans"][1] - entry["scans"][0] for entry in written),
+        num_resumed=resumed,
+        notes=(*recording.notes, *notes, *_told(whole.entries, params)),
+    )
+
+
+def _levelled(recording: Recording, params: BuildParams) -> tuple[Recording, tuple[str, ...]]:
+    """Turn the world so that z points up, and give the points in the sensor's frame."""
+    if params.points_frame == "world":
+        recording = replace(recording, read=_seen_by_sensor(recording))
+    named = up_axis(recording.up if params.up == "auto" else params.up)
+    turn = true_turn = turned_upright(named)
+    notes: tuple[str, ...] = ()
+    if params.gravity == "cloud":
+        normals = _ground_normals(recording, params)
+        found = estimate_up(normals, recording.name)
+        off = np.arccos(np.clip(found.up @ named, -1.0, 1.0))
+        notes = (
+            f"up, by the ground of {len(normals)} scans, is {np.degrees(off):.1f} degrees off that "
+            f"of the poses; half of the scans are within {np.degrees(found.spread):.1f} degrees",
+        )
+        turn = turned_upright(found.up)
+    covariance, truth = recording.covariance, recording.truth
+    if covariance is not None:
+        matrix = turn.as_matrix()
+        covariance = matrix @ covariance @ matrix.T
+    if truth is not None:
+        truth = Located(_turned(true_turn, truth.poses), truth.known)
+    body = _turned(turn, recording.body)
+    return replace(recording, body=body, covariance=covariance, truth=truth), notes
+
+
+def _turned(turn: Rotation, poses: Poses) -> Poses:
+    return Poses(turn.apply(poses.translation), turn * poses.rotation)
+
+
+def _seen_by_sensor(recording: Recording) -> Reader:
+    def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
+        for k, points in zip(range(start, stop), recording.read(start, stop), strict=True):
+            back = recording.sensor(k).inverse()
+            yield back.rotation.apply(points) + back.translation
+
+    return read
+
+
+def _ground_normals(recording: Recording, params: BuildParams) -> list[Array]:
+    """Normals of the ground in some scans spread over the recording, in the poses' frame."""
+    normals: list[Array] = []
+    for k in np.unique(np.linspace(0, len(recording) - 1, LOOKED_AT).astype(int)).tolist():
+        (points,) = recording.read(k, k + 1)
+        kept, _ = _usable(points, params)
+        turned = recording.sensor(k).rotation.apply(kept) if len(kept) else kept
+        normal = ground_normal(turned)
+        normals += [] if normal is None else [normal]
+    return normals
+
+
+def _usable(
+    points: Float[NDArray[np.floating], "n 3"], params: BuildParams
+) -> tuple[Float[Array, "m 3"], dict[str, int]]:
+    """Leave out points that are not finite, too close or too far, and count them."""
+    measured = np.asarray(points, np.float64)
+    finite = np.isfinite(measured).all(axis=1)
+    kept = measured[finite]
+    ranges = np.linalg.norm(kept, axis=1)
+    # Even without a limit there is one: what voxels can number.
+    furthest = min(params.max_range or np.inf, 0.5 * reach(params.voxel_size))
+    close, far = ranges < params.min_range, ranges > furthest
+    counts = {
+        "measured": len(measured),
+        "not_finite": int(np.sum(~finite)),
+        "too_close": int(np.sum(close)),
+        "too_far": int(np.sum(far)),
+    }
+    return kept[~close & ~far], counts
+
+
+def _add_submaps(
+    journal: Journal,
+    recording: Recording,
+    pieces: list[range],
+    params: BuildParams,
+    progress: Progress,
+) -> Journal:
+    """Make all submaps that the journal does not have yet."""
+    for number in range(len(journal.entries), len(pieces)):
+        piece = pieces[number]
+        ends = piece.start / len(recording), piece.stop / len(recording)
+        journal = _add_submap(journal, recording, piece, number, params, part(progress, *ends))
+    return journal
+
+
+def _add_submap(
+    journal: Journal,
+    recording: Recording,
+    scans: range,
+    number: int,
+    params: BuildParams,
+    progress: Progress,
+) -> Journal:
+    """Make one submap, write its cloud and note it down."""
+    submap_id = f"{number:03d}"
+    from_world = Poses.of(level_pose(recording.body.one(scans.start))).inverse()
+    sums = VoxelSums(params.voxel_size)
+    counts = Counter[str](dict.fromkeys(COUNTED, 0))
+    for k, points in zip(scans, recording.read(scans.start, scans.stop), strict=True):
+        kept, dropped = _usable(points, params)
+        counts.update(dropped)
+        counts["empty_scans"] += not len(kept)
+        sensor = from_world @ recording.sensor(k)
+        if len(kept):
+            placed = sensor.rotation.apply(kept) + sensor.translation
+            sums.add(placed, np.linalg.norm(kept, axis=1))
+        progress((k + 1 - scans.start) / len(scans))
+    voxels = sums.total()
+    cloud = None
+    if len(voxels.keys) >= params.min_points and _is_terrain(voxels):
+        cloud = journal.clouds / f"{submap_id}.ply"
+        extras = {
+            "noise_std": voxels.noise_std,
+            "range": voxels.ranges,
+            "count": voxels.counts,
+        }
+        write_ply(cloud, voxels.points, extras=extras)
+    entry: Entry = {"id": submap_id, "scans": [scans.start, scans.stop]}
+    return journal.added(entry | {"points": len(voxels.keys)} | dict(counts), cloud)
+
+
+def _is_terrain(voxels: Voxels) -> bool:
+    """Say whether the points span an area: a line of them would spoil the whole dataset."""
+    try:
+        Submap.from_points(voxels.points)
+    except InputError:
+        return False
+    return True
+
+
+def _write_rest(
+    journal: Journal, recording: Recording, pieces: list[range], params: BuildParams
+) -> None:
+    """Write poses, trajectories and what the dataset says of itself."""
+    odometry: dict[int, Pose] = {}
+    truth: dict[int, Pose] = {}
+    trajectories = journal.folder / TRAJECTORIES
+    trajectories.mkdir(exist_ok=True)
+    for number, (scans, entry) in enumerate(zip(pieces, journal.entries, strict=True)):
+        if "hash" not in entry:
+            continue
+        first = slice(scans.start, scans.start + 1)
+        level = Poses.of(level_pose(recording.body.one(scans.start)))
+        odometry[number] = level.one(0)
+        if recording.truth is not None and recording.truth.known[scans.start]:
+            in_body = recording.body[first].inverse() @ level
+            truth[number] = (recording.truth.poses[first] @ in_body).one(0)
+        rows = ["# timestamp tx ty tz qx qy qz qw   (p_submap = R p_sensor + t)"]
+        for k in scans:
+            stamp = f"{k}" if recording.stamps is None else f"{recording.stamps[k]:.6f}"
+            rows.append(pose_row(stamp, (level.inverse() @ recording.sensor(k)).one(0)))
+        _write_lines(trajectories / f"{entry['id']}.txt", rows)
+    write_poses(journal.folder / ODOMETRY_FILES[0], odometry)
+    if truth:
+        write_poses(journal.folder / TRUTH_FILE, truth)
+    about = About(
+        name=journal.directory.name,
+        description=(
+            f"{len(odometry)} submaps of {len(recording):,} scans of {recording.name}, cut "
+            f"{_limits(params)} (gpgrad build)."
+        ),
+    )
+    write_about(journal.folder / ABOUT_FILE, about)
+
+
+def _write_lines(path: Path, lines: list[str]) -> None:
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+
+def _limits(params: BuildParams) -> str:
+    limits = {
+        "after {:g} m": params.max_length,
+        "at an uncertainty of {:g} m": params.max_uncertainty,
+        "at a turn of {:g} rad": params.max_turn,
+        "after {:g} s": params.max_time,
+    }
+    return " or ".join(text.format(limit) for text, limit in limits.items() if limit is not None)
+
+
+def _told(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
+    """Say what was left out."""
+    total = {key: sum(entry[key] for entry in entries) for key in COUNTED}
+    reasons = {
+        "not_finite": "not finite",
+        "too_close": f"closer than {params.min_range:g} m to the sensor",
+        "too_far": (
+            f"further than {params.max_range:g} m from the sensor"
+            if params.max_range
+            else f"further from the sensor than voxels of {params.voxel_size:g} m reach"
+        ),
+    }
+    for key, reason in reasons.items():
+        if total[key]:
+            yield f"{total[key]:,} of {total['measured']:,} points are {reason}: left out"
+    if total["empty_scans"]:
+        number = total["empty_scans"]
+        yield f"{number:,} scan{'' if number == 1 else 's'} without any point of use"
+    for entry in entries:
+        if "hash" not in entry:
+            first, stop = entry["scans"]
+            yield (
+                f"submap {entry['id']}, of {stop - first:,} scans, was left out: its "
+                f"{entry['points']:,} points are fewer than {params.min_points:,}, or on one line"
+            )

@@ -1,0 +1,213 @@
+"""A folder of clouds with a file of poses -> a recording."""
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+
+from gpgrad_core.datasets.clouds import READERS, read_points
+from gpgrad_core.errors import InputError
+from gpgrad_core.scans.params import BuildParams
+from gpgrad_core.scans.pose_files import Mount, PoseFile, read_mount, read_pose_file, read_times
+from gpgrad_core.scans.recording import (
+    Reader,
+    Recording,
+    RecordingSources,
+    identify,
+    place,
+    spelled,
+    truth_at,
+)
+from gpgrad_core.scans.trajectory import Poses
+
+Array = NDArray[np.float64]
+CLOUD_FOLDERS = ("", "scans", "velodyne", "velodyne_points", "clouds")
+POSE_NAMES = ("poses.txt", "poses.tum", "poses_odom.txt", "odometry.txt", "trajectory.txt")
+TRUTH_NAMES = ("poses_gt.txt",)
+TIME_NAMES = ("times.txt", "timestamps.txt")
+MOUNT_NAMES = ("mount.txt",)
+KITTI_CALIBRATION = "calib.txt"
+
+
+def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
+    """Open a folder of clouds.
+
+    The clouds lie in the folder itself, or in ``scans/``, ``velodyne/`` or ``clouds/``; beside
+    them ``poses.txt``, and maybe ``poses_gt.txt``, ``times.txt``, ``mount.txt`` or KITTI's
+    ``calib.txt``. A scan's time is the number in its file's name, unless there are times.
+
+    Args:
+        path: The folder.
+        sources: Files that are somewhere else.
+        params: How scans and poses are brought together.
+
+    Raises:
+        InputError: If there are no clouds or no poses, or they cannot be brought together.
+    """
+    clouds, scans_folder = _find_clouds(path)
+    places = [path] if scans_folder == path else [path, scans_folder]
+    pose_path = sources.poses or _find(places, POSE_NAMES)
+    if pose_path is None:
+        raise InputError(
+            f"{path}: has no file of poses ({', '.join(POSE_NAMES)}); say where it is: --poses FILE"
+        )
+    poses = read_pose_file(pose_path)
+    truth_path = sources.truth or _find(places, TRUTH_NAMES)
+    truth = None if truth_path is None else read_pose_file(truth_path)
+    if truth is not None and truth.numbered != poses.numbered:
+        raise InputError(
+            f"{truth_path}: {pose_path.name} and the true poses must both be TUM or KITTI rows"
+        )
+    times_path = sources.times or _find(places, TIME_NAMES)
+    times = None if times_path is None else read_times(times_path)
+    if times is not None and len(times) != len(clouds) and not poses.numbered:
+        raise InputError(f"{times_path}: holds {len(times):,} times for {len(clouds):,} scans")
+    wanted, stamps, notes = _stamps(clouds, poses, times, path)
+    order = np.argsort(wanted, kind="stable")
+    clouds, wanted = [clouds[k] for k in order], wanted[order]
+    stamps = None if stamps is None else stamps[order]
+    located = poses.trajectory.at(wanted, params)
+    notes += place(wanted, located, _span(poses), str(path), params)
+    kept = np.flatnonzero(located.known)
+    true_poses, truth_notes = truth_at(
+        None if truth is None else truth.trajectory, wanted[kept], str(truth_path), params
+    )
+    mount_path, mount, mount_note = _find_mount(sources, places, poses)
+    texts = (pose_path, truth_path, times_path, mount_path)
+    return Recording(
+        name=path.resolve().name,
+        identity=identify([clouds[k] for k in kept] + [file for file in texts if file]),
+        stamps=None if stamps is None else stamps[kept],
+        body=located.poses[kept],
+        mount=mount.pose,
+        read=_reader([clouds[k] for k in kept]),
+        labels=tuple(clouds[k].name for k in kept),
+        up="-y" if mount.on_camera else "z",
+        covariance=None if located.covariance is None else located.covariance[kept],
+        truth=true_poses,
+        notes=(*notes, *mount_note, *truth_notes),
+    )
+
+
+def _find_clouds(path: Path) -> tuple[list[Path], Path]:
+    for name in CLOUD_FOLDERS:
+        folder = path / name
+        if not folder.is_dir():
+            continue
+        clouds = sorted(
+            entry
+            for entry in folder.iterdir()
+            if entry.suffix.lower() in READERS and not entry.name.startswith(".")
+        )
+        if clouds:
+            return clouds, folder
+    raise InputError(
+        f"{path}: holds no scans: neither it nor its {', '.join(CLOUD_FOLDERS[1:])} have clouds "
+        f"({' '.join(READERS)}), and it is no bag"
+    )
+
+
+def _find(places: Sequence[Path], names: Sequence[str]) -> Path | None:
+    return next(
+        (place / name for place in places for name in names if (place / name).exists()), None
+    )
+
+
+def _find_mount(
+    sources: RecordingSources, places: Sequence[Path], poses: PoseFile
+) -> tuple[Path | None, Mount, tuple[str, ...]]:
+    """Give the file of the sensor's pose on the body, what it says, and a note if it was found."""
+    # Many a calib.txt is another tool's; beside KITTI's poses it is KITTI's.
+    names = (*MOUNT_NAMES, KITTI_CALIBRATION) if poses.numbered else MOUNT_NAMES
+    path = sources.mount or _find(places, names)
+    if path is None:
+        return None, Mount(Poses.identity()), ()
+    mount = read_mount(path)
+    if mount.on_camera:
+        return path, mount, (f"{path.name}: KITTI's, so the poses are of a camera: up is -y",)
+    found = f"{path.name}: was found, and is taken as the sensor's pose on the body"
+    return path, mount, () if sources.mount else (found,)
+
+
+def _span(poses: PoseFile) -> str:
+    stamps = poses.trajectory.stamps
+    if poses.numbered:
+        return f"of rows 0 to {len(stamps) - 1:,}"
+    return f"from {spelled(stamps)}"
+
+
+def _stamps(
+    clouds: list[Path], poses: PoseFile, times: Float[Array, "t"] | None, path: Path
+) -> tuple[Array, Float[Array, "n"] | None, tuple[str, ...]]:
+    """Tell by what each scan is looked up among the poses, and its time [s] if anything tells it.
+
+    Raises:
+        InputError: If that cannot be told.
+    """
+    numbers = [number_in(cloud.stem) for cloud in clouds]
+    if poses.numbered:
+        rows = _row_of_each(numbers, len(poses.trajectory.stamps), path)
+        if times is not None and int(rows.max()) >= len(times):
+            raise InputError(
+                f"{path}: there is a scan {int(rows.max())} and only {len(times):,} times"
+            )
+        return rows.astype(np.float64), None if times is None else times[rows], ()
+    if times is not None:
+        return times, times, ()
+    known = [number for number in numbers if number is not None]
+    if len(known) < len(numbers):
+        first = clouds[numbers.index(None)].name
+        raise InputError(
+            f"{path}: the name {first} tells no time; give the scans' times: --times FILE"
+        )
+    stamps = np.array(known)
+    spans = poses.trajectory.stamps[[0, -1]] + [-1.0, 1.0]
+    middle = float(np.median(stamps))
+    for scale, unit in ((1.0, ""), (1e-9, "nanoseconds"), (1e-6, "microseconds"), (1e-3, "ms")):
+        if spans[0] <= scale * middle <= spans[1]:
+            note = (f"the numbers in the scans' names are taken as {unit}",) if unit else ()
+            return scale * stamps, scale * stamps, note
+    return stamps, stamps, ()
+
+
+def _row_of_each(
+    numbers: list[float | None], num_rows: int, path: Path
+) -> Int[NDArray[np.int64], "n"]:
+    """Tell which KITTI row is the pose of each scan: by its number, or else by its turn."""
+    whole = [int(number) for number in numbers if number is not None and number.is_integer()]
+    if len(whole) == len(numbers) and max(whole) < num_rows:
+        return np.array(whole)
+    if len(numbers) != num_rows:
+        raise InputError(
+            f"{path}: {len(numbers):,} scans and {num_rows:,} KITTI poses, and the names do not "
+            "number the rows from 0; give as many poses as scans"
+        )
+    return np.arange(num_rows)
+
+
+def number_in(stem: str) -> float | None:
+    """Find the number that a file's name tells: the last one in it.
+
+    Seconds and nanoseconds apart, as ROS tools write them, are one.
+
+    >>> number_in("scan_000012"), number_in("1311868164.363181"), number_in("ground")
+    (12.0, 1311868164.363181, None)
+    >>> number_in("cloud_1311868164_363181000")
+    1311868164.363181
+    """
+    parts = re.search(r"(\d{9,10})[._](\d{9})$", stem)
+    if parts:
+        return float(f"{parts[1]}.{parts[2]}")
+    numbers = re.findall(r"\d+(?:\.\d+)?", stem)
+    return float(numbers[-1]) if numbers else None
+
+
+def _reader(clouds: list[Path]) -> Reader:
+    def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
+        for cloud in clouds[start:stop]:
+            yield read_points(cloud)
+
+    return read

@@ -1,0 +1,112 @@
+"""Which way is up, and the level frame of a submap."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.scans.voxels import Voxels
+from gpgrad_core.types import Pose
+
+Array = NDArray[np.float64]
+GROUND_VOXEL = 0.2
+"""Points are thinned to this [m] first: else the dense ground at the robot's feet decides."""
+TRIM = 2.5
+"""Points further off the plane than this many standard deviations are no ground."""
+ROUNDS = 10
+LEAST_POINTS = 20
+UPRIGHT = 0.95
+"""Length of the vertical part of a body's x axis beyond which its y axis gives the heading."""
+
+
+def up_axis(name: str) -> Float[Array, "3"]:
+    """Give the direction of an axis by its name, such as ``-y``."""
+    up = np.zeros(3)
+    up["xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
+    return up
+
+
+def turned_upright(up: Float[Array, "3"]) -> Rotation:
+    """Give the shortest turn that takes a direction to z."""
+    cosine = float(np.clip(up[2] / np.linalg.norm(up), -1.0, 1.0))
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    length = float(np.linalg.norm(axis))
+    if length < 1e-12:  # up or down already: if down, over by x
+        axis, length = np.array([1.0, 0.0, 0.0]), 1.0
+    return Rotation.from_rotvec(np.arccos(cosine) * axis / length)
+
+
+def level_pose(pose: Pose) -> Pose:
+    """Give the level frame at a pose: z up, x along the body's x axis as seen from above.
+
+    Args:
+        pose: Of a body in a frame whose z points up.
+    """
+    forward = pose.rotation[:, 0]
+    if abs(forward[2]) > UPRIGHT:  # looks up or down: it heads nowhere
+        forward = pose.rotation[:, 1]
+    yaw = float(np.arctan2(forward[1], forward[0]))
+    return Pose(pose.translation, np.array([0.0, 0.0, np.sin(0.5 * yaw), np.cos(0.5 * yaw)]))
+
+
+def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
+    """Fit a plane to the ground, leaving out again and again what lies off it.
+
+    Args:
+        points: Positions about the sensor [m], which is above the ground.
+
+    Returns:
+        The plane's normal, pointing up; None if there are too few points.
+    """
+    thinned = Voxels.of(points, np.zeros(len(points)), GROUND_VOXEL).points
+    if len(thinned) < LEAST_POINTS:
+        return None
+    kept = thinned
+    normal = np.array([0.0, 0.0, 1.0])
+    for _ in range(ROUNDS):
+        centre = kept.mean(axis=0)
+        normal = np.linalg.eigh(np.cov((kept - centre).T))[1][:, 0]
+        height = (thinned - centre) @ normal
+        spread = 1.4826 * float(np.median(np.abs(height)))
+        chosen = np.abs(height) <= TRIM * max(spread, 1e-6)
+        if chosen.sum() < LEAST_POINTS:
+            break
+        kept = thinned[chosen]
+    return normal if kept.mean(axis=0) @ normal < 0 else -normal
+
+
+@dataclass(frozen=True, eq=False)
+class UpEstimate:
+    """The direction that ground planes agree on."""
+
+    up: Float[Array, "3"]
+    spread: float  # median angle of the planes' normals to it [rad]
+
+
+def estimate_up(normals: list[Array], where: str) -> UpEstimate:
+    """Find what is up from the ground's planes along a recording: slopes average out.
+
+    Args:
+        normals: Of the planes, in the frame of the poses.
+        where: What is recorded, for the error message.
+
+    Raises:
+        InputError: If there is none.
+    """
+    if not normals:
+        raise InputError(
+            f"{where}: no scan shows enough ground to tell what is up; take gravity from the poses"
+        )
+    stacked = np.array(normals)
+    middle = np.median(stacked, axis=0)
+    length = float(np.linalg.norm(middle))
+    if length < 0.5:
+        raise InputError(
+            f"{where}: the scans disagree about what is up; take gravity from the poses"
+        )
+    up = middle / length
+    angles = np.arccos(np.clip(stacked @ up, -1.0, 1.0))
+    return UpEstimate(up, float(np.median(angles)))

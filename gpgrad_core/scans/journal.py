@@ -1,0 +1,219 @@
+"""An unfinished dataset that can be gone on with, and that nothing takes for a whole one.
+
+All is written to ``DATASET.partial``, the clouds to a folder that no reader of datasets looks
+into. Each finished submap is a line of the journal, with the hash of its cloud; what a killed run
+left behind its last whole line is made anew. At the end the folder takes its name in one step.
+"""
+
+import contextlib
+import hashlib
+import importlib
+import importlib.util
+import json
+import os
+import shutil
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from gpgrad_core.datasets.folder import check_vacant
+from gpgrad_core.errors import InputError
+
+Entry = dict[str, Any]
+JOURNAL = "build.jsonl"
+"""Stays with the finished dataset: it says what the submaps were made from."""
+UNFINISHED_CLOUDS, CLOUDS = "unfinished", "submaps"
+
+
+@dataclass(frozen=True, eq=False)
+class Journal:
+    """A dataset in the making.
+
+    Attributes:
+        directory: The dataset to be.
+        folder: Where it is in the making.
+        entries: Of the submaps that are finished.
+    """
+
+    directory: Path
+    folder: Path
+    entries: tuple[Entry, ...]
+
+    @property
+    def clouds(self) -> Path:
+        """Folder of the submaps' clouds."""
+        return self.folder / UNFINISHED_CLOUDS
+
+    def added(self, entry: Entry, cloud: Path | None) -> "Journal":
+        """Note down a submap, once its cloud is on the disk.
+
+        Args:
+            entry: What is known of it.
+            cloud: Its file, if it has one.
+        """
+        if cloud is not None:
+            _to_disk(cloud)
+            entry = entry | {"hash": _hash(cloud)}
+        with (self.folder / JOURNAL).open("a", encoding="utf-8", newline="\n") as file:
+            file.write(json.dumps(entry) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        return Journal(self.directory, self.folder, (*self.entries, entry))
+
+    def abandon(self) -> None:
+        """Leave nothing behind."""
+        shutil.rmtree(self.folder)
+
+    def finish(self) -> None:
+        """Give the dataset its name: from here on it is whole."""
+        self.clouds.rename(self.folder / CLOUDS)
+        _to_disk(self.folder)
+        if self.directory.exists():
+            self.directory.rmdir()
+        self.folder.rename(self.directory)
+        _to_disk(self.directory.parent)
+
+
+@contextlib.contextmanager
+def open_journal(
+    directory: Path, header: Mapping[str, Any], *, restart: bool = False
+) -> Generator[Journal]:
+    """Begin a dataset, or go on with one that was begun from the same.
+
+    Args:
+        directory: The dataset to be; must not exist, or be empty.
+        header: What it is made from: the recording's identity, and all parameters.
+        restart: Throw away what was begun.
+
+    Raises:
+        InputError: If the directory is taken, or was begun from something else, or another
+            process is at work on it.
+    """
+    directory = directory.resolve()
+    check_vacant(directory)
+    folder = directory.with_name(f"{directory.name}.partial")
+    try:
+        directory.parent.mkdir(parents=True, exist_ok=True)
+        with _alone(folder):
+            if restart:
+                shutil.rmtree(folder, ignore_errors=True)
+            if folder.exists():
+                yield _taken_up(directory, folder, header)
+            else:
+                yield _begun(directory, folder, header)
+    except OSError as error:
+        place = error.filename or directory
+        raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
+
+
+def _begun(directory: Path, folder: Path, header: Mapping[str, Any]) -> Journal:
+    (folder / UNFINISHED_CLOUDS).mkdir(parents=True)
+    (folder / JOURNAL).write_text(json.dumps(header) + "\n", encoding="utf-8", newline="\n")
+    _to_disk(folder / JOURNAL)
+    return Journal(directory, folder, ())
+
+
+def _taken_up(directory: Path, folder: Path, header: Mapping[str, Any]) -> Journal:
+    path = folder / JOURNAL
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    if not lines:
+        if any(entry.name not in (JOURNAL, UNFINISHED_CLOUDS) for entry in folder.iterdir()):
+            raise InputError(f"{folder}: is in the way and no unfinished build; move it away")
+        shutil.rmtree(folder)  # killed before it wrote a line
+        return _begun(directory, folder, header)
+    begun = _parsed(lines[0])
+    if begun is None or begun != json.loads(json.dumps(header)):
+        raise InputError(
+            f"{folder}: holds a build that was begun with {_difference(begun, header)}; "
+            "go on with the same, or throw it away with --restart"
+        )
+    if (folder / CLOUDS).exists():  # killed while it took its name
+        (folder / CLOUDS).rename(folder / UNFINISHED_CLOUDS)
+    clouds = folder / UNFINISHED_CLOUDS
+    clouds.mkdir(exist_ok=True)
+    entries: list[Entry] = []
+    for line in lines[1:]:
+        entry = _parsed(line)
+        if entry is None or not _is_whole(entry, clouds):
+            break
+        entries.append(entry)
+    kept = [lines[0], *(json.dumps(entry) for entry in entries)]
+    unfinished = path.with_suffix(".new")
+    unfinished.write_text("\n".join(kept) + "\n", encoding="utf-8", newline="\n")
+    _to_disk(unfinished)
+    unfinished.replace(path)
+    known = {f"{entry['id']}.ply" for entry in entries}
+    for cloud in clouds.iterdir():
+        if cloud.name not in known:
+            cloud.unlink()
+    return Journal(directory, folder, tuple(entries))
+
+
+def _parsed(line: str) -> Entry | None:
+    try:
+        entry = json.loads(line)
+    except json.JSONDecodeError:
+        return None  # cut short when the run was killed
+    return cast("Entry", entry) if isinstance(entry, dict) else None
+
+
+def _is_whole(entry: Entry, clouds: Path) -> bool:
+    if "hash" not in entry:
+        return True
+    cloud = clouds / f"{entry['id']}.ply"
+    return cloud.is_file() and _hash(cloud) == entry["hash"]
+
+
+def _difference(begun: Entry | None, header: Mapping[str, Any]) -> str:
+    """Name the first thing in which two headers differ."""
+    if begun is None:
+        return "something else"
+    for key, value in header.items():
+        before, now = begun.get(key), json.loads(json.dumps(value))
+        if before == now:
+            continue
+        if isinstance(before, dict) and isinstance(now, dict):
+            pairs = cast("dict[str, Any]", before), cast("dict[str, Any]", now)
+            name = next((n for n in pairs[1] if pairs[0].get(n) != pairs[1][n]), key)
+            return f"{name} = {pairs[0].get(name)}, not {pairs[1].get(name)}"
+        return f"another {key}"
+    return "something else"
+
+
+def _hash(file: Path) -> str:
+    return hashlib.blake2b(file.read_bytes(), digest_size=16).hexdigest()
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until a file, or the names in a folder, would outlive a power cut."""
+    if path.is_dir() and os.name == "nt":
+        return  # Windows opens no folders
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Generator[None]:
+    """Keep a second process away from a dataset in the making; the lock dies with its holder.
+
+    Raises:
+        InputError: If another process is at work on it.
+    """
+    if importlib.util.find_spec("fcntl") is None:  # not on Windows
+        yield
+        return
+    fcntl: Any = importlib.import_module("fcntl")
+    lock = folder.with_name(f".{folder.name}.lock")
+    with lock.open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"{folder}: another process is at work on it; let it end") from None
+        try:
+            yield
+        finally:
+            lock.unlink(missing_ok=True)

@@ -1,0 +1,145 @@
+"""Files of poses over time: TUM and KITTI rows, and where a sensor sits on its body."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.datasets.poses import make_pose, parse_numbers
+from gpgrad_core.datasets.tables import read_text
+from gpgrad_core.errors import InputError
+from gpgrad_core.scans.trajectory import Poses, Trajectory
+
+Array = NDArray[np.float64]
+TUM, TUM_WITH_COVARIANCE, KITTI = 8, 44, 12
+ROTATION_TOLERANCE = 0.01
+"""A matrix further from a rotation than this is no rounding: its columns are something else."""
+MOUNT_KEYS = ("Tr:", "Tr_velo_to_cam:", "Tr_velo_cam:")
+"""What KITTI calls the pose of the LiDAR in the camera's frame, which its poses are of."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFile:
+    """What a file of poses holds.
+
+    Attributes:
+        trajectory: Poses by time; KITTI's have no time, and stand at their row's number from 0.
+        numbered: The rows are KITTI's.
+    """
+
+    trajectory: Trajectory
+    numbered: bool
+
+
+def read_pose_file(path: Path) -> PoseFile:
+    """Read TUM rows ``timestamp tx ty tz qx qy qz qw``, or KITTI rows of a 3x4 matrix.
+
+    TUM rows may go on with the 36 numbers of a covariance, position first, as ROS has it.
+
+    Args:
+        path: The file; ``#`` starts a comment.
+
+    Raises:
+        InputError: If a row is none of these, or is no pose; names the line.
+    """
+    rows: list[list[float]] = []
+    numbers: list[int] = []
+    for number, words in _rows(path):
+        where = f"{path}, line {number}"
+        if len(words) not in (TUM, TUM_WITH_COVARIANCE, KITTI):
+            raise InputError(
+                f"{where}: has {len(words)} columns; a TUM pose has 8, timestamp tx ty tz qx qy qz "
+                "qw, or 44 with its covariance, a KITTI pose 12"
+            )
+        if rows and len(words) != len(rows[0]):
+            raise InputError(
+                f"{where}: has {len(words)} columns, the rows before it have {len(rows[0])}"
+            )
+        rows.append(parse_numbers(words, where))
+        numbers.append(number)
+    if not rows:
+        raise InputError(f"{path}: holds no poses")
+    table = np.array(rows)
+    if len(rows[0]) == KITTI:
+        stamps = np.arange(len(rows), dtype=np.float64)
+        return PoseFile(Trajectory(stamps, _matrices(table, numbers, path)), numbered=True)
+    poses = [make_pose(row[1:8], f"{path}, line {k}") for row, k in zip(rows, numbers, strict=True)]
+    stack = Poses(table[:, 1:4], Rotation.from_quat([pose.quaternion for pose in poses]))
+    covariance = None
+    if len(rows[0]) == TUM_WITH_COVARIANCE:
+        covariance = np.ascontiguousarray(table[:, 8:].reshape(-1, 6, 6)[:, :3, :3])
+    return PoseFile(Trajectory.in_order(table[:, 0], stack, covariance), numbered=False)
+
+
+def _matrices(table: Float[Array, "n 12"], numbers: list[int], path: Path) -> Poses:
+    matrices = table.reshape(-1, 3, 4)
+    turns = matrices[:, :, :3]
+    off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    wrong = np.flatnonzero((off > ROTATION_TOLERANCE) | (np.linalg.det(turns) < 0))
+    if len(wrong):
+        raise InputError(
+            f"{path}, line {numbers[wrong[0]]}: the first three columns of the 3x4 matrix are no "
+            "rotation"
+        )
+    return Poses(np.ascontiguousarray(matrices[:, :, 3]), Rotation.from_matrix(turns))
+
+
+def read_times(path: Path) -> Float[Array, "n"]:
+    """Read the times [s] of scans, the first number of each row.
+
+    Raises:
+        InputError: If a row is not a number, or there are none; names the line.
+    """
+    times = [parse_numbers(words[:1], f"{path}, line {k}")[0] for k, words in _rows(path)]
+    if not times:
+        raise InputError(f"{path}: holds no times")
+    return np.array(times)
+
+
+@dataclass(frozen=True, eq=False)
+class Mount:
+    """Where a sensor sits.
+
+    Attributes:
+        pose: One, ``T_body_sensor``.
+        on_camera: The body is KITTI's camera, whose y axis points down.
+    """
+
+    pose: Poses
+    on_camera: bool = False
+
+
+def read_mount(path: Path) -> Mount:
+    """Read where a sensor sits on the body that the poses are of.
+
+    Args:
+        path: One row ``tx ty tz qx qy qz qw`` or of a 3x4 matrix, or KITTI's ``calib.txt``.
+
+    Raises:
+        InputError: If it is neither.
+    """
+    rows = list(_rows(path))
+    named = [(number, words[1:]) for number, words in rows if words[0] in MOUNT_KEYS]
+    on_camera = len(named) == 1
+    chosen = named if on_camera else rows
+    if len(chosen) != 1 or len(chosen[0][1]) not in (7, KITTI):
+        raise InputError(
+            f"{path}: a mount is one row, tx ty tz qx qy qz qw or the 12 numbers of a 3x4 matrix, "
+            f"or a calibration of KITTI's with a row {MOUNT_KEYS[0]}"
+        )
+    number, words = chosen[0]
+    values = parse_numbers(words, f"{path}, line {number}")
+    if len(values) == KITTI:
+        return Mount(_matrices(np.array([values]), [number], path), on_camera)
+    return Mount(Poses.of(make_pose(values, f"{path}, line {number}")), on_camera)
+
+
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Give the words of each row that holds any, with its number."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    split = ((k, line.split("#", 1)[0].split()) for k, line in enumerate(read_text(path), 1))
+    return [(number, words) for number, words in split if words]

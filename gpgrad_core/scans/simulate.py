@@ -1,0 +1,112 @@
+"""A synthetic recording: what a rover's sensor saw along its drive, scan after scan."""
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.datasets.folder import check_vacant
+from gpgrad_core.datasets.ply import write_ply
+from gpgrad_core.datasets.poses import pose_row
+from gpgrad_core.datasets.rover import Track, plan_track, scan, sensor_pose
+from gpgrad_core.datasets.simulate import (
+    ATTITUDE_STD,
+    ODOMETRY_STREAM,
+    TERRAIN_STREAM,
+    drift,
+    stream,
+    true_pose,
+)
+from gpgrad_core.datasets.simulation_params import SimulationParams
+from gpgrad_core.datasets.terrain import HeightField, make_terrain
+from gpgrad_core.errors import InputError
+from gpgrad_core.progress import Progress, silent
+from gpgrad_core.types import Pose
+
+SCAN_STREAM = 3
+START, PERIOD = 1_700_000_000.0, 0.1
+"""When the drive begins, and from scan to scan [s]."""
+POSES_A_SCAN = 2
+"""Odometry is quicker than the sensor, and no pose falls together with a scan."""
+
+
+def simulate_recording(
+    directory: Path | str,
+    num_scans: int,
+    params: SimulationParams | None = None,
+    *,
+    points_a_scan: int | None = None,
+    progress: Progress = silent,
+) -> None:
+    """Simulate a drive and write what was recorded: scans, odometry and true poses.
+
+    The folder is as `build_dataset` takes it: ``scans/`` holds clouds in the sensor's frame,
+    named by their time; ``poses.txt`` and ``poses_gt.txt`` hold poses of the sensor as TUM rows,
+    as odometry has them and as they were.
+
+    Args:
+        directory: Folder to make; must not exist, or be empty.
+        num_scans: Evenly spread over the drive.
+        params: Ground, route, sensor and odometry.
+        points_a_scan: A scan with more is thinned to this many; None: none is.
+        progress: Called once a scan.
+
+    Raises:
+        InputError: If the directory is taken, the route does not fit into the extent, or there
+            are fewer than two scans.
+    """
+    directory, params = Path(directory), params or SimulationParams()
+    check_vacant(directory)
+    if num_scans < 2:
+        raise InputError(f"a recording needs 2 or more scans, got {num_scans}")
+    track = plan_track(params)
+    terrain = make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM))
+    try:
+        (directory / "scans").mkdir(parents=True, exist_ok=True)
+        spacing = track.length / (num_scans - 1)
+        _write_poses(directory, num_scans, spacing, track, terrain, params)
+        for k in range(num_scans):
+            rng = stream(params.seed, SCAN_STREAM, k)
+            stop = track.between(k * spacing)
+            points = scan(terrain, stop, params, rng)
+            if points_a_scan is not None and len(points) > points_a_scan:
+                points = points[np.sort(rng.choice(len(points), points_a_scan, replace=False))]
+            sensor = sensor_pose(terrain, stop, params)
+            local = (points - sensor.translation) @ sensor.rotation
+            write_ply(directory / "scans" / f"{START + k * PERIOD:.6f}.ply", local)
+            progress((k + 1) / num_scans)
+    except OSError as error:
+        raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from None
+
+
+def _write_poses(
+    directory: Path,
+    num_scans: int,
+    spacing: float,
+    track: Track,
+    terrain: HeightField,
+    params: SimulationParams,
+) -> None:
+    """Write the sensor's poses, from a little before the first scan to a little after the last."""
+    rng = stream(params.seed, ODOMETRY_STREAM)
+    step = spacing / POSES_A_SCAN
+    distances = step * (np.arange(POSES_A_SCAN * num_scans + 1) - 0.5)
+    stops = [track.between(distance) for distance in distances]
+    ground = [true_pose(terrain, stop) for stop in stops]
+    believed = drift(ground, params, rng, step)
+    truth = [sensor_pose(terrain, stop, params) for stop in stops]
+    head = "# timestamp tx ty tz qx qy qz qw   (p_world = R p_sensor + t)"
+    of_truth, of_odometry = [head], [head]
+    for distance, level, wrong, true in zip(distances, ground, believed, truth, strict=True):
+        # Drift moves and turns the rover as a whole; what tilts it, an inertial unit sees.
+        moved = Rotation.from_quat(wrong.quaternion) * Rotation.from_quat(level.quaternion).inv()
+        tilt = Rotation.from_rotvec([*(ATTITUDE_STD * rng.standard_normal(2)), 0.0])
+        rotation = tilt * moved * Rotation.from_quat(true.quaternion)
+        position = wrong.translation + moved.apply(true.translation - level.translation)
+        pose = Pose(position, rotation.as_quat(canonical=True))
+        stamp = f"{START + PERIOD * distance / spacing:.6f}"
+        of_truth.append(pose_row(stamp, true))
+        of_odometry.append(pose_row(stamp, pose))
+    for name, rows in (("poses_gt.txt", of_truth), ("poses.txt", of_odometry)):
+        text = "\n".join(rows) + "\n"
+        (directory / name).write_text(text, encoding="utf-8", newline="\n")

@@ -1,0 +1,110 @@
+"""The tree of frames of a robot, and the motion between any two of them over time."""
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.datasets.poses import make_pose
+from gpgrad_core.errors import InputError
+from gpgrad_core.scans.params import BuildParams
+from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTree:
+    """Each frame's parent, and its pose in it by time: ``T_parent_frame``."""
+
+    parents: dict[str, str]
+    edges: dict[str, Trajectory]
+
+    def root(self, frame: str) -> str:
+        """Climb from a frame to where the tree ends."""
+        return self._way_up(frame)[-1]
+
+    def between(
+        self, target: str, source: str, stamps: Float[Array, "n"], params: BuildParams
+    ) -> Located | None:
+        """Find ``T_target_source`` at given times [s]; None if no chain of frames joins them."""
+        up_target, up_source = self._way_up(target), self._way_up(source)
+        common = next((frame for frame in up_target if frame in up_source), None)
+        if common is None:
+            return None
+        down = self._climb(up_target[: up_target.index(common)], stamps, params)
+        up = self._climb(up_source[: up_source.index(common)], stamps, params)
+        return down.inverse() @ up
+
+    def _way_up(self, frame: str) -> list[str]:
+        way = [frame]
+        while way[-1] in self.parents and self.parents[way[-1]] not in way:
+            way.append(self.parents[way[-1]])
+        return way
+
+    def _climb(self, frames: list[str], stamps: Float[Array, "n"], params: BuildParams) -> Located:
+        """Chain the poses of frames, each in its parent: ``T_top_bottom``."""
+        motion = Trajectory(np.zeros(1), Poses.identity(), fixed=True).at(stamps, params)
+        for frame in frames:
+            motion = self.edges[frame].at(stamps, params) @ motion
+        return motion
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRows:
+    """Gathers transforms as they come out of a bag."""
+
+    parents: dict[str, str] = field(default_factory=dict[str, str])
+    rows: dict[str, list[list[float]]] = field(default_factory=lambda: defaultdict(list))
+    static: set[str] = field(default_factory=set[str])
+
+    def add(self, message: Any, *, static: bool, where: str) -> None:
+        """Add the transforms of a ``TFMessage``.
+
+        Raises:
+            InputError: If a frame has a second parent, or a turn is none.
+        """
+        for one in message.transforms:
+            parent, child = plain(one.header.frame_id), plain(one.child_frame_id)
+            if self.parents.setdefault(child, parent) != parent:
+                raise InputError(
+                    f"{where}: the frame {child!r} has two parents, {self.parents[child]!r} and "
+                    f"{parent!r}; choose a topic of poses: --pose-topic"
+                )
+            if static:
+                self.static.add(child)
+                self.rows[child] = []  # the latest holds
+            move, turn = one.transform.translation, one.transform.rotation
+            stamp = seconds(one.header)
+            values = [float(v) for v in (move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)]
+            make_pose(values, f"{where}, {parent} > {child} at {stamp:.3f} s")
+            self.rows[child].append([stamp, *values])
+
+    def tree(self) -> FrameTree:
+        """Put together what was gathered."""
+        edges = {child: _edge(rows, child in self.static) for child, rows in self.rows.items()}
+        return FrameTree(dict(self.parents), edges)
+
+
+def _edge(rows: list[list[float]], fixed: bool) -> Trajectory:
+    table = np.array(rows, np.float64)
+    poses = Poses(table[:, 1:4], Rotation.from_quat(table[:, 4:]))
+    return (
+        Trajectory(table[:, 0], poses, fixed=True)
+        if fixed
+        else Trajectory.in_order(table[:, 0], poses)
+    )
+
+
+def plain(frame: str) -> str:
+    """Give a frame's name as ROS 2 has it: ROS 1 may put a slash in front."""
+    return frame.lstrip("/")
+
+
+def seconds(header: Any) -> float:
+    """Give the time of a message [s]."""
+    return float(header.stamp.sec) + 1e-9 * float(header.stamp.nanosec)

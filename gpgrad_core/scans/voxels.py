@@ -1,0 +1,155 @@
+"""Points of many scans -> means of voxels, with what is known of how they scatter.
+
+Only sums are kept, so memory grows with the ground seen and not with the points measured.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+BITS = 21
+"""Of a key, for each axis; z holds the lowest, so that the voxels of a column stand together."""
+HALF = 1 << (BITS - 1)
+PRIOR_WEIGHT = 4.0
+"""Degrees of freedom that the scatter usual at its range counts for in a column."""
+RANGE_BINS = 8
+"""Into which columns are parted by range, to learn the scatter usual there."""
+LEAST_NOISE = 0.001
+"""Standard deviation of a mean [m]: however many points, their poses were not better known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Voxels:
+    """Sums over the points in each voxel.
+
+    Attributes:
+        size: Side of a voxel [m].
+        keys: Of the voxels that hold points, increasing.
+        sums: A row a voxel: number of points, offsets x, y and z from its centre [m], squares of
+            the offset z [m²], squares of the ranges they were measured at [m²].
+    """
+
+    size: float
+    keys: Int[NDArray[np.int64], "m"]
+    sums: Float[Array, "m 6"]
+
+    @classmethod
+    def of(cls, points: Float[Array, "n 3"], ranges: Float[Array, "n"], size: float) -> "Voxels":
+        """Sort points into voxels.
+
+        Args:
+            points: Positions [m], each within `reach` of the origin.
+            ranges: Distance of each from the sensor that measured it [m].
+            size: Side of a voxel [m].
+        """
+        cells = np.floor(points / size)
+        offset = points - (cells + 0.5) * size
+        x, y, z = cells.astype(np.int64).T + HALF
+        values = np.column_stack(
+            [np.ones(len(points)), offset, offset[:, 2] ** 2, ranges**2],
+        )
+        return _summed(size, (x << (2 * BITS)) | (y << BITS) | z, values)
+
+    def merged(self, other: "Voxels") -> "Voxels":
+        """Put two sets of voxels of the same size together."""
+        return _summed(
+            self.size,
+            np.concatenate([self.keys, other.keys]),
+            np.concatenate([self.sums, other.sums]),
+        )
+
+    @property
+    def counts(self) -> Float[Array, "m"]:
+        """Points of each voxel."""
+        return self.sums[:, 0]
+
+    @property
+    def points(self) -> Float[Array, "m 3"]:
+        """Mean of each voxel's points [m]."""
+        cells = [((self.keys >> shift) & (2 * HALF - 1)) - HALF for shift in (2 * BITS, BITS, 0)]
+        centres = (np.column_stack(cells) + 0.5) * self.size
+        return centres + self.sums[:, 1:4] / self.counts[:, None]
+
+    @property
+    def ranges(self) -> Float[Array, "m"]:
+        """Root mean square of the ranges that each voxel's points were measured at [m]."""
+        return np.sqrt(self.sums[:, 5] / self.counts)
+
+    @property
+    def noise_std(self) -> Float[Array, "m"]:
+        """Standard deviation of each mean's height [m], by the scatter of the points.
+
+        The scatter is that of the whole column over a voxel's base: a voxel by itself would cut
+        off what lies above and below it. Where a column holds few points, the scatter usual at
+        its range counts besides. A mean of n points has it divided by √n.
+        """
+        _, first, column = np.unique(self.keys >> BITS, return_index=True, return_inverse=True)
+        z = self.points[:, 2]
+        number = np.add.reduceat(self.counts, first)
+        mean = np.add.reduceat(self.counts * z, first) / number
+        within = self.sums[:, 4] - self.sums[:, 3] ** 2 / self.counts
+        squares = np.add.reduceat(within + self.counts * (z - mean[column]) ** 2, first)
+        squares, freedom = np.maximum(squares, 0.0), number - 1
+        usual = _usual(squares, freedom, np.add.reduceat(self.sums[:, 5], first) / number)
+        variance = (squares + PRIOR_WEIGHT * usual) / (freedom + PRIOR_WEIGHT)
+        return np.maximum(np.sqrt(variance[column] / self.counts), LEAST_NOISE)
+
+
+def reach(size: float) -> float:
+    """Distance from the origin along an axis that voxels of this size cover [m]."""
+    return (HALF - 1) * size
+
+
+def _summed(size: float, keys: NDArray[np.int64], values: Array) -> Voxels:
+    known, owner = np.unique(keys, return_inverse=True)
+    sums = [np.bincount(owner, column, minlength=len(known)) for column in values.T]
+    return Voxels(size, known, np.column_stack(sums).astype(np.float64, copy=False))
+
+
+def _usual(
+    squares: Float[Array, "c"], freedom: Float[Array, "c"], squared_range: Float[Array, "c"]
+) -> Float[Array, "c"]:
+    """Variance that columns at the same range have on the whole [m²]."""
+    overall = squares.sum() / max(freedom.sum(), 1.0)
+    edges = np.quantile(squared_range, np.linspace(0, 1, RANGE_BINS + 1)[1:-1])
+    of_column = np.searchsorted(edges, squared_range)
+    summed = np.bincount(of_column, squares, minlength=RANGE_BINS)
+    number = np.bincount(of_column, freedom, minlength=RANGE_BINS)
+    return ((summed + PRIOR_WEIGHT * overall) / (number + PRIOR_WEIGHT))[of_column]
+
+
+class VoxelSums:
+    """Adds scan after scan; sets of voxels of like size are merged, as digits carry over.
+
+    So a scan costs what its own points cost, and not what the whole submap holds.
+    """
+
+    def __init__(self, size: float) -> None:
+        """Begin with no points.
+
+        Args:
+            size: Side of a voxel [m].
+        """
+        self._size = size
+        self._sets: list[Voxels] = []
+
+    def add(self, points: Float[Array, "n 3"], ranges: Float[Array, "n"]) -> None:
+        """Add a scan's points; see `Voxels.of`."""
+        if not len(points):
+            return
+        new = Voxels.of(points, ranges, self._size)
+        while self._sets and len(self._sets[-1].keys) <= 2 * len(new.keys):
+            new = self._sets.pop().merged(new)
+        self._sets.append(new)
+
+    def total(self) -> Voxels:
+        """Give all that was added."""
+        if not self._sets:
+            return Voxels(self._size, np.empty(0, np.int64), np.empty((0, 6)))
+        total = self._sets[-1]
+        for earlier in reversed(self._sets[:-1]):
+            total = earlier.merged(total)
+        return total

@@ -1,0 +1,139 @@
+"""Bags of ROS 1 and ROS 2 give what was recorded; broken and ambiguous ones say so in a line."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gpgrad_core.scans import BuildParams, Recording, RecordingSources, open_recording
+from gpgrad_core.scans.trajectory import Poses
+from tests.core.datasets.refusal import assert_refused
+from tests.core.scans.bags import BagWriter, write_bag
+from tests.core.scans.drive import Drive, make_drive, tum
+
+pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+FEW = make_drive(num_scans=6, points_a_scan=50)
+KINDS = [
+    ("a.bag", True, "odometry", ""),
+    ("b.bag", True, "stamped", ""),
+    ("c.bag", True, "tf", ""),
+    ("d", False, "odometry", "sqlite3"),
+    ("e", False, "stamped", "mcap"),
+    ("f", False, "tf", "mcap"),
+]
+
+
+def assert_holds(recording: Recording, drive: Drive) -> None:
+    """Compare with what was driven: times, sensor poses, and the points of every scan."""
+    assert recording.stamps is not None
+    np.testing.assert_allclose(recording.stamps, drive.stamps, rtol=0, atol=1e-6)
+    scans = list(recording.read(0, len(recording)))
+    assert len(scans) == len(drive.scans)
+    for k, (points, driven) in enumerate(zip(scans, drive.scans, strict=True)):
+        np.testing.assert_allclose(points, driven, rtol=0, atol=1e-5)
+        assert_same_pose(recording.sensor(k), drive.sensor[k : k + 1])
+
+
+def assert_same_pose(one: Poses, other: Poses) -> None:
+    np.testing.assert_allclose(one.translation, other.translation, rtol=0, atol=1e-6)
+    assert (one.rotation * other.rotation.inv()).magnitude().max() < 1e-6
+
+
+@pytest.mark.parametrize(("name", "ros1", "poses", "storage"), KINDS)
+def test_every_kind_of_bag(name: str, ros1: bool, poses: str, storage: str, tmp_path: Path) -> None:
+    path = write_bag(tmp_path / name, FEW, ros1=ros1, poses=poses, storage=storage)
+    recording = open_recording(path)
+    assert_holds(recording, FEW)
+    # A stretch alone is the same: what comes before is skipped.
+    (third, fourth) = recording.read(2, 4)
+    np.testing.assert_allclose(third, FEW.scans[2], atol=1e-5)
+    np.testing.assert_allclose(fourth, FEW.scans[3], atol=1e-5)
+    if poses == "odometry":
+        assert recording.covariance is not None
+        np.testing.assert_allclose(recording.covariance[3], 0.03 * np.eye(3), atol=1e-12)
+
+
+def test_a_file_out_of_its_folder_and_bags_in_parts(tmp_path: Path) -> None:
+    folder = write_bag(tmp_path / "whole", FEW, ros1=False, poses="odometry", storage="mcap")
+    (file,) = folder.glob("*.mcap")
+    assert_holds(open_recording(file), FEW)
+    parts = tmp_path / "parts"
+    parts.mkdir()
+    for number, rows in enumerate((slice(0, 3), slice(3, 6))):
+        half = Drive(FEW.stamps[rows], FEW.body[rows], FEW.scans[rows])
+        write_bag(parts / f"{number}.bag", half, ros1=True, poses="odometry")
+    assert_holds(open_recording(parts), FEW)
+
+
+def test_poses_of_a_file_and_truth(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "a.bag", FEW, ros1=True, poses="stamped")
+    (tmp_path / "slam.txt").write_text(tum(FEW.stamps, FEW.sensor))
+    (tmp_path / "truth.txt").write_text(tum(FEW.stamps[2:], FEW.sensor[2:]))
+    sources = RecordingSources(poses=tmp_path / "slam.txt", truth=tmp_path / "truth.txt")
+    recording = open_recording(path, sources)
+    assert_holds(recording, FEW)
+    assert recording.truth is not None
+    assert recording.truth.known.tolist() == [False, False, True, True, True, True]
+    assert any("2 of 6 scans have no true pose" in note for note in recording.notes)
+    assert any("frame 'lidar'" in note for note in recording.notes)
+
+
+def test_scans_without_a_pose_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "a.bag"
+    with BagWriter(path, ros1=True) as bag:
+        for k, stamp in enumerate(FEW.stamps):
+            if k < 4:
+                bag.stamped("/pose", stamp, FEW.sensor, k)
+            bag.cloud("/points", stamp, "lidar", FEW.scans[k])
+    recording = open_recording(path)
+    assert len(recording) == 4
+    assert recording.notes[-1] == "2 of 6 scans have no pose within 0.1 s and were left out"
+    assert len(open_recording(path, params=BuildParams(max_time_difference=2.0))) == 6
+
+
+def test_what_is_missing_or_ambiguous(tmp_path: Path) -> None:
+    two = tmp_path / "two.bag"
+    with BagWriter(two, ros1=True) as bag:
+        for topic in ("/left", "/right"):
+            bag.cloud(topic, FEW.stamps[0], "lidar", FEW.scans[0])
+        bag.odometry("/odom", FEW.stamps[0], FEW.body, 0)
+        bag.stamped("/pose", FEW.stamps[0], FEW.sensor, 0)
+    assert_refused(lambda: open_recording(two), str(two), "/left (1), /right (1)", "--cloud-topic")
+    right = RecordingSources(cloud_topic="/right")
+    assert_refused(lambda: open_recording(two, right), "/odom (1), /pose (1)", "--pose-topic")
+    assert_refused(
+        lambda: open_recording(two, RecordingSources(cloud_topic="/up")),
+        "--cloud-topic /up",
+        "/left (1)",
+    )
+    odometry = RecordingSources(cloud_topic="/right", pose_topic="/odom")
+    assert_refused(lambda: open_recording(two, odometry), "'base_link'", "'lidar'", "--mount FILE")
+    (tmp_path / "mount.txt").write_text("0.3 0 0.9 0 0 0 1\n")
+    mounted = RecordingSources(
+        cloud_topic="/right", pose_topic="/odom", mount=tmp_path / "mount.txt"
+    )
+    recording = open_recording(two, mounted)
+    np.testing.assert_allclose(recording.mount.translation, [[0.3, 0.0, 0.9]])
+    # All zeros is ROS's way of saying that nothing is known.
+    assert recording.covariance is None
+
+    alone = tmp_path / "alone.bag"
+    with BagWriter(alone, ros1=True) as bag:
+        bag.cloud("/points", FEW.stamps[0], "lidar", FEW.scans[0])
+    assert_refused(lambda: open_recording(alone), "no topic of poses")
+
+
+def test_broken_bags_and_a_missing_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_bag(tmp_path / "a.bag", FEW, ros1=True, poses="odometry")
+    whole = path.read_bytes()
+    for broken in (whole[: len(whole) // 2], b"", b"no bag\n" * 9):
+        path.write_bytes(broken)
+        assert_refused(lambda: open_recording(path), str(path), "not a whole bag")
+    for storage in ("sqlite3", "mcap"):
+        folder = write_bag(tmp_path / storage, FEW, ros1=False, poses="odometry", storage=storage)
+        (file,) = (f for f in folder.iterdir() if f.suffix != ".yaml")
+        file.write_bytes(file.read_bytes()[:3000])
+        assert_refused(lambda folder=folder: open_recording(folder), str(folder), "not a whole bag")
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    assert_refused(lambda: open_recording(path), "pip install 'gpgrad[ros]'")
