@@ -1,0 +1,75 @@
+"""A long recording: built in bounded memory, and to the same bytes however often it is killed."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from gpgrad_core.datasets import SimulationParams, load_dataset
+from gpgrad_core.scans import simulate_recording
+from tests.core.scans.test_build import contents
+from tests.end_to_end.process import ROOT, environment
+from tests.end_to_end.test_build import count_lines
+
+NUM_SCANS = int(os.environ.get("GPGRAD_SCANS", "5000"))
+PARAMS = SimulationParams(
+    seed=5, num_submaps=24, spacing=5.0, route="loop", extent=60.0, field_of_view=1.2
+)
+KILLS = 5
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive of 120 m, 4 cm from scan to scan: kept, because it takes minutes to make."""
+    kept = os.environ.get("GPGRAD_RECORDING")
+    folder = Path(kept) if kept else tmp_path_factory.mktemp("recording") / "drive"
+    if not folder.exists():
+        simulate_recording(folder, NUM_SCANS, PARAMS, points_a_scan=5000)
+    return folder
+
+
+def start(recording: Path, out: Path) -> "subprocess.Popen[bytes]":
+    return subprocess.Popen(
+        [sys.executable, "-m", "app", "build", str(recording), "--out", str(out)],
+        env=environment(),
+        cwd=ROOT,
+    )
+
+
+def test_five_thousand_scans(recording: Path, tmp_path: Path) -> None:
+    begun = time.perf_counter()
+    process = start(recording, tmp_path / "whole" / "data")
+    _, process.returncode, usage = os.wait4(process.pid, 0)
+    seconds = time.perf_counter() - begun
+    assert process.returncode == 0
+    peak = usage.ru_maxrss / 1024
+    whole = contents(tmp_path / "whole" / "data")
+    num_submaps = len(load_dataset(tmp_path / "whole" / "data").submaps)
+    say(f"\n{NUM_SCANS:,} scans, {num_submaps} submaps: {seconds:.0f} s, {peak:.0f} MB at most")
+    assert peak < 1000
+
+    chance = random.Random(7)
+    out, journal = tmp_path / "data", tmp_path / "data.partial" / "build.jsonl"
+    for after in sorted(chance.sample(range(num_submaps), KILLS)):
+        process = start(recording, out)
+        while count_lines(journal) <= after:
+            time.sleep(0.01)
+            assert process.poll() is None
+        time.sleep(chance.uniform(0.0, 0.8) * seconds / num_submaps)
+        process.send_signal(signal.SIGKILL)
+        assert process.wait() == -signal.SIGKILL
+        assert not out.exists()
+        say(f"killed with {count_lines(journal) - 1} submaps noted down")
+    process = start(recording, out)
+    assert process.wait() == 0
+    assert contents(out) == whole
+    say("the result is the same to the byte")
+
+
+def say(line: str) -> None:
+    print(line, flush=True)  # noqa: T201 - read with -s
