@@ -23,6 +23,7 @@ from typing import (
 )
 
 import tyro
+from platformdirs import user_config_path
 from tqdm import tqdm
 from typing_extensions import Doc
 from tyro.constructors import (
@@ -109,19 +110,56 @@ class View:
         Literal["shared", "separate"],
         Doc("shared: all pages see and change the same. separate: each page has its own."),
     ] = "shared"
+    state: Annotated[
+        Path | None,
+        Doc("Begin as the viewer was when it saved this file; DATASET and flags outweigh it."),
+    ] = None
+    root: Annotated[
+        Path | None,
+        Doc("Pages may choose among the datasets in this folder, and open none elsewhere."),
+    ] = None
+    config: Annotated[
+        Path | None,
+        Doc("Folder of your presets and of the list of recent datasets; by default your own."),
+    ] = None
+    max_upload: Annotated[int, Doc("Largest file that a page may upload, in MB.")] = 200
     params: ParamsFile = None
     pipeline: AllParams = field(default_factory=PipelineParams)
 
     def run(self, given: Sequence[str]) -> None:
         """Serve until interrupted."""
-        from app.server import Viewer  # noqa: PLC0415 - viser is heavy, and for this verb only
+        # Here, because viser is heavy, and for this verb only.
+        from app.places import Places  # noqa: PLC0415
+        from app.saved import read_saved  # noqa: PLC0415
+        from app.server import Viewer  # noqa: PLC0415
 
         _check_address(self.host, self.port)
-        source = self.dataset or demo_path()
+        if self.root is not None and not self.root.is_dir():
+            raise InputError(f"--root {self.root}: no such folder")
+        if self.max_upload < 1:
+            raise InputError(f"--max-upload must be 1 MB or more, got {self.max_upload}")
+        saved = None if self.state is None else read_saved(self.state)
+        source = self.dataset or (saved and saved.dataset) or demo_path()
         dataset = _load(source)
-        params = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
+        base = _base(dataset, None if saved else self.params)
+        start = base
+        if saved is not None:
+            saved.check(dataset)
+            start = read_parameters(self.params, saved.params) if self.params else saved.params
+        params = _again(self, given, pipeline=start).pipeline
         viewer = Viewer(
-            dataset, params, self.host, self.port, source=str(source), sessions=self.sessions
+            dataset,
+            params if saved is None else base,
+            self.host,
+            self.port,
+            source=str(source),
+            saved=saved and replace(saved, params=params),
+            sessions=self.sessions,
+            places=Places(
+                config=self.config or user_config_path("gpgrad", appauthor=False),
+                root=self.root,
+                max_upload=1_000_000 * self.max_upload,
+            ),
         )
         try:
             _say(f"{dataset.name} is at {viewer.url} (Ctrl-C ends)")
@@ -140,6 +178,10 @@ class Detect:
     out: Annotated[Path, Doc("File to write: closures.json.")]
     method: Annotated[str, Doc(f"How to detect: {', '.join(METHODS)}.")] = "gradient"
     g2o: Annotated[Path | None, Doc("Also write the pose graph to this .g2o file.")] = None
+    pair: Annotated[
+        tuple[str, str] | None,
+        Doc("Compare these two submaps only: the id of the query, then of the database."),
+    ] = None
     params: ParamsFile = None
     pipeline: AllParams = field(default_factory=PipelineParams)
 
@@ -150,6 +192,8 @@ class Detect:
         if self.g2o:
             check_output(self.g2o, (".g2o",))
         dataset = _load(self.dataset)
+        if self.pair:
+            dataset = _only(dataset, *self.pair)
         asked = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
         params = method.adapt(asked)
         if self.g2o:
@@ -509,6 +553,13 @@ def _load(path: Path) -> Dataset:
     for note in dataset.notes:
         _warn(note)
     return dataset
+
+
+def _only(dataset: Dataset, query_id: str, database_id: str) -> Dataset:
+    """Keep two submaps, the database first: the later one is the query."""
+    if query_id == database_id:
+        raise InputError(f"--pair: {query_id} beside itself is no pair; name two submaps")
+    return replace(dataset, submaps=(dataset.submap(database_id), dataset.submap(query_id)))
 
 
 def _told(evaluation: Evaluation) -> list[str]:

@@ -2,12 +2,18 @@
 
 import contextlib
 import io
+import tempfile
 import threading
+from dataclasses import replace
+from pathlib import Path
 from typing import Literal, TypeAlias
 
 import viser
 
-from app.session import Opened, Session
+from app.opening import Opened
+from app.places import ANYWHERE, Places
+from app.saved import Saved
+from app.session import Session
 from app.turns import Turns
 from gpgrad_core.memo import Memo
 from gpgrad_core.parameters import preferred_parameters
@@ -30,7 +36,9 @@ class Viewer:
         port: int = 8080,
         *,
         source: str = "",
+        saved: Saved | None = None,
         sessions: Sessions = "shared",
+        places: Places = ANYWHERE,
     ) -> None:
         """Start serving; returns at once.
 
@@ -40,14 +48,19 @@ class Viewer:
             host: Address to listen on. There is no password: whoever reaches it can use it.
             port: Port to listen on; if it is taken, the next free one. 0 takes any.
             source: Path of the dataset, for the box in which it can be changed.
+            saved: What to begin with in place of that.
             sessions: "shared": all pages see and change the same. "separate": each page has a
                 session of its own, which ends with it; what one has computed serves all.
+            places: Where pages may have read from and written to; uploads get a folder that ends
+                with the viewer.
 
         Raises:
             InputError: If the dataset prefers parameters that there are not.
         """
         start = params if params is not None else preferred_parameters(dataset, PipelineParams())
-        self._opened = Opened(dataset, start, source)
+        self._opened = Opened(dataset, start, source, saved)
+        self._uploads = tempfile.TemporaryDirectory(prefix="gpgrad-uploads-")
+        self._places = replace(places, uploads=Path(self._uploads.name))
         self._memo = Memo(MEMO_BYTES)
         self._turns = Turns()
         self._lock = threading.Lock()
@@ -59,7 +72,9 @@ class Viewer:
         self._shared: Session | None = None
         self._separate: dict[int, Session] = {}
         if sessions == "shared":
-            self._shared = Session(self._server, self._opened, self._memo, self._turns)
+            self._shared = Session(
+                self._server, self._opened, self._memo, self._turns, self._places
+            )
         self._server.on_client_connect(self._enter)
         self._server.on_client_disconnect(self._leave)
 
@@ -96,6 +111,7 @@ class Viewer:
             session.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
+        self._uploads.cleanup()
 
     # Called from the server's pool of threads, so in any order.
 
@@ -107,7 +123,7 @@ class Viewer:
             if self._closed.is_set() or client.client_id not in self._server.get_clients():
                 return  # it left before its turn came
             self._separate[client.client_id] = Session(
-                client, self._opened, self._memo, self._turns
+                client, self._opened, self._memo, self._turns, self._places
             )
 
     def _leave(self, client: viser.ClientHandle) -> None:

@@ -7,8 +7,9 @@ server, to all of whose pages alike, or on one page; it never asks which.
 
 import logging
 import threading
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import viser
 
@@ -16,10 +17,12 @@ from app import state as states
 from app.all_pairs import AllPairs
 from app.demo import Demo
 from app.explore import Explore
+from app.exports import Exports
 from app.fit import Fit, with_fitted
 from app.host import Host
+from app.opening import Opened, Opening
 from app.panels.commands import Commands
-from app.panels.dataset import DatasetPanel, PairPanel
+from app.panels.dataset import DatasetSummary, PairPanel
 from app.panels.params import ParamsPanel
 from app.panels.presence import PresenceLine
 from app.panels.status import StatusLine
@@ -27,21 +30,24 @@ from app.panels.verdict import VerdictCard
 from app.panels.view import ViewPanel
 from app.panels.ways import Way, WaysPanel
 from app.part import Part
+from app.places import ANYWHERE, Places
+from app.presets import Presets
 from app.runner import Runner
+from app.saving import Saving
 from app.stage import Stage
+from app.stages import TimedMemo
 from app.state import ViewOptions, ViewState
 from app.turns import Turns
+from app.undo import Undo
 from app.views.colors import legend_uri
 from app.views.layers import Scale
+from app.views.placement import Camera
 from app.views.scene import PairScene, Shown
 from gpgrad_core.coarse import infer_quick_map
-from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.memo import Memo
-from gpgrad_core.parameters import preferred_parameters
 from gpgrad_core.pipeline import PairResult, PipelineParams, register_pair
 from gpgrad_core.progress import Progress
-from gpgrad_core.types import Dataset
 
 _log = logging.getLogger(__name__)
 
@@ -57,15 +63,8 @@ MAIN_PARAMETERS = {
 
 CONTROL_WIDTH = 310
 VIEW_WIDTH = 280
-
-
-@dataclass(frozen=True, eq=False)
-class Opened:
-    """A dataset that was read, and what to start it with."""
-
-    dataset: Dataset
-    params: PipelineParams
-    source: str
+LONG = 1.0
+"""What takes longer has a bar and can be cancelled [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +85,14 @@ class Picture:
 class Session:
     """Panels, scene and workers of one session."""
 
-    def __init__(self, host: Host, opened: Opened, memo: Memo, turns: Turns) -> None:
+    def __init__(
+        self,
+        host: Host,
+        opened: Opened,
+        memo: Memo,
+        turns: Turns,
+        places: Places = ANYWHERE,
+    ) -> None:
         """Build it on a host and start on the first picture; returns at once.
 
         Args:
@@ -94,8 +100,9 @@ class Session:
             opened: What to open with; its parameters are what "reset" goes back to.
             memo: Shared by all sessions, so that none computes what another has.
             turns: Shared by all sessions, so that they do not outnumber the processors.
+            places: Where may be read from and written to.
         """
-        self._state = states.open_dataset(opened.dataset, opened.params)
+        self._state = begin(opened, ViewOptions())
         self._lock = threading.Lock()
         self._memo = memo
         self._turns = turns
@@ -103,20 +110,22 @@ class Session:
         self._parts: list[Part] = []
         self._scene = PairScene(host)
         self._commands = Commands(host)
-        self._build_panels(opened.source)
-        self._scene.start_camera(self._scene.camera(self._state))
+        self._places = places
+        self._timed = TimedMemo(memo)
+        self._began = time.monotonic()
+        self._build_panels()
+        self._params.set_default(opened.params)
+        self._start_camera(opened)
         self._painted: ViewState | None = None  # whose full surfaces are to be seen
         self._runner: Runner[ViewState, Picture] = Runner(
             self._compute,
             self._on_result,
             self._on_error,
             on_start=self._on_start,
+            on_cancel=lambda state: self._outdate(self._status.cancelled),  # noqa: ARG005
             preview=self._preview,
             turns=turns.pictures,
             name="pair",
-        )
-        self._loader: Runner[Path | None, Opened] = Runner(
-            self._load, self._on_loaded, self._on_load_error, name="dataset"
         )
         self._runner.submit(self._state)
 
@@ -131,19 +140,18 @@ class Session:
 
     def wait_idle(self, timeout: float = 60.0) -> bool:
         """Wait until the picture is up to date; says whether that came true in time [s]."""
-        workers = (self._loader, *self._parts, self._runner, *self._parts)
+        workers = (*self._parts, self._runner, *self._parts)
         return all(worker.wait_idle(timeout) for worker in workers)
 
     def close(self) -> None:
         """Stop working; what was shown stays until its page goes."""
-        self._loader.close()
         self._runner.close()
         for part in self._parts:
             part.close()
 
     # What the user sees: verdict and parameters right, what is drawn left.
 
-    def _build_panels(self, source: str) -> None:
+    def _build_panels(self) -> None:
         gui, state = self._host.gui, self._state
         gui.set_panel_label("Loop closure")
         gui.main_panel.dock_right()
@@ -151,7 +159,7 @@ class Session:
         ways = WaysPanel(self._host, "Tune", lambda way: self._stage.go(way, self._state))
         self._presence = PresenceLine(self._host)
         self._verdict = VerdictCard(self._host)
-        self._status = StatusLine(self._host)
+        self._status = StatusLine(self._host, on_cancel=self._cancel)
         self._params = ParamsPanel(
             self._host,
             state.params,
@@ -168,6 +176,7 @@ class Session:
                 message_of=message_of,
             )
         )
+        self._parts.append(Undo(self._host, state, self._commands, on_params=self._take_params))
         reset = gui.add_button(
             "Reset parameters", hint="Back to the parameters that this dataset started with."
         )
@@ -177,14 +186,13 @@ class Session:
             del event
             self._change(params=self._params.reset())
 
+        self._parts.append(
+            Presets(self._host, state, self._places.presets, on_params=self._take_params)
+        )
         left = gui.add_panel()
         with left.add_tab("Submaps and view"):
-            self._dataset_panel = DatasetPanel(
-                self._host,
-                self._open,
-                lambda: self._loader.submit(None),
-            )
-            self._dataset_panel.show(state.dataset, source)
+            self._summary = DatasetSummary(self._host)
+            self._summary.show(state.dataset)
             self._pair_panel = PairPanel(
                 self._host, state, lambda query, database: self._change(pair=(query, database))
             )
@@ -204,6 +212,21 @@ class Session:
                     on_pair=self._show_pair,
                     message_of=message_of,
                 )
+            )
+        with left.add_tab("Data"):
+            self._opening = Opening(
+                self._host,
+                state.source,
+                self._places,
+                on_opened=self._take_opened,
+                message_of=message_of,
+            )
+            self._parts.append(self._opening)
+        with left.add_tab("Save"):
+            self._saving = Saving(self._host, state, on_restore=self._opening.restore)
+            self._parts.append(self._saving)
+            self._parts.append(
+                Exports(self._host, state, self._memo, self._turns.long, message_of=message_of)
             )
         explore_panel, demo_panel = gui.add_panel(), gui.add_panel()
         with explore_panel.add_tab("World"):
@@ -263,11 +286,14 @@ class Session:
         for part in self._parts:
             part.follow(state)
 
-    def _take_fitted(self, found: dict[str, float]) -> None:
-        params = self._params.value
-        params = replace(params, map=with_fitted(params.map, found))
+    def _take_params(self, params: PipelineParams) -> None:
+        """Go to parameters that no slider gave: the sliders follow."""
         self._params.set(params)
         self._change(params=params)
+
+    def _take_fitted(self, found: dict[str, float]) -> None:
+        params = self._params.value
+        self._take_params(replace(params, map=with_fitted(params.map, found)))
 
     def _show_pair(self, query_id: str, database_id: str) -> None:
         self._change(pair=(query_id, database_id))
@@ -283,6 +309,9 @@ class Session:
         self._view_panel.set(options)
         self._change(options=options)
 
+    def _cancel(self) -> None:
+        self._runner.cancel()
+
     def _reset_camera(self) -> None:
         self._scene.move_cameras(self._scene.camera(self._state))
 
@@ -295,7 +324,7 @@ class Session:
         if state.options.layout == "registered" and not self._scene.knows_motion(state):
             return None  # it would jump as soon as the motion is known
         query_map, database_map = (
-            infer_quick_map(submap, state.params.map, self._memo, progress)
+            infer_quick_map(submap, state.params.map, self._timed, progress)
             for submap in (state.query, state.database)
         )
         coarse = any(
@@ -306,14 +335,24 @@ class Session:
         return Picture(self._scene.preview(state, (query_map, database_map)), coarse=coarse)
 
     def _compute(self, state: ViewState, progress: Progress) -> Picture:
+        def report(fraction: float) -> None:
+            progress(fraction)
+            if time.monotonic() - self._began > LONG:
+                self._status.progress(fraction)
+
         result = register_pair(
-            state.query, state.database, state.params, self._memo, progress=progress
+            state.query, state.database, state.params, self._timed, progress=report
         )
+        start = time.perf_counter()
         self._painted = state
-        return Picture(self._scene.show(state, result), result)
+        shown = self._scene.show(state, result)
+        self._timed.add("drawing", time.perf_counter() - start)
+        return Picture(shown, result)
 
     def _on_start(self, state: ViewState) -> None:
         del state
+        self._began = time.monotonic()
+        self._timed = TimedMemo(self._memo)
         self._status.computing()
 
     def _on_result(self, state: ViewState, picture: Picture, seconds: float) -> None:
@@ -327,7 +366,7 @@ class Session:
             if self._runner.newer_waits:
                 self._status.stale(seconds)
             else:
-                self._status.up_to_date(seconds, details(picture.shown, state))
+                self._status.up_to_date(seconds, details(picture.shown, state), self._timed.seconds)
             for part in self._parts:
                 part.show(state, picture.pair)
         self._host.flush()
@@ -348,40 +387,50 @@ class Session:
 
     def _on_error(self, state: ViewState, error: Exception) -> None:
         del state
-        self._status.error(message_of(error))
+        self._outdate(lambda: self._status.error(message_of(error)))
+
+    def _outdate(self, tell: Callable[[], None]) -> None:
+        """Say that what is seen is not what is set: on the card, in the scene, and why."""
+        self._verdict.outdate("out of date")
+        self._scene.outdate()
+        tell()
+        self._host.flush()
 
     # Opening another dataset.
 
-    def _open(self, path: str) -> None:
-        if not path:
-            self._dataset_panel.error("Type the path of a dataset folder first.")
-            return
-        self._loader.submit(Path(path).expanduser())
-
-    def _load(self, path: Path | None, progress: Progress) -> Opened:
-        source = path if path is not None else demo_path()
-        self._dataset_panel.loading(str(source))
-        dataset = load_dataset(source, progress=progress)
-        return Opened(dataset, preferred_parameters(dataset, PipelineParams()), str(source))
-
-    def _on_loaded(self, path: Path | None, opened: Opened, seconds: float) -> None:
-        del path, seconds
+    def _take_opened(self, opened: Opened) -> None:
         with self._lock:
-            state = states.open_dataset(opened.dataset, opened.params, self._state.options)
+            state = begin(opened, self._state.options)
             self._set(state)
         self._params.set_default(opened.params)
-        self._params.reset()
-        self._dataset_panel.show(opened.dataset, opened.source)
+        self._params.set(state.params)
+        self._view_panel.set(state.options)
+        self._summary.show(state.dataset)
         self._pair_panel.show(state)
         self._stage.forget_views()
+        camera = self._start_camera(opened)
         if self._stage.subject == "pair":  # the world brings the cameras to itself
-            camera = self._scene.camera(state)
-            self._scene.start_camera(camera)
             self._scene.move_cameras(camera)
+        if opened.saved is not None:
+            self._saving.restored()
 
-    def _on_load_error(self, path: Path | None, error: Exception) -> None:
-        del path
-        self._dataset_panel.error(message_of(error))
+    def _start_camera(self, opened: Opened) -> Camera:
+        """Set, and give, the view that pages begin with."""
+        saved = None if opened.saved is None else opened.saved.camera
+        camera = saved or self._scene.camera(self._state)
+        self._scene.start_camera(camera)
+        return camera
+
+
+def begin(opened: Opened, options: ViewOptions) -> ViewState:
+    """Make the first snapshot of what was opened.
+
+    Args:
+        opened: The dataset.
+        options: Of the view, unless it comes with its own.
+    """
+    state = states.open_dataset(opened.dataset, opened.params, options, opened.source)
+    return state if opened.saved is None else opened.saved.apply(state)
 
 
 def message_of(error: Exception) -> str:

@@ -1,10 +1,11 @@
 """The session: one immutable snapshot of what is open, what is set and what is shown."""
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias, get_args
+from typing import Annotated, Literal, TypeAlias, get_args
 
 import numpy as np
 
+from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset, Pose, Submap
 
@@ -49,7 +50,11 @@ class ViewOptions:
     keypoints: bool = True
     inlier_lines: bool = True
     outlier_lines: bool = False
-    point_size: float = 0.03
+    point_size: Annotated[float, Bounds(0.005, 0.2, 0.005, "m")] = 0.03
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +67,7 @@ class ViewState:
         database_id: Submap that it is registered to.
         params: Of the pipeline.
         options: Of the view.
+        source: Path that the dataset was read from; empty if it was made otherwise.
     """
 
     dataset: Dataset
@@ -69,6 +75,7 @@ class ViewState:
     database_id: str
     params: PipelineParams = field(default_factory=PipelineParams)
     options: ViewOptions = field(default_factory=ViewOptions)
+    source: str = ""
 
     @property
     def query(self) -> Submap:
@@ -82,11 +89,14 @@ class ViewState:
 
 
 def open_dataset(
-    dataset: Dataset, params: PipelineParams, options: ViewOptions | None = None
+    dataset: Dataset,
+    params: PipelineParams,
+    options: ViewOptions | None = None,
+    source: str = "",
 ) -> ViewState:
     """Start on a dataset, at the pair most worth looking at."""
     query_id, database_id = promising_pair(dataset)
-    return ViewState(dataset, query_id, database_id, params, options or ViewOptions())
+    return ViewState(dataset, query_id, database_id, params, options or ViewOptions(), source)
 
 
 def with_pair(

@@ -23,6 +23,9 @@ from gpgrad_core.types import Dataset
 
 P = TypeVar("P")
 
+AUTOMATIC = "automatic"
+"""What files say for None, which TOML does not have."""
+
 
 def read_parameters(path: Path | str, base: P) -> P:
     """Read a TOML file of parameters over a base.
@@ -76,6 +79,17 @@ def with_tables(base: P, tables: Mapping[str, object], where: str) -> P:
     return _replaced(base, tables, where, "")
 
 
+def to_tables(params: object) -> dict[str, object]:
+    """Write params as the nested tables that `with_tables` reads; nothing is left out."""
+    tables: dict[str, object] = {}
+    for field in fields(cast("Any", params)):
+        value = getattr(params, field.name)
+        tables[field.name] = to_tables(value) if is_dataclass(value) else value
+        if value is None:
+            tables[field.name] = AUTOMATIC
+    return tables
+
+
 def _replaced(base: P, tables: Mapping[str, object], where: str, prefix: str) -> P:
     group = cast("Any", base)
     hints = get_type_hints(type(base), include_extras=True)
@@ -106,6 +120,8 @@ def _checked(hint: object, value: object, where: str, key: str) -> object:
     if get_origin(hint) is Annotated:
         hint = get_args(hint)[0]
     wanted = _alternatives(hint)
+    if value == AUTOMATIC and NoneType in wanted:
+        return None
     # bool is an int to Python, but `trials = true` is a slip.
     if isinstance(value, bool):
         fits = bool in wanted
@@ -130,9 +146,14 @@ def _alternatives(hint: object) -> tuple[Any, ...]:
 
 
 def _spelled(wanted: tuple[Any, ...]) -> str:
-    words = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
-    # TOML has no null: a parameter that may be None is None where the file is silent.
-    named = [words.get(one, repr(one)) for one in wanted if one is not NoneType]
+    words: dict[object, str] = {
+        float: "a number",
+        int: "a whole number",
+        bool: "true or false",
+        str: "a text",
+        NoneType: f'"{AUTOMATIC}"',
+    }
+    named = [words.get(one, repr(one)) for one in wanted]
     return " or ".join(named)
 
 

@@ -4,7 +4,7 @@ from html import escape
 from math import degrees
 
 from app.host import Host
-from app.panels.text import BAD, GOOD, badge, table
+from app.panels.text import BAD, BUSY, GOOD, badge, table
 from app.state import ViewState
 from gpgrad_core.pipeline import PairResult
 
@@ -22,9 +22,14 @@ class VerdictCard:
         self._card = verdict_html(state, result)
         self._handle.content = self._card
 
-    def outdate(self) -> None:
-        """Fade the card: it is not about the surfaces that are shown, and a new one is coming."""
-        self._handle.content = f'<div style="opacity:.4">{self._card}</div>'
+    def outdate(self, why: str = "") -> None:
+        """Fade the card: it is not about what is shown or set.
+
+        Args:
+            why: Written above it; empty while a new one is coming.
+        """
+        above = f'<div style="padding:0 .75em">{badge(why, BUSY, "stale")}</div>' if why else ""
+        self._handle.content = f'{above}<div style="opacity:.4">{self._card}</div>'
 
 
 def verdict_html(state: ViewState, result: PairResult) -> str:

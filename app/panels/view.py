@@ -42,20 +42,24 @@ class ViewPanel:
         gui = host.gui
         self._options = options
         self._on_change = on_change
-        self._layout = gui.add_dropdown(
-            "Layout",
-            LAYOUTS,
-            initial_value=options.layout,
-            hint="Each submap by itself, or the query laid onto the database by the registration.",
+        self._inputs: dict[str, tuple[viser.GuiInputHandle[Any], Callable[[Any], object]]] = {}
+        self._bind(
+            "layout",
+            gui.add_dropdown(
+                "Layout",
+                LAYOUTS,
+                initial_value=options.layout,
+                hint="Each submap by itself, or the query laid onto the database "
+                "by the registration.",
+            ),
         )
-        self._bind("layout", self._layout)
         self._layer = gui.add_dropdown(
             "Layer",
             tuple(LAYER_NAMES[layer] for layer in LAYERS),
             initial_value=LAYER_NAMES[options.layer],
             hint="Field of the gradient map that colours the surfaces.",
         )
-        self._bind("layer", self._layer, LAYER_OF.__getitem__)
+        self._bind("layer", self._layer, LAYER_OF.__getitem__, LAYER_NAMES.__getitem__)
         self._bind(
             "color_map",
             gui.add_dropdown(
@@ -150,9 +154,10 @@ class ViewPanel:
         return self._options
 
     def set(self, options: ViewOptions) -> None:
-        """Show other options of the layout; nothing is called."""
+        """Show other options; ``on_change`` is not called."""
         self._options = options
-        self._layout.value = options.layout
+        for name, (handle, shown) in self._inputs.items():
+            handle.value = shown(getattr(options, name))
 
     def show_legend(
         self, bar: str, label: str, unit: str, *, low: float, high: float, mark: float | None
@@ -178,7 +183,10 @@ class ViewPanel:
         name: str,
         handle: viser.GuiInputHandle[Any],
         convert: Callable[[Any], object] = lambda value: value,
+        shown: Callable[[Any], object] = lambda value: value,
     ) -> None:
+        self._inputs[name] = handle, shown
+
         @handle.on_update
         async def _(event: viser.GuiEvent[Any]) -> None:
             if event.client_id is None:

@@ -37,6 +37,7 @@ BAR: Rgb = (60, 60, 60)
 MAX_SURFELS = 200_000
 """Of one surface; a finer map is drawn at every second cell, or third, …"""
 MAX_CLOUD_POINTS = 200_000
+OUTDATED = "Out of date: "
 SCALE_BAR_SHARE = 0.4
 """Longest length of the scale bar, as a share of the database's width."""
 
@@ -226,6 +227,11 @@ class PairScene:
             sum(node.cloud.num_points for node in nodes) if options.clouds else 0,
         )
         return shown, stage
+
+    def outdate(self) -> None:
+        """Say in the picture that it is not what was asked for; the next one takes that back."""
+        if self._verdict.text and not self._verdict.text.startswith(OUTDATED):
+            self._verdict.text = OUTDATED + self._verdict.text
 
     def _hide_associations(self) -> None:
         for node in (self._query.keypoints, self._database.keypoints):

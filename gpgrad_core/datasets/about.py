@@ -7,6 +7,7 @@ from typing import cast
 
 from gpgrad_core.datasets.tables import read_text
 from gpgrad_core.errors import InputError
+from gpgrad_core.toml_text import toml_lines, toml_value
 
 TEXT_KEYS = ("name", "description", "licence")
 SENSOR_KEYS = ("constant", "quadratic")
@@ -103,44 +104,15 @@ def write_about(path: Path, about: About) -> None:
         path: The file; overwritten if it exists.
         about: What it should say; its notes are not written.
     """
-    lines = [f"{key} = {_toml(getattr(about, key))}" for key in TEXT_KEYS if getattr(about, key)]
+    lines = [
+        f"{key} = {toml_value(getattr(about, key))}" for key in TEXT_KEYS if getattr(about, key)
+    ]
     if about.sensor_noise:
         lines += [
             "",
             "[sensor_noise]  # of a point at range r: constant + quadratic r^2 [m]",
-            *(f"{key} = {_toml(value)}" for key, value in about.sensor_noise.items()),
+            *(f"{key} = {toml_value(value)}" for key, value in about.sensor_noise.items()),
         ]
     if about.preferred:
-        lines += ["", "[preferred]", *_toml_table("preferred", about.preferred)]
+        lines += ["", "[preferred]", *toml_lines(about.preferred, "preferred")]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
-
-
-def _toml_table(name: str, table: dict[str, object]) -> list[str]:
-    lines = [f"{key} = {_toml(v)}" for key, v in table.items() if not isinstance(v, dict)]
-    for key, value in table.items():
-        if isinstance(value, dict):
-            inner = f"{name}.{key}"
-            lines += ["", f"[{inner}]", *_toml_table(inner, cast("dict[str, object]", value))]
-    return lines
-
-
-def _toml(value: object) -> str:
-    match value:
-        case bool():
-            return str(value).lower()
-        case int():
-            return str(int(value))
-        case float():
-            return repr(float(value))  # NumPy's own repr names its type
-        case str():
-            return '"' + "".join(_escape(letter) for letter in value) + '"'
-        case list() | tuple():
-            return f"[{', '.join(_toml(item) for item in cast('list[object]', value))}]"
-        case _:
-            raise InputError(f"dataset.toml cannot hold {value!r}")
-
-
-def _escape(letter: str) -> str:
-    if letter in '"\\':
-        return f"\\{letter}"
-    return letter if letter.isprintable() else f"\\U{ord(letter):08x}"

@@ -1,5 +1,6 @@
 """Files that others read: loop closures, maps, pose graphs."""
 
+from gpgrad_core.outputs.closure_table import write_closure_table
 from gpgrad_core.outputs.closures import (
     ClosureReport,
     PairRecord,
@@ -22,6 +23,7 @@ __all__ = [
     "read_closures",
     "replacing",
     "report_closures",
+    "write_closure_table",
     "write_closures",
     "write_fitted",
     "write_graph",

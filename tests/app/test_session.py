@@ -7,7 +7,8 @@ import pytest
 import viser
 
 from app import session as app_session
-from app.session import MAIN_PARAMETERS, Opened, Session, message_of
+from app.opening import Opened
+from app.session import MAIN_PARAMETERS, Session, message_of
 from app.state import ViewState
 from app.turns import Turns
 from app.views.surfels import OVERLAP
@@ -43,6 +44,10 @@ def session(
 def gui(session: Session) -> viser.ViserServer:
     assert isinstance(session._host, viser.ViserServer)
     return session._host
+
+
+def opening_said(session: Session) -> str:
+    return session._opening._panel._message.content
 
 
 def said(session: Session, panel: str) -> str:
@@ -190,7 +195,7 @@ def test_a_missing_folder_is_told_and_the_rest_works(session: Session, tmp_path:
     user_sets(find(gui(session), "Folder"), str(missing))
     user_sets(find(gui(session), "Open"), "Load")
     assert session.wait_idle(20)
-    assert f"{missing}: no such file or folder" in said(session, "_dataset_panel")
+    assert f"{missing}: no such file or folder" in opening_said(session)
     assert session.state.dataset.name == "hills"
     user_sets(find(gui(session), "Minimum inliers"), 20)
     assert session.wait_idle(20)
@@ -199,7 +204,7 @@ def test_a_missing_folder_is_told_and_the_rest_works(session: Session, tmp_path:
 
 def test_an_empty_path_is_told(session: Session) -> None:
     user_sets(find(gui(session), "Open"), "Load")
-    assert "Type the path" in said(session, "_dataset_panel")
+    assert "Type the path" in opening_said(session)
 
 
 def test_hiding_the_surfaces_hides_the_legend(session: Session) -> None:

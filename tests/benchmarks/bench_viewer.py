@@ -22,9 +22,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from app import state as states
-from app.panels.params import with_path
 from app.server import Viewer
 from app.session import MAIN_PARAMETERS
+from app.settings import with_path
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.gradient_map import MapParams, kept_points
 from gpgrad_core.pipeline import PipelineParams

@@ -5,7 +5,8 @@ import pytest
 import viser
 from typing_extensions import Doc
 
-from app.panels.params import ParamsPanel, get_path, settings_of, with_path
+from app.panels.params import ParamsPanel
+from app.settings import get_path, settings_of, with_path
 from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import viser
 
-from app.panels.dataset import DatasetPanel, PairPanel
+from app.panels.dataset import UP, Choices, DatasetPanel, DatasetSummary, PairPanel
+from app.panels.saving import command_html
 from app.panels.status import StatusLine, status_html
 from app.panels.verdict import VerdictCard, verdict_html
 from app.panels.view import LAYER_NAMES, ViewPanel, legend_html
@@ -21,6 +22,18 @@ def html_of(panel: object) -> str:
     """Join what a panel's HTML widgets say."""
     return "".join(
         handle.content for handle in vars(panel).values() if isinstance(handle, viser.GuiHtmlHandle)
+    )
+
+
+def dataset_panel(server: viser.ViserServer, asked: list[str]) -> DatasetPanel:
+    return DatasetPanel(
+        server,
+        on_load=asked.append,
+        on_demo=lambda: asked.append("the demo"),
+        on_cancel=lambda: asked.append("cancel"),
+        on_enter=lambda name: asked.append(f"enter {name}"),
+        on_open_here=lambda: asked.append("open here"),
+        on_upload=lambda name, content: asked.append(f"{name}: {len(content)}"),
     )
 
 
@@ -72,9 +85,12 @@ def test_names_cannot_bring_markup_into_the_page(server: viser.ViserServer) -> N
     submap = Submap.from_points(np.random.default_rng(0).normal(size=(9, 3)), evil)
     dataset = Dataset(evil, (submap,), description=evil, notes=(evil,))
     state = open_dataset(dataset, PipelineParams())
-    panel = DatasetPanel(server, lambda path: None, lambda: None)  # noqa: ARG005
-    panel.show(dataset, evil)
-    shown = html_of(panel)
+    summary, panel = DatasetSummary(server), dataset_panel(server, [])
+    summary.show(dataset)
+    panel.show(evil)
+    panel.show_folder(Choices(evil, (evil,), can_open=True, note=evil))
+    panel.loading(evil)
+    shown = html_of(summary) + html_of(panel) + command_html(f"gpgrad detect {evil}</textarea>")
     panel.error(evil)
     shown += html_of(panel) + status_html(evil, "red", title=evil)
     result = make_result(STATE)
@@ -83,6 +99,7 @@ def test_names_cannot_bring_markup_into_the_page(server: viser.ViserServer) -> N
     )
     shown += legend_html("data:", evil, evil, low=0.0, high=1.0, mark=None)
     assert "<img src=x" not in shown
+    assert shown.count("</textarea>") == 1
     assert "&lt;img src=x" in shown
 
 
@@ -99,25 +116,84 @@ def test_the_status_line_says_whether_the_picture_is_current(server: viser.Viser
     assert "too wide" in html_of(status)
 
 
-def test_loading_reports_the_path_as_typed(server: viser.ViserServer) -> None:
+def test_what_took_how_long_is_told_by_stage(server: viser.ViserServer) -> None:
+    status = StatusLine(server)
+    status.up_to_date(0.2, "5 cells", {"map": 0.12, "matching": 0.0001, "drawing": 0.008})
+    assert "map 120 · drawing 8 ms" in html_of(status)
+    assert "matching" not in html_of(status)
+    status.up_to_date(0.0, "5 cells", {})
+    assert "stages" not in html_of(status)
+
+
+def test_long_work_has_a_bar_and_can_be_cancelled(server: viser.ViserServer) -> None:
     asked: list[str] = []
-    panel = DatasetPanel(server, asked.append, lambda: asked.append("the demo"))
+    status = StatusLine(server, on_cancel=lambda: asked.append("cancel"))
+    button = find(server, "Cancel computing")
+    assert not button.visible
+    status.progress(0.4)
+    assert button.visible
+    user_presses(button)
+    assert asked == ["cancel"]
+    status.cancelled()
+    assert not button.visible
+    assert "out of date" in html_of(status)
+
+
+def test_a_card_that_is_out_of_date_says_so_until_the_next(server: viser.ViserServer) -> None:
+    card = VerdictCard(server)
+    card.show(STATE, make_result(STATE))
+    card.outdate("out of date")
+    assert "out of date" in html_of(card)
+    assert "query 003" in html_of(card)
+    card.show(STATE, make_result(STATE))
+    assert "out of date" not in html_of(card)
+
+
+def test_datasets_are_asked_for_in_every_way(server: viser.ViserServer) -> None:
+    asked: list[str] = []
+    panel = dataset_panel(server, asked)
+    panel.show_recent(("/data/etna", "/data/moon"))
+    panel.show_folder(Choices("/data", ("etna/", "one.ply"), can_open=True))
     user_sets(find(server, "Folder"), "  /data/etna ")
     user_sets(find(server, "Open"), "Load")
     user_sets(find(server, "Open"), "Demo")
-    assert asked == ["/data/etna", "the demo"]
+    user_sets(find(server, "Recent"), "/data/moon")
+    user_sets(find(server, "Browse"), "etna/")
+    user_sets(find(server, "Browse"), UP)
+    user_presses(find(server, "Open this folder"))
+    user_sets(
+        find(server, "Upload clouds"), viser.UploadedFile("C:\\some\\where\\000.ply", b"12345")
+    )
+    user_presses(find(server, "Cancel loading"))
+    assert asked == [
+        "/data/etna",
+        "the demo",
+        "/data/moon",
+        "enter etna/",
+        "enter ",
+        "open here",
+        "000.ply: 5",
+        "cancel",
+    ]
+
+
+def test_loading_is_told_and_ends(server: viser.ViserServer) -> None:
+    panel = dataset_panel(server, [])
+    panel.loading("/data/etna", 0.4)
+    assert find(server, "Cancel loading").visible
     panel.error("/data/etna: no such file or folder")
     assert "no such file" in html_of(panel)
-    panel.show(STATE.dataset, "/data/hills")
+    assert not find(server, "Cancel loading").visible
+    panel.show("/data/hills")
     assert "no such file" not in html_of(panel)
-    assert "hills · 4 submaps" in html_of(panel)
     assert find(server, "Folder").value == "/data/hills"
 
 
-def test_what_loading_left_out_is_shown(server: viser.ViserServer) -> None:
-    panel = DatasetPanel(server, lambda path: None, lambda: None)  # noqa: ARG005
-    panel.show(replace(STATE.dataset, notes=("003.ply: 7 rows dropped",)), "")
-    assert "003.ply: 7 rows dropped" in html_of(panel)
+def test_what_is_open_and_what_loading_left_out_is_shown(server: viser.ViserServer) -> None:
+    summary = DatasetSummary(server)
+    summary.show(replace(STATE.dataset, notes=("003.ply: 7 rows dropped",)))
+    assert "hills · 4 submaps" in html_of(summary)
+    assert "003.ply: 7 rows dropped" in html_of(summary)
 
 
 def test_the_pair_is_chosen_and_stepped(server: viser.ViserServer) -> None:

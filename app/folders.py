@@ -1,0 +1,119 @@
+"""What can be opened below a folder, and nothing beyond it: links are followed before judging."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from gpgrad_core.datasets.clouds import READERS
+from gpgrad_core.errors import InputError
+
+MOST_ENTRIES = 500
+"""Longer lists make the browser slow; what is left out is counted."""
+
+
+@dataclass(frozen=True)
+class Listing:
+    """What there is to choose in a folder.
+
+    Attributes:
+        folder: Relative to the root; "." is the root itself.
+        folders: Names of the folders within.
+        clouds: Names of the clouds within.
+        is_dataset: Whether the folder itself can be opened.
+        num_hidden: Entries left out of a long list.
+    """
+
+    folder: Path
+    folders: tuple[str, ...]
+    clouds: tuple[str, ...]
+    is_dataset: bool
+    num_hidden: int = 0
+
+
+def inside(root: Path, path: Path) -> Path:
+    """Resolve a path that must lie below a root.
+
+    Args:
+        root: The folder.
+        path: Absolute, or relative to the root.
+
+    Returns:
+        The path without links.
+
+    Raises:
+        InputError: If it does not exist or lies elsewhere, be it by a link.
+    """
+    real_root = root.resolve()
+    try:
+        real = (root / path).resolve(strict=True)
+    except OSError as error:
+        raise InputError(f"{path}: no such file or folder in {root}") from error
+    if not real.is_relative_to(real_root):
+        raise InputError(f"{path}: lies outside of {root}, all that this viewer may open")
+    return real
+
+
+def check_inside(root: Path, path: Path) -> Path:
+    """Resolve a dataset's path, and check that nothing in it is a link to elsewhere.
+
+    Raises:
+        InputError: As `inside`.
+    """
+    real = inside(root, path)
+    for entry in _entries(real):
+        if entry.is_symlink():
+            inside(root, entry)
+    return real
+
+
+def list_folder(root: Path, folder: Path) -> Listing:
+    """List what can be chosen in a folder below the root.
+
+    Args:
+        root: What must not be left.
+        folder: Relative to it.
+
+    Raises:
+        InputError: If the folder is none, cannot be read, or lies elsewhere.
+    """
+    real = inside(root, folder)
+    if not real.is_dir():
+        raise InputError(f"{folder}: is no folder")
+    folders: list[str] = []
+    clouds: list[str] = []
+    try:
+        entries = sorted(real.iterdir())
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read: {error.strerror or error}") from error
+    for entry in entries:
+        if entry.name.startswith(".") or not entry.resolve().is_relative_to(root.resolve()):
+            continue
+        if entry.is_dir():
+            folders.append(entry.name)
+        elif entry.suffix.lower() in READERS:
+            clouds.append(entry.name)
+    hidden = max(len(folders) - MOST_ENTRIES, 0) + max(len(clouds) - MOST_ENTRIES, 0)
+    return Listing(
+        real.relative_to(root.resolve()),
+        tuple(folders[:MOST_ENTRIES]),
+        tuple(clouds[:MOST_ENTRIES]),
+        is_dataset=bool(clouds) or "submaps" in folders,
+        num_hidden=hidden,
+    )
+
+
+def _entries(path: Path) -> Iterator[Path]:
+    """Walk over all that loading a dataset may touch; links to folders are named, not entered."""
+    if path.is_file():
+        yield path
+        return
+    for name in ("", "submaps", "images"):
+        folder = path / name
+        if not folder.is_dir():
+            continue
+        deep = name == "images"
+        for parent, folders, files in os.walk(folder):
+            yield from (Path(parent) / entry for entry in (*folders, *files))
+            if not deep:
+                break

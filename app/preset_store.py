@@ -1,0 +1,133 @@
+"""Presets: sets of parameters with a name and what they are good for."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from gpgrad_core.baselines.paper import paper_params
+from gpgrad_core.errors import InputError
+from gpgrad_core.outputs import replacing
+from gpgrad_core.parameters import read_parameters, to_tables, with_tables
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.toml_text import toml_lines
+
+NAME = re.compile(r"[^\W_][\w .()+-]{0,59}")
+"""What a preset may be called, so that it can be a file's name on every system."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Parameters worth coming back to."""
+
+    name: str
+    purpose: str  # one line for people
+    params: PipelineParams
+
+
+def _with(**groups: Mapping[str, object]) -> PipelineParams:
+    return with_tables(PipelineParams(), groups, "preset")
+
+
+BUILT_IN: tuple[Preset, ...] = (
+    Preset(
+        "default",
+        "Stereo clouds of a rover, a point every few centimetres. No false closure and nearly all "
+        "true ones on a Mars yard, a volcano and the Moon.",
+        PipelineParams(),
+    ),
+    Preset(
+        "paper",
+        "The numbers of Le Gentil et al. 2020: 5,000 points, length-scale √0.1 m, SURF, five "
+        "inliers. Their Algorithm 1 itself is `gpgrad detect --method paper`.",
+        paper_params(PipelineParams()),
+    ),
+    Preset(
+        "rough ground",
+        "Rocks and ripples of a few decimetres, seen densely: a shorter length-scale keeps them, "
+        "and each point's noise is measured by its neighbours.",
+        _with(map={"length_scale": 0.2, "noise_model": "measured"}),
+    ),
+    Preset(
+        "smooth ground",
+        "Swells of half a metre and more, and noisy points: a longer length-scale averages over "
+        "more of them, and each point's noise is measured by its neighbours.",
+        _with(map={"length_scale": 0.45, "noise_model": "measured"}),
+    ),
+)
+
+
+def own_presets(folder: Path) -> tuple[tuple[Preset, ...], tuple[str, ...]]:
+    """Read the presets that the user has saved.
+
+    Args:
+        folder: Where they lie, a TOML file each; it need not exist.
+
+    Returns:
+        The presets by name, and a line for each file that cannot be read.
+    """
+    found: list[Preset] = []
+    notes: list[str] = []
+    for path in sorted(folder.glob("*.toml")):
+        if not NAME.fullmatch(path.stem):
+            notes.append(f"{path.name}: is no name of a preset")
+            continue
+        try:
+            params = read_parameters(path, PipelineParams())
+        except (InputError, OSError) as error:
+            notes.append(str(error))
+            continue
+        found.append(Preset(path.stem, f"Your own: {path}", params))
+    return tuple(found), tuple(notes)
+
+
+def save_preset(folder: Path, name: str, params: PipelineParams) -> Path:
+    """Save parameters as one of the user's presets; one of the same name is replaced.
+
+    Args:
+        folder: Where they lie; made if need be.
+        name: Of letters, digits, spaces and a few marks.
+        params: What to save, all of it.
+
+    Returns:
+        The file, which ``--params`` reads.
+
+    Raises:
+        InputError: If the name cannot be used, or the file cannot be written.
+    """
+    path = _path(folder, name)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as unfinished:
+            unfinished.write_text(preset_text(name, params), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def delete_preset(folder: Path, name: str) -> None:
+    """Delete one of the user's presets.
+
+    Raises:
+        InputError: If there is none of that name.
+    """
+    try:
+        _path(folder, name).unlink()
+    except OSError as error:
+        raise InputError(f"{name}: is none of your own presets") from error
+
+
+def preset_text(name: str, params: PipelineParams) -> str:
+    """Write the TOML of a preset."""
+    return "\n".join([f"# gpgrad parameters: {name}", *toml_lines(to_tables(params))]) + "\n"
+
+
+def _path(folder: Path, name: str) -> Path:
+    name = name.strip()
+    if not NAME.fullmatch(name) or name.endswith("."):
+        raise InputError(
+            f"{name!r} cannot be a preset's name: use up to 60 letters, digits, spaces and . + - ()"
+        )
+    if any(name == preset.name for preset in BUILT_IN):
+        raise InputError(f"{name!r} is a built-in preset: choose another name")
+    return folder / f"{name}.toml"

@@ -1,0 +1,53 @@
+"""Which stage of the pipeline the time went to."""
+
+import time
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+from gpgrad_core.memo import Memo
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+STAGE_OF = {
+    "fit_terrain": "map",
+    "sample_map": "map",
+    "thin_evenly": "map",
+    "detect_features": "features",
+    "select_trusted": "features",
+    "match_features": "matching",
+    "prepare": "registration",
+    "register": "registration",
+}
+"""The stage that each function which the pipeline asks its memo for belongs to."""
+
+
+class TimedMemo(Memo):
+    """Passes everything on to another memo, and counts the seconds by stage."""
+
+    def __init__(self, memo: Memo) -> None:
+        """Begin at zero.
+
+        Args:
+            memo: What remembers the results.
+        """
+        super().__init__(0)
+        self._memo = memo
+        self.seconds: dict[str, float] = {}
+
+    def holds(self, function: Callable[..., object], *arguments: object) -> bool:
+        """Say whether calling with these arguments would compute nothing."""
+        return self._memo.holds(function, *arguments)
+
+    def __call__(self, function: Callable[P, R], *arguments: P.args, **unkeyed: P.kwargs) -> R:
+        """Return what the other memo returns, and count how long that took."""
+        start = time.perf_counter()
+        try:
+            return self._memo(function, *arguments, **unkeyed)
+        finally:
+            name = getattr(function, "__name__", "other")
+            self.add(STAGE_OF.get(name, name), time.perf_counter() - start)
+
+    def add(self, stage: str, seconds: float) -> None:
+        """Count seconds that were spent on a stage [s]."""
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds

@@ -1,0 +1,51 @@
+"""Every pair of submaps as a row of a table, for spreadsheets: ``closures.csv``."""
+
+import csv
+from pathlib import Path
+
+from gpgrad_core.outputs.closures import ClosureReport
+from gpgrad_core.outputs.files import replacing
+
+COLUMNS = (
+    "query",
+    "database",
+    "accepted",
+    "score",
+    "num_inliers",
+    "overlap_area_m2",
+    "dissimilarity",
+    "x_m",
+    "y_m",
+    "yaw_rad",
+    "reason",
+)
+
+
+def write_closure_table(path: Path | str, report: ClosureReport) -> None:
+    """Write a report's pairs as comma-separated values with a header.
+
+    x, y and yaw are of ``T_database_query``; their cells are empty where no motion was found.
+
+    Raises:
+        InputError: If the file cannot be written there.
+        OSError: If writing fails.
+    """
+    with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        for pair in report.pairs:
+            motion = pair.T_database_query
+            place = ("", "", "") if motion is None else (motion.x, motion.y, motion.yaw)
+            writer.writerow(
+                (
+                    pair.query,
+                    pair.database,
+                    str(pair.accepted).lower(),
+                    pair.score,
+                    pair.num_inliers,
+                    pair.overlap_area,
+                    pair.dissimilarity,
+                    *place,
+                    pair.reason,
+                )
+            )
