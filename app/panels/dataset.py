@@ -100,7 +100,7 @@ class DatasetPanel:
             visible=on_enter is not None,
             hint="Look into a folder of the machine that runs the viewer, or choose a cloud.",
         )
-        self._here = gui.add_button("Open this folder", visible=False)
+        self._here = gui.add_button("Use this folder", visible=False)
         self._upload = gui.add_upload_button(
             "Upload clouds or a .zip",
             visible=on_upload is not None,

@@ -34,6 +34,8 @@ class FakeViewer:
     port: int
     source: str = ""
     sessions: str = "shared"
+    saved: object = None
+    places: object = None
     url: str = "http://127.0.0.1:8080"
     closed: bool = False
 

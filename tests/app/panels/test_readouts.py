@@ -160,7 +160,7 @@ def test_datasets_are_asked_for_in_every_way(server: viser.ViserServer) -> None:
     user_sets(find(server, "Recent"), "/data/moon")
     user_sets(find(server, "Browse"), "etna/")
     user_sets(find(server, "Browse"), UP)
-    user_presses(find(server, "Open this folder"))
+    user_presses(find(server, "Use this folder"))
     user_sets(
         find(server, "Upload clouds"), viser.UploadedFile("C:\\some\\where\\000.ply", b"12345")
     )
