@@ -242,7 +242,7 @@ def gliding(draw: Callable[[float], None]) -> Animation:
 
 
 def _closure_page(state: ViewState, result: PairResult, progress: Progress) -> _Page:
-    registered = with_options(state, replace(state.options, layout="registered"))
+    registered = with_options(state, replace(state.options, layout="registered", compare="both"))
 
     def compose(server: viser.ViserServer) -> Composed:
         scene = PairScene(server)

@@ -383,7 +383,6 @@ def world_legend(scale: Scale | None) -> str:
         scale.unit,
         low=scale.low,
         high=scale.high,
-        mark=None,
     )
 
 

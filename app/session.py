@@ -10,7 +10,9 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 
+import numpy as np
 import viser
 
 from app import state as states
@@ -20,6 +22,7 @@ from app.explore import Explore
 from app.exports import Exports
 from app.fit import Fit, with_fitted
 from app.host import Host
+from app.inspection import Inspection
 from app.opening import Opened, Opening
 from app.panels.commands import Commands
 from app.panels.dataset import DatasetSummary, PairPanel
@@ -34,13 +37,16 @@ from app.places import ANYWHERE, Places
 from app.presets import Presets
 from app.runner import Runner
 from app.saving import Saving
+from app.shortcuts import Actions, add_shortcuts
 from app.stage import Stage
 from app.stages import TimedMemo
-from app.state import ViewOptions, ViewState
+from app.state import Probe, ViewOptions, ViewState
 from app.turns import Turns
 from app.undo import Undo
 from app.views.colors import legend_uri
-from app.views.layers import Scale
+from app.views.flight import set_view
+from app.views.ground import HistogramOf
+from app.views.picking import Ray
 from app.views.placement import Camera
 from app.views.scene import PairScene, Shown
 from gpgrad_core.coarse import infer_quick_map
@@ -109,6 +115,7 @@ class Session:
         self._host = host
         self._parts: list[Part] = []
         self._scene = PairScene(host)
+        self._histogram = HistogramOf()
         self._commands = Commands(host)
         self._places = places
         self._timed = TimedMemo(memo)
@@ -127,6 +134,7 @@ class Session:
             turns=turns.pictures,
             name="pair",
         )
+        host.scene.on_click(modifier="shift")(self._pick)
         self._runner.submit(self._state)
 
     @property
@@ -148,6 +156,7 @@ class Session:
         self._runner.close()
         for part in self._parts:
             part.close()
+        self._scene.close()
 
     # What the user sees: verdict and parameters right, what is drawn left.
 
@@ -202,6 +211,13 @@ class Session:
                 lambda options: self._change(options=options),
                 self._reset_camera,
             )
+        with left.add_tab("Inspect"):
+            self._inspection = Inspection(
+                self._host,
+                on_match=lambda number: self._change(match=number),
+                on_clear=lambda: self._change(probe=None),
+            )
+            self._parts.append(self._inspection)
         with left.add_tab("All pairs"):
             self._parts.append(
                 AllPairs(
@@ -260,6 +276,21 @@ class Session:
             "Demo": demo_panel,
         }
         self._stage = Stage(self._host, self._scene, explore, panels, ways, self._commands)
+        self._add_shortcuts()
+
+    def _add_shortcuts(self) -> None:
+        add_shortcuts(
+            self._commands,
+            Actions(
+                options=lambda: self._state.options,
+                set_options=self._set_options,
+                step_pair=self._pair_panel.step,
+                step_match=self._inspection.step,
+                clear=lambda: self._change(match=0, probe=None),
+                look_at_both=lambda page: set_view(page, self._scene.camera(self._state)),
+                look_from_above=lambda page: set_view(page, self._scene.camera_above(self._state)),
+            ),
+        )
 
     def _change(
         self,
@@ -267,6 +298,8 @@ class Session:
         pair: tuple[str, str] | None = None,
         params: PipelineParams | None = None,
         options: ViewOptions | None = None,
+        match: int | None = None,
+        probe: Probe | Literal["as it is"] | None = "as it is",
     ) -> None:
         """Take a new snapshot and submit it; quick, for callbacks."""
         with self._lock:
@@ -277,6 +310,10 @@ class Session:
                 state = states.with_params(state, params)
             if options is not None:
                 state = states.with_options(state, options)
+            if match is not None:
+                state = states.with_match(state, match)
+            if probe != "as it is":
+                state = states.with_probe(state, probe)
             self._set(state)
 
     def _set(self, state: ViewState) -> None:
@@ -295,6 +332,11 @@ class Session:
         params = self._params.value
         self._take_params(replace(params, map=with_fitted(params.map, found)))
 
+    def _set_options(self, options: ViewOptions) -> None:
+        """Show other options, in the widgets too."""
+        self._view_panel.set(options)
+        self._change(options=options)
+
     def _show_pair(self, query_id: str, database_id: str) -> None:
         self._change(pair=(query_id, database_id))
         self._pair_panel.show(self._state)
@@ -305,12 +347,21 @@ class Session:
 
     def _register(self) -> None:
         """Show the pair registered."""
-        options = replace(self._state.options, layout="registered")
+        options = replace(self._state.options, layout="registered", compare="both")
         self._view_panel.set(options)
         self._change(options=options)
 
     def _cancel(self) -> None:
         self._runner.cancel()
+
+    def _pick(self, event: viser.SceneClickEvent) -> None:
+        """Read the place of a surface that was clicked on; from one of viser's threads."""
+        ray = Ray(np.array(event.ray_origin), np.array(event.ray_direction))
+        probe = self._scene.pick(ray)
+        if probe is None:
+            self._inspection.missed()
+        else:
+            self._change(probe=probe)
 
     def _reset_camera(self) -> None:
         self._scene.move_cameras(self._scene.camera(self._state))
@@ -356,7 +407,7 @@ class Session:
         self._status.computing()
 
     def _on_result(self, state: ViewState, picture: Picture, seconds: float) -> None:
-        self._show_legend(state, picture.shown.scale)
+        self._show_legend(picture.shown)
         if picture.pair is None:
             if picture.coarse:
                 self._verdict.outdate()
@@ -371,18 +422,20 @@ class Session:
                 part.show(state, picture.pair)
         self._host.flush()
 
-    def _show_legend(self, state: ViewState, scale: Scale | None) -> None:
+    def _show_legend(self, shown: Shown) -> None:
+        scale = shown.scale
         if scale is None:
             self._view_panel.hide_legend()
             return
-        mask = state.params.features.max_std_ratio
+        made = self._histogram.of(shown.ground)
         self._view_panel.show_legend(
             legend_uri(scale.color_map),
             scale.label,
             scale.unit,
             low=scale.low,
             high=scale.high,
-            mark=mask if state.options.layer == "mask" else None,
+            histogram=made.svg,
+            note=made.note,
         )
 
     def _on_error(self, state: ViewState, error: Exception) -> None:

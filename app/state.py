@@ -9,17 +9,22 @@ from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset, Pose, Submap
 
-Layer: TypeAlias = Literal["elevation", "std", "gradient", "slope_x", "slope_y", "mask"]
+Layer: TypeAlias = Literal[
+    "elevation", "std", "gradient", "slope_x", "slope_y", "mask", "difference"
+]
 ColorMap: TypeAlias = Literal[
     "automatic", "viridis", "cividis", "magma", "turbo", "grey", "blue-white-red"
 ]
 Layout: TypeAlias = Literal["side by side", "registered"]
 Untrusted: TypeAlias = Literal["hidden", "grey", "shown"]
+Compare: TypeAlias = Literal["both", "query", "database", "swipe", "blink"]
+Role: TypeAlias = Literal["query", "database"]
 
 LAYERS: tuple[Layer, ...] = get_args(Layer)
 COLOR_MAPS: tuple[ColorMap, ...] = get_args(ColorMap)
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 UNTRUSTED: tuple[Untrusted, ...] = get_args(Untrusted)
+COMPARE: tuple[Compare, ...] = get_args(Compare)
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,9 @@ class ViewOptions:
         layer: Field of the gradient map that colours the surfaces.
         color_map: Colours of that field; "automatic" chooses by layer.
         layout: Each submap by itself, or the query laid onto the database.
+        compare: Of the registered maps, both at once, one of them, or one beside or after the
+            other: left and right of a line, or in turn.
+        swipe: Where that line stands, as a share of the width of both.
         surfaces: Draw the Gaussian-process surfaces.
         clouds: Draw the points they were inferred from.
         untrusted: What becomes of cells that the variance mask rejects.
@@ -43,6 +51,8 @@ class ViewOptions:
     layer: Layer = "elevation"
     color_map: ColorMap = "automatic"
     layout: Layout = "side by side"
+    compare: Compare = "both"
+    swipe: Annotated[float, Bounds(0.0, 1.0, 0.01, "")] = 0.5
     surfaces: bool = True
     clouds: bool = False
     untrusted: Untrusted = "hidden"
@@ -57,6 +67,15 @@ class ViewOptions:
         check_bounds(self)
 
 
+@dataclass(frozen=True)
+class Probe:
+    """A place on a surface whose values are read."""
+
+    role: Role  # whose surface it is
+    x: float  # [m], in that submap's frame
+    y: float
+
+
 @dataclass(frozen=True, eq=False)
 class ViewState:
     """Everything a picture is made from; the functions below make a changed copy.
@@ -68,6 +87,8 @@ class ViewState:
         params: Of the pipeline.
         options: Of the view.
         source: Path that the dataset was read from; empty if it was made otherwise.
+        match: Number of the association that is pointed at, from 1; 0 for none.
+        probe: The place whose values are read.
     """
 
     dataset: Dataset
@@ -76,6 +97,8 @@ class ViewState:
     params: PipelineParams = field(default_factory=PipelineParams)
     options: ViewOptions = field(default_factory=ViewOptions)
     source: str = ""
+    match: int = 0
+    probe: Probe | None = None
 
     @property
     def query(self) -> Submap:
@@ -102,7 +125,7 @@ def open_dataset(
 def with_pair(
     state: ViewState, *, query_id: str | None = None, database_id: str | None = None
 ) -> ViewState:
-    """Choose the query, the database submap, or both.
+    """Choose the query, the database submap, or both; what was pointed at is no longer there.
 
     Raises:
         InputError: If the dataset has no such submap.
@@ -113,7 +136,9 @@ def with_pair(
         database_id=state.database_id if database_id is None else database_id,
     )
     _ = chosen.query, chosen.database
-    return chosen
+    if (chosen.query_id, chosen.database_id) == (state.query_id, state.database_id):
+        return chosen
+    return replace(chosen, match=0, probe=None)
 
 
 def with_params(state: ViewState, params: PipelineParams) -> ViewState:
@@ -124,6 +149,16 @@ def with_params(state: ViewState, params: PipelineParams) -> ViewState:
 def with_options(state: ViewState, options: ViewOptions) -> ViewState:
     """Set what is drawn."""
     return replace(state, options=options)
+
+
+def with_match(state: ViewState, number: int) -> ViewState:
+    """Point at an association by its number from 1, or with 0 at none."""
+    return replace(state, match=number)
+
+
+def with_probe(state: ViewState, probe: Probe | None) -> ViewState:
+    """Read the values of a place, or of none."""
+    return replace(state, probe=probe)
 
 
 def same_surfaces(first: ViewState, second: ViewState) -> bool:

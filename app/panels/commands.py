@@ -16,7 +16,7 @@ CAMERA_KEYS = frozenset("WASDQE") | {"arrowup", "arrowdown", "arrowleft", "arrow
 
 FLYING = (
     ("Drag", "turn the view"),
-    ("Right drag, Shift drag", "move the view"),
+    ("Right drag", "move the view"),
     ("Wheel", "nearer or farther"),
     ("W A S D Q E, arrows", "fly"),
     ("Shift + click", "read the values of a surface"),

@@ -9,7 +9,7 @@ import viser
 
 from app.host import Host
 from app.panels.text import BAD, FAINT, paragraph
-from app.state import ViewState, neighbour
+from app.state import Role, ViewState, neighbour
 from gpgrad_core.types import Dataset
 
 NO_RECENT: str = "—"
@@ -234,11 +234,11 @@ class PairPanel:
 
         @query_steps.on_click
         async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            self._step(self._query, self._database, event.target.value)
+            self.step("query", 1 if event.target.value == "next" else -1)
 
         @database_steps.on_click
         async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            self._step(self._database, self._query, event.target.value)
+            self.step("database", 1 if event.target.value == "next" else -1)
 
     def show(self, state: ViewState) -> None:
         """Offer the submaps of another dataset; ``on_change`` is not called."""
@@ -251,13 +251,11 @@ class PairPanel:
             dropdown.options = ids
             dropdown.value = chosen
 
-    def _step(
-        self,
-        moved: viser.GuiDropdownHandle[str],
-        other: viser.GuiDropdownHandle[str],
-        button: str,
-    ) -> None:
-        step = 1 if button.startswith("next") else -1
+    def step(self, role: Role, step: int) -> None:
+        """Go to the next (1) or the previous (-1) query or database submap, and report it."""
+        moved, other = self._query, self._database
+        if role == "database":
+            moved, other = other, moved
         moved.value = neighbour(self._dataset, moved.value, step, skip=other.value)
         self._report()
 

@@ -1,6 +1,6 @@
 """What is drawn: layer, colours and their legend, layout, matches."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from html import escape
 from typing import Any
@@ -8,7 +8,8 @@ from typing import Any
 import viser
 
 from app.host import Host
-from app.state import COLOR_MAPS, LAYERS, LAYOUTS, UNTRUSTED, Layer, ViewOptions
+from app.panels.text import FAINT
+from app.state import COLOR_MAPS, COMPARE, LAYERS, LAYOUTS, UNTRUSTED, Compare, Layer, ViewOptions
 
 LAYER_NAMES: dict[Layer, str] = {
     "elevation": "elevation",
@@ -17,8 +18,15 @@ LAYER_NAMES: dict[Layer, str] = {
     "slope_x": "dz/dx",
     "slope_y": "dz/dy",
     "mask": "mask",
+    "difference": "height difference",
 }
-LAYER_OF = {name: layer for layer, name in LAYER_NAMES.items()}
+COMPARE_NAMES: dict[Compare, str] = {
+    "both": "both",
+    "query": "query only",
+    "database": "database only",
+    "swipe": "swipe",
+    "blink": "blink",
+}
 
 
 class ViewPanel:
@@ -53,13 +61,39 @@ class ViewPanel:
                 "by the registration.",
             ),
         )
-        self._layer = gui.add_dropdown(
-            "Layer",
-            tuple(LAYER_NAMES[layer] for layer in LAYERS),
-            initial_value=LAYER_NAMES[options.layer],
-            hint="Field of the gradient map that colours the surfaces.",
+        self._bind_choice(
+            "compare",
+            gui.add_dropdown(
+                "Compare",
+                tuple(COMPARE_NAMES[way] for way in COMPARE),
+                initial_value=COMPARE_NAMES[options.compare],
+                hint="Registered submaps: both at once, one alone, database left and query right "
+                "of a line, or one after the other.",
+            ),
+            COMPARE_NAMES,
         )
-        self._bind("layer", self._layer, LAYER_OF.__getitem__, LAYER_NAMES.__getitem__)
+        self._bind(
+            "swipe",
+            gui.add_slider(
+                "Swipe",
+                0.0,
+                1.0,
+                0.01,
+                options.swipe,
+                hint="Where the line stands: the database is left of it, the query right.",
+            ),
+        )
+        self._bind_choice(
+            "layer",
+            gui.add_dropdown(
+                "Layer",
+                tuple(LAYER_NAMES[layer] for layer in LAYERS),
+                initial_value=LAYER_NAMES[options.layer],
+                hint="What colours the surfaces. Height difference: query minus database under "
+                "the motion found; grey where only one of them saw the ground.",
+            ),
+            LAYER_NAMES,
+        )
         self._bind(
             "color_map",
             gui.add_dropdown(
@@ -143,6 +177,8 @@ class ViewPanel:
                 ),
             )
 
+        self._show_what_applies()
+
         @camera.on_click
         async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
             del event
@@ -158,9 +194,18 @@ class ViewPanel:
         self._options = options
         for name, (handle, shown) in self._inputs.items():
             handle.value = shown(getattr(options, name))
+        self._show_what_applies()
 
     def show_legend(
-        self, bar: str, label: str, unit: str, *, low: float, high: float, mark: float | None
+        self,
+        bar: str,
+        label: str,
+        unit: str,
+        *,
+        low: float,
+        high: float,
+        histogram: str = "",
+        note: str = "",
     ) -> None:
         """Show what the colours mean.
 
@@ -170,9 +215,12 @@ class ViewPanel:
             unit: Of its values.
             low: Value at the left end.
             high: Value at the right end.
-            mark: A value to point at, such as the mask's threshold.
+            histogram: Picture of how often each value occurs, as HTML.
+            note: A line about it.
         """
-        self._legend.content = legend_html(bar, label, unit, low=low, high=high, mark=mark)
+        self._legend.content = legend_html(
+            bar, label, unit, low=low, high=high, histogram=histogram, note=note
+        )
 
     def hide_legend(self) -> None:
         """Show none: there is nothing coloured."""
@@ -192,31 +240,45 @@ class ViewPanel:
             if event.client_id is None:
                 return
             self._options = replace(self._options, **{name: convert(event.target.value)})
+            self._show_what_applies()
             self._on_change(self._options)
+
+    def _bind_choice(
+        self, name: str, handle: viser.GuiInputHandle[str], names: Mapping[Any, str]
+    ) -> None:
+        """Bind a choice whose values have names for people."""
+        values = {text: value for value, text in names.items()}
+        self._bind(name, handle, values.__getitem__, names.__getitem__)
+
+    def _show_what_applies(self) -> None:
+        registered = self._options.layout == "registered"
+        self._inputs["compare"][0].visible = registered
+        self._inputs["swipe"][0].visible = registered and self._options.compare == "swipe"
 
 
 def legend_html(
-    bar: str, label: str, unit: str, *, low: float, high: float, mark: float | None
+    bar: str,
+    label: str,
+    unit: str,
+    *,
+    low: float,
+    high: float,
+    histogram: str = "",
+    note: str = "",
 ) -> str:
-    """Write the legend: name and unit, the bar, and the values at its ends and middle."""
+    """Write the legend: name and unit, histogram, bar, values at its ends and middle, note."""
     exponent = _exponent(high - low)
     digits = max(0, min(4, (2 if exponent >= 0 else 1) - exponent))
     low_text, middle, high_text = (f"{value:.{digits}f}" for value in (low, (low + high) / 2, high))
-    pointer = ""
-    if mark is not None and high > low:
-        place = 100 * min(max((mark - low) / (high - low), 0.0), 1.0)
-        pointer = (
-            f'<div style="position:relative;height:.9em"><span style="position:absolute;'
-            f'left:{place:.1f}%;transform:translateX(-50%);font-size:.8em">▼</span></div>'
-        )
+    below = f'<div style="{FAINT};line-height:1.35">{escape(note)}</div>' if note else ""
     return (
         f'<div data-testid="legend" style="padding:.1em .75em .3em;font-size:.8em">'
-        f"<b>{escape(label)}</b> [{escape(unit)}]{pointer}"
+        f"<b>{escape(label)}</b> [{escape(unit)}]{histogram}"
         f'<img src="{bar}" alt="colour bar" style="width:100%;height:12px;display:block;'
         f'border-radius:2px;margin:.15em 0">'
         f'<div style="display:flex;justify-content:space-between;'
         f'font-variant-numeric:tabular-nums"><span>{low_text}</span><span>{middle}</span>'
-        f"<span>{high_text}</span></div></div>"
+        f"<span>{high_text}</span></div>{below}</div>"
     )
 
 

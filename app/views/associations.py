@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from numpy.typing import NDArray
 
 from app.views.colors import INLIER, OUTLIER, REFUSED_INLIER, UNMATCHED, Rgb
@@ -14,8 +14,8 @@ from gpgrad_core.types import GradientMap
 Array = NDArray[np.float64]
 
 ARC_PIECES = 12
-ARC_RISE = 0.12
-"""Height of an arc over its span."""
+ARC_RISE, CHOSEN_RISE = 0.12, 0.2
+"""Height of an arc over its span: of any, and of the one that is pointed at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +59,29 @@ def match_lines(
         `ARC_PIECES` straight pieces an arc, arc after arc.
     """
     agree = result.registration.inliers
-    chosen = agree if inliers else ~agree
+    return _arcs(result, query, database, agree if inliers else ~agree, lift)
+
+
+def match_arc(
+    result: PairResult, query: Placement, database: Placement, index: int, lift: float
+) -> Float[NDArray[np.float32], "n 2 3"]:
+    """Join the keypoints of one association as `match_lines` joins many, above all these."""
+    chosen = np.arange(len(result.matches)) == index
+    return _arcs(result, query, database, chosen, lift, rise=CHOSEN_RISE)
+
+
+def _arcs(
+    result: PairResult,
+    query: Placement,
+    database: Placement,
+    chosen: Bool[NDArray[np.bool_], "m"],
+    lift: float,
+    rise: float = ARC_RISE,
+) -> Float[NDArray[np.float32], "n 2 3"]:
     matches = result.matches
     start = query.apply(on_surface(result.query_map, matches.query_xy[chosen], lift))
     end = database.apply(on_surface(result.database_map, matches.database_xy[chosen], lift))
-    return arcs(start, end, ARC_PIECES, ARC_RISE)
+    return arcs(start, end, ARC_PIECES, rise)
 
 
 def arcs(
@@ -94,19 +112,56 @@ def keypoint_dots(result: PairResult, *, of_query: bool, lift: float) -> Dots:
     """
     features = result.query_features if of_query else result.database_features
     gradient_map = result.query_map if of_query else result.database_map
+    points = on_surface(gradient_map, features.positions, lift).astype(np.float32)
+    return Dots(points, keypoint_colors(result, of_query=of_query))
+
+
+def keypoint_colors(result: PairResult, *, of_query: bool) -> UInt8[NDArray[np.uint8], "k 3"]:
+    """Give the colour of each keypoint of one map: inlier, outlier, or without partner."""
+    features = result.query_features if of_query else result.database_features
     colors = np.full((len(features), 3), UNMATCHED, dtype=np.uint8)
     indices = result.matches.pairs[:, 0 if of_query else 1]
     agree = result.registration.inliers
     # Inliers last: without the mutual check a keypoint may have several partners.
     colors[indices[~agree]] = OUTLIER
     colors[indices[agree]] = inlier_color(result)
-    points = on_surface(gradient_map, features.positions, lift).astype(np.float32)
-    return Dots(points, colors)
+    return colors
 
 
 def inlier_color(result: PairResult) -> Rgb:
     """Give the colour of inliers: green, or yellow where there are too few to close the loop."""
     return INLIER if result.closure.accepted else REFUSED_INLIER
+
+
+def residuals(result: PairResult) -> Float[Array, "m"] | None:
+    """Say how far each association misses under the motion found [m]; None without a motion."""
+    motion = result.registration.T_database_query
+    if motion is None:
+        return None
+    missed = motion.apply(result.matches.query_xy) - result.matches.database_xy
+    return np.hypot(missed[:, 0], missed[:, 1])
+
+
+def step_match(result: PairResult, number: int, step: int, *, inliers: bool, outliers: bool) -> int:
+    """Give the number, from 1, of the next association of the kinds asked for, round the end.
+
+    Args:
+        result: The pair.
+        number: Where to start; 0 is before the first.
+        step: 1 for the next, -1 for the previous.
+        inliers: Stop at inliers. If neither kind is asked for, both are.
+        outliers: Stop at outliers.
+
+    Returns:
+        0 if there is none.
+    """
+    agree = result.registration.inliers
+    wanted = agree & inliers | ~agree & outliers if inliers or outliers else agree | ~agree
+    numbers = np.flatnonzero(wanted) + 1
+    if len(numbers) == 0:
+        return 0
+    beyond = numbers[numbers > number] if step > 0 else numbers[numbers < number][::-1]
+    return int(beyond[0]) if len(beyond) else int(numbers[0 if step > 0 else -1])
 
 
 def outline(corners: Float[Array, "k 3"]) -> Float[NDArray[np.float32], "k 2 3"]:

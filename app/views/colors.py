@@ -22,6 +22,9 @@ INLIER = (56, 180, 76)
 REFUSED_INLIER = (226, 165, 30)
 OUTLIER = (214, 69, 65)
 UNMATCHED = (120, 120, 120)
+CHOSEN = (0, 200, 230)
+PROBE = (230, 40, 200)
+BACK = (165, 165, 165)
 UNTRUSTED_GREY = (186, 186, 186)
 
 LIGHT = np.array([-0.5, 0.5, 0.7071067811865476])
@@ -102,6 +105,24 @@ def hillshade(
 def shade(colors: Colors, brightness: Float[NDArray[np.floating], "n"]) -> Colors:
     """Darken or brighten colours."""
     return np.clip(colors * brightness[:, None], 0, 255).astype(np.uint8)
+
+
+def faint(color: Rgb) -> Rgb:
+    """Take most of the colour out, for what steps back on a light and on a dark page alike."""
+    red, green, blue = (
+        int(0.3 * channel + 0.7 * grey) for channel, grey in zip(color, BACK, strict=True)
+    )
+    return red, green, blue
+
+
+def css(color: Rgb) -> str:
+    """Write a colour for a page.
+
+    >>> css((1, 20, 255))
+    'rgb(1,20,255)'
+    """
+    red, green, blue = color
+    return f"rgb({red},{green},{blue})"
 
 
 def for_lines(color: Rgb) -> Rgb:

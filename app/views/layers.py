@@ -35,7 +35,12 @@ STYLES: dict[Layer, LayerStyle] = {
     "mask": LayerStyle(
         "Variance mask: standard deviation / signal", "share", "cividis", from_zero=True
     ),
+    "difference": LayerStyle(
+        "Height difference, query minus database", "m", "blue-white-red", symmetric=True
+    ),
 }
+NO_RANGE = (0.0, 1.0)
+"""Ends of a layer that nothing has a value of."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,10 @@ class Scale:
 
 
 def layer_values(gradient_map: GradientMap, layer: Layer) -> Float[Array, "rows columns"]:
-    """Give the field that a layer shows, in the unit of its style."""
+    """Give the field that a layer shows, in the unit of its style.
+
+    One map alone has no height difference (`comparison.height_difference`): that is NaN.
+    """
     match layer:
         case "elevation":
             return gradient_map.elevation
@@ -58,12 +66,12 @@ def layer_values(gradient_map: GradientMap, layer: Layer) -> Float[Array, "rows 
             return gradient_map.std
         case "gradient":
             return gradient_map.gradient
-        case "slope_x":
-            return gradient_map.slope[..., 0]
-        case "slope_y":
-            return gradient_map.slope[..., 1]
+        case "slope_x" | "slope_y":
+            return gradient_map.slope[..., 0 if layer == "slope_x" else 1]
         case "mask":
             return gradient_map.std / gradient_map.signal_std
+        case "difference":
+            return np.full(gradient_map.grid.shape, np.nan)
 
 
 def shared_scale(
@@ -72,6 +80,7 @@ def shared_scale(
     color_map: ColorMap,
     max_std_ratio: float,
     offsets: tuple[float, ...],
+    fields: tuple[Float[NDArray[np.floating], "_rows _columns"], ...] | None = None,
 ) -> Scale:
     """Choose one range for all maps, so that the same colour means the same in each.
 
@@ -84,19 +93,24 @@ def shared_scale(
         color_map: Colours, or "automatic" for the layer's own.
         max_std_ratio: The variance mask: only trusted cells count.
         offsets: Added to each map's values first, as its height in the scene asks.
+        fields: What each map shows, where it is not the layer of that map alone; NaN is nothing.
     """
     style = STYLES[layer]
     chosen = style.color_map if color_map == "automatic" else color_map
     if layer == "mask":
         # Fixed ends: the threshold's place on the bar is what the user sets.
         return Scale(style.label, style.unit, chosen, 0.0, 1.0)
-    samples: list[Array] = []
-    for gradient_map, offset in zip(maps, offsets, strict=True):
+    samples: list[NDArray[np.floating]] = []
+    shown = fields or tuple(layer_values(gradient_map, layer) for gradient_map in maps)
+    for gradient_map, field, offset in zip(maps, shown, offsets, strict=True):
         stride = max(1, int(np.sqrt(gradient_map.grid.num_cells / MAX_SAMPLES)))
-        values = layer_values(gradient_map, layer)[::stride, ::stride]
+        values = field[::stride, ::stride]
         trusted = gradient_map.trusted(max_std_ratio)[::stride, ::stride]
         samples.append((values[trusted] if trusted.any() else values.ravel()) + offset)
-    low, high = (float(end) for end in np.percentile(np.concatenate(samples), (1, 99)))
+    known = np.concatenate(samples)
+    known = known[np.isfinite(known)]
+    ends = np.percentile(known, (1, 99)) if len(known) else NO_RANGE
+    low, high = (float(end) for end in ends)
     if style.symmetric:
         high = max(abs(low), abs(high))
         low = -high

@@ -112,13 +112,14 @@ class Segments:
         self._handle.points = points
         self._handle.visible = True
 
-    def recolor(self, color: Rgb) -> None:
-        """Change the colour."""
-        if color == self._color:
+    def restyle(self, color: Rgb, thickness: float) -> None:
+        """Change the colour and the thickness [pixels]."""
+        if (color, thickness) == (self._color, self._thickness):
             return
-        self._color = color
+        self._color, self._thickness = color, thickness
         if self._handle is not None:
             self._handle.colors = np.array(for_lines(color), dtype=np.uint8)
+            self._handle.thickness = thickness
 
     def hide(self) -> None:
         """Take it out of sight."""
@@ -156,6 +157,15 @@ class SubmapNode:
         self._label = host.scene.add_label(
             f"{root}/label", role, anchor="bottom-left" if outer == "left" else "bottom-right"
         )
+
+    @property
+    def visible(self) -> bool:
+        """Whether it is seen, with all that hangs on it."""
+        return self._frame.visible
+
+    @visible.setter
+    def visible(self, visible: bool) -> None:
+        self._frame.visible = visible
 
     def move(self, placement: Placement) -> None:
         """Place the frame in the scene."""

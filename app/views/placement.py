@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from app.state import Layout
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import GradientMap, Submap
+from gpgrad_core.types import GradientMap, Registration, Submap
 
 Array = NDArray[np.float64]
 
@@ -115,6 +115,26 @@ def height_offset(
         return 0.0
     difference = database_map.elevation[row, column] - query_z[inside]
     return float(np.median(difference[common]))
+
+
+def z_offset_of(
+    registration: Registration, maps: tuple[GradientMap, GradientMap], max_std_ratio: float
+) -> float:
+    """Say what is to be added to the query's heights to lie on the database [m].
+
+    The registration's own, where the alignment held; else, as where there is little in common,
+    the median difference.
+
+    Args:
+        registration: Of the pair; zero if it has no motion.
+        maps: Of query and database.
+        max_std_ratio: The variance mask.
+    """
+    if registration.T_database_query is None:
+        return 0.0
+    if registration.covariance is not None:
+        return registration.z_offset
+    return height_offset(*maps, registration.T_database_query, max_std_ratio)
 
 
 def place(

@@ -11,25 +11,29 @@ from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
 from app.host import Host, pages
-from app.state import ViewState
-from app.views.associations import inlier_color, keypoint_dots, match_lines
-from app.views.colors import DATABASE, INLIER, OUTLIER, QUERY, Rgb
-from app.views.flight import set_start, set_view
-from app.views.layers import Scale, shared_scale
+from app.state import Probe, ViewState
+from app.views.associations import inlier_color, keypoint_dots, match_lines, outline
+from app.views.blinker import Blinker
+from app.views.colors import DATABASE, INLIER, OUTLIER, QUERY, Rgb, faint
+from app.views.flight import set_start, set_view, top
+from app.views.ground import ROLES, Difference, Ground, shown_roles
+from app.views.layers import Scale
+from app.views.marks import Marks
 from app.views.nodes import LinePoints, Segments, SubmapNode
+from app.views.picking import Ray
 from app.views.placement import (
     Camera,
     Extent,
     Placement,
     frame_camera,
     glide,
-    height_offset,
     place,
+    z_offset_of,
 )
+from app.views.readout import reading_of
 from app.views.surfels import make_surfels, stride_for
 from gpgrad_core.pipeline import PairResult
-from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset, GradientMap, Submap
+from gpgrad_core.types import Dataset, GradientMap, Registration, Submap
 
 PAIR = "/pair"
 """Above all nodes of the pair, so that they come and go together."""
@@ -40,6 +44,10 @@ MAX_CLOUD_POINTS = 200_000
 OUTDATED = "Out of date: "
 SCALE_BAR_SHARE = 0.4
 """Longest length of the scale bar, as a share of the database's width."""
+INLIER_WIDTH, OUTLIER_WIDTH = 1.2, 1.0
+"""Of lines [pixels]."""
+SWIPE_RISE = 0.05
+"""How far the swipe's frame stands out above and below, as a share of the depth."""
 
 
 @dataclass(frozen=True)
@@ -51,22 +59,24 @@ class Shown:
         registered: Whether the query was laid onto the database.
         num_surfels: Cells drawn.
         num_points: Cloud points drawn.
+        ground: The maps as they are drawn.
     """
 
     scale: Scale | None
     registered: bool
     num_surfels: int
     num_points: int
+    ground: Ground
 
 
 @dataclass(frozen=True, eq=False)
 class _Registered:
-    """The motion last found, and for which pair."""
+    """The registration last found, and for which pair."""
 
     dataset: Dataset
     query_id: str
     database_id: str
-    motion: SE2 | None
+    registration: Registration
 
     def is_of(self, state: ViewState) -> bool:
         """Say whether a state shows that pair."""
@@ -93,6 +103,11 @@ class _Stage:
             [self.at_query.apply(query.corners), self.at_database.apply(database.corners)]
         )
 
+    def swipe_at(self, share: float) -> float:
+        """Turn a share of the width of both outlines into a place along the scene's x [m]."""
+        low, high = self.corners[:, 0].min(), self.corners[:, 0].max()
+        return float(low + share * (high - low))
+
 
 class PairScene:
     """The two submaps, what joins them, and a scale bar."""
@@ -107,16 +122,21 @@ class PairScene:
         self._root = scene.add_frame(PAIR, show_axes=False)
         self._query = SubmapNode(host, PAIR, "query", QUERY, "right")
         self._database = SubmapNode(host, PAIR, "database", DATABASE, "left")
-        self._outlier_lines = Segments(host, f"{PAIR}/matches/outliers", OUTLIER, thickness=1.0)
-        self._inlier_lines = Segments(host, f"{PAIR}/matches/inliers", INLIER, thickness=1.2)
+        self._outlier_lines = Segments(host, f"{PAIR}/matches/outliers", OUTLIER, OUTLIER_WIDTH)
+        self._inlier_lines = Segments(host, f"{PAIR}/matches/inliers", INLIER, INLIER_WIDTH)
         self._bar = Segments(host, f"{PAIR}/scale/bar", BAR, thickness=4.0)
         self._bar_label = scene.add_label(f"{PAIR}/scale/label", "", anchor="top-center")
         self._verdict = scene.add_label(
             f"{PAIR}/verdict", "", anchor="top-center", font_screen_scale=1.3
         )
+        self._swipe = Segments(host, f"{PAIR}/swipe", BAR, thickness=2.0)
+        self._marks = Marks(host, PAIR)
+        self._blinker = Blinker(host, (self._query, self._database))
         self._registered: _Registered | None = None
         self._lock = threading.Lock()  # two workers draw: the pair's, and the one that plays
         self._last: PairResult | None = None
+        self._ground: Ground | None = None
+        self._difference: Difference | None = None
 
     @property
     def visible(self) -> bool:
@@ -129,15 +149,19 @@ class PairScene:
 
     def show(self, state: ViewState, result: PairResult) -> Shown:
         """Show a pair as the state asks; one consistent change in the browser."""
-        motion = result.registration.T_database_query
-        self._registered = _Registered(state.dataset, state.query_id, state.database_id, motion)
+        registration = result.registration
+        self._registered = _Registered(
+            state.dataset, state.query_id, state.database_id, registration
+        )
+        maps = result.query_map, result.database_map
+        self._blinker.run(on=_is_registered(state, registration) and _blinks(state))
         with self._lock, self._host.atomic():
             self._last = result
-            shown, stage = self._show_submaps(
-                state, (result.query_map, result.database_map), motion
-            )
-            self._show_associations(state, result, stage.at_query, stage.at_database)
+            shown, stage = self._show_submaps(state, maps, registration)
+            self._show_keypoints(shown.ground, result)
+            self._show_lines(state, result, stage.at_query, stage.at_database)
             self._show_verdict(result, stage.corners)
+            self._show_marks(state, result, stage.at_query, stage.at_database)
         self._host.flush()
         return shown
 
@@ -149,11 +173,11 @@ class PairScene:
         """
         known = self._registered
         same_pair = self.knows_motion(state)
+        registration = known.registration if known and same_pair else None
+        self._blinker.run(on=_is_registered(state, registration) and _blinks(state))
         with self._lock, self._host.atomic():
             self._last = None
-            shown, _ = self._show_submaps(
-                state, maps, known.motion if known and same_pair else None
-            )
+            shown, _ = self._show_submaps(state, maps, registration)
             if not same_pair:
                 self._hide_associations()
         self._host.flush()
@@ -174,8 +198,8 @@ class PairScene:
         if motion is None:
             return None
         boxes = Extent.of(state.query), Extent.of(state.database)
-        ratio = state.params.features.max_std_ratio
-        dz = height_offset(result.query_map, result.database_map, motion, ratio)
+        maps = result.query_map, result.database_map
+        dz = z_offset_of(result.registration, maps, state.params.features.max_std_ratio)
 
         def draw(share: float) -> None:
             with self._lock:
@@ -185,7 +209,8 @@ class PairScene:
                 with self._host.atomic():
                     self._query.move(at_query)
                     self._database.move(at_database)
-                    self._show_associations(state, result, at_query, at_database)
+                    self._show_lines(state, result, at_query, at_database)
+                    self._show_marks(state, result, at_query, at_database)
             self._host.flush()
 
         return draw
@@ -194,37 +219,60 @@ class PairScene:
         """Say whether the pair of a state is the one last shown with its registration."""
         return self._registered is not None and self._registered.is_of(state)
 
+    def pick(self, ray: Ray) -> Probe | None:
+        """Find the place of a surface that a line of sight meets first, if it meets one."""
+        return None if self._ground is None or not self.visible else self._ground.pick(ray)
+
+    def close(self) -> None:
+        """Stop blinking."""
+        self._blinker.close()
+
     def _show_submaps(
-        self, state: ViewState, maps: tuple[GradientMap, GradientMap], motion: SE2 | None
+        self,
+        state: ViewState,
+        maps: tuple[GradientMap, GradientMap],
+        registration: Registration | None,
     ) -> tuple[Shown, "_Stage"]:
         options, ratio = state.options, state.params.features.max_std_ratio
-        query_map, database_map = maps
-        registered = options.layout == "registered" and motion is not None
+        motion = None if registration is None else registration.T_database_query
+        registered = _is_registered(state, registration)
+        compared = options.layer == "difference"
         dz = 0.0
-        if registered and motion is not None:
-            dz = height_offset(query_map, database_map, motion, ratio)
+        if registration is not None and (registered or compared):
+            dz = z_offset_of(registration, maps, ratio)
+        difference = None
+        if registration is not None and compared:
+            difference = Difference.between(maps, registration, dz, ratio, self._difference)
+            self._difference = difference
         boxes = Extent.of(state.query), Extent.of(state.database)
         stage = _Stage(boxes, *place(*boxes, options.layout, motion, dz))
-        lift = dz if options.layer == "elevation" else 0.0
-        scale = shared_scale(maps, options.layer, options.color_map, ratio, (lift, 0.0))
-        for node, submap, box, placement in (
-            (self._query, state.query, boxes[0], stage.at_query),
-            (self._database, state.database, boxes[1], stage.at_database),
-        ):
-            node.move(placement)
-            node.name(submap, box)
-            self._show_cloud(node, submap, state)
-        self._show_surface(
-            self._query, query_map, state, scale, yaw=stage.at_query.yaw, offset=lift
+        lift = dz if registered and options.layer == "elevation" else 0.0
+        swipe_at = stage.swipe_at(options.swipe) if options.compare == "swipe" else None
+        ground = self._ground = Ground.of(
+            state,
+            maps,
+            (stage.at_query, stage.at_database),
+            (lift, 0.0),
+            difference,
+            swipe_at if registered else None,
         )
-        self._show_surface(self._database, database_map, state, scale, yaw=0.0, offset=0.0)
-        self._show_bar(boxes[1], stage.at_database)
         nodes = (self._query, self._database)
+        for index, node in enumerate(nodes):
+            submap, placement = (state.query, state.database)[index], ground.placements[index]
+            node.move(placement)
+            node.name(submap, boxes[index])
+            if not self._blinker.on:
+                node.visible = not registered or ROLES[index] in shown_roles(state)
+            self._show_cloud(node, submap, state)
+            self._show_surface(node, ground, index)
+        self._show_bar(boxes[1], stage.at_database)
+        self._show_swipe(ground, stage.corners)
         shown = Shown(
-            scale if options.surfaces else None,
+            ground.scale if options.surfaces else None,
             registered,
             sum(node.surface.num_points for node in nodes) if options.surfaces else 0,
             sum(node.cloud.num_points for node in nodes) if options.clouds else 0,
+            ground,
         )
         return shown, stage
 
@@ -238,6 +286,7 @@ class PairScene:
             node.hide()
         for segments in (self._inlier_lines, self._outlier_lines):
             segments.hide()
+        self._marks.hide()
         self._verdict.text = ""
 
     def camera(self, state: ViewState) -> Camera:
@@ -245,6 +294,14 @@ class PairScene:
         boxes = Extent.of(state.query), Extent.of(state.database)
         at_query, at_database = place(*boxes, "side by side", None, 0.0)
         return frame_camera(((boxes[0], at_query), (boxes[1], at_database)))
+
+    def camera_above(self, state: ViewState) -> Camera:
+        """Give the view from above of what is shown, y up as on a map."""
+        placed = self._ground
+        boxes = Extent.of(state.query), Extent.of(state.database)
+        if placed is None:
+            return self.camera(state)
+        return top(frame_camera(tuple(zip(boxes, placed.placements, strict=True))))
 
     def start_camera(self, camera: Camera) -> None:
         """Set the view that new pages, and "reset view", begin with."""
@@ -258,17 +315,11 @@ class PairScene:
         for page in pages(self._host).values():
             set_view(page, camera)
 
-    def _show_surface(
-        self,
-        node: SubmapNode,
-        gradient_map: GradientMap,
-        state: ViewState,
-        scale: Scale,
-        *,
-        yaw: float,
-        offset: float,
-    ) -> None:
-        options, ratio = state.options, state.params.features.max_std_ratio
+    def _show_surface(self, node: SubmapNode, ground: Ground, index: int) -> None:
+        options = ground.state.options
+        ratio = ground.state.params.features.max_std_ratio
+        gradient_map, placement = ground.maps[index], ground.placements[index]
+        offset, difference = ground.lifts[index], ground.difference
         if not options.surfaces:
             node.surface.hide()
             return
@@ -276,26 +327,30 @@ class PairScene:
         def make() -> tuple[Any, Any, float]:
             surfels = make_surfels(
                 gradient_map,
-                scale,
+                ground.scale,
                 layer=options.layer,
                 max_std_ratio=ratio,
                 untrusted=options.untrusted,
                 hillshaded=options.hillshade,
-                yaw=yaw,
+                yaw=placement.yaw,
                 offset=offset,
                 stride=stride_for(gradient_map.grid.num_cells, MAX_SURFELS),
+                values=None if difference is None else difference.fields[index],
+                seen=ground.seen(index),
             )
             return surfels.positions, surfels.colors, surfels.size
 
         needs = (
             gradient_map,
-            scale,
+            ground.scale,
             options.layer,
             ratio,
             options.untrusted,
             options.hillshade,
-            yaw,
+            placement.yaw,
             offset,
+            difference,
+            None if ground.swipe_at is None else (ground.swipe_at, placement),
         )
         node.surface.show(needs, make)
 
@@ -315,20 +370,18 @@ class PairScene:
 
         node.cloud.show((submap, options.point_size), make)
 
-    def _show_associations(
-        self, state: ViewState, result: PairResult, at_query: Placement, at_database: Placement
-    ) -> None:
-        options = state.options
-        size = float(np.clip(0.006 * Extent.of(state.database).size[:2].max(), 0.02, 5.0))
-        lift = size / 2
-        for node, of_query in ((self._query, True), (self._database, False)):
-            if not options.keypoints:
+    def _show_keypoints(self, ground: Ground, result: PairResult) -> None:
+        size = _mark_size(ground.state)
+        for index, node in enumerate((self._query, self._database)):
+            if not ground.state.options.keypoints:
                 node.keypoints.hide()
                 continue
+            of_query, placement = index == 0, ground.placements[index]
 
-            def make(of_query: bool = of_query) -> tuple[Any, Any, float]:
-                dots = keypoint_dots(result, of_query=of_query, lift=lift)
-                return dots.points, dots.colors, size
+            def make(of_query: bool = of_query, index: int = index) -> tuple[Any, Any, float]:
+                dots = keypoint_dots(result, of_query=of_query, lift=size / 2)
+                kept = ground.sees(index, dots.points)
+                return dots.points[kept], dots.colors[kept], size
 
             node.keypoints.show(
                 (
@@ -337,15 +390,23 @@ class PairScene:
                     result.matches,
                     result.registration,
                     result.closure.accepted,
-                    lift,
+                    size,
+                    None if ground.swipe_at is None else (ground.swipe_at, placement),
                 ),
                 make,
             )
-        self._inlier_lines.recolor(inlier_color(result))
-        for segments, inliers, wanted in (
-            (self._inlier_lines, True, options.inlier_lines),
-            (self._outlier_lines, False, options.outlier_lines),
+
+    def _show_lines(
+        self, state: ViewState, result: PairResult, at_query: Placement, at_database: Placement
+    ) -> None:
+        options, lift = state.options, _mark_size(state) / 2
+        pointed = 1 <= state.match <= len(result.matches)
+        for segments, inliers, wanted, color, thickness in (
+            (self._inlier_lines, True, options.inlier_lines, inlier_color(result), INLIER_WIDTH),
+            (self._outlier_lines, False, options.outlier_lines, OUTLIER, OUTLIER_WIDTH),
         ):
+            # Beside one that is pointed at, all others step back.
+            segments.restyle(faint(color) if pointed else color, thickness / (2 if pointed else 1))
             if not wanted:
                 segments.hide()
                 continue
@@ -365,6 +426,26 @@ class PairScene:
                 ),
                 lines,
             )
+
+    def _show_marks(
+        self, state: ViewState, result: PairResult, at_query: Placement, at_database: Placement
+    ) -> None:
+        size = _mark_size(state)
+        self._marks.show_match(result, state.match, at_query, at_database, size)
+        reading = reading_of(state, (result.query_map, result.database_map))
+        of_query = state.probe is not None and state.probe.role == "query"
+        self._marks.show_reading(reading, at_query if of_query else at_database, size)
+
+    def _show_swipe(self, ground: Ground, corners: Float[NDArray[np.float64], "k 3"]) -> None:
+        """Frame the upright plane at which one surface ends and the other begins."""
+        if ground.swipe_at is None:
+            self._swipe.hide()
+            return
+        x = ground.swipe_at
+        (_, y0, z0), (_, y1, z1) = corners.min(axis=0), corners.max(axis=0)
+        rise = SWIPE_RISE * (y1 - y0)
+        frame = [(x, y0, z0 - rise), (x, y1, z0 - rise), (x, y1, z1 + rise), (x, y0, z1 + rise)]
+        self._swipe.show((*frame,), lambda: outline(np.array(frame)))
 
     def _show_verdict(self, result: PairResult, corners: Float[NDArray[np.float64], "k 3"]) -> None:
         verdict = "Loop closure" if result.closure.accepted else "No loop closure"
@@ -386,6 +467,21 @@ class PairScene:
         self._bar_label.text = f"{length:g} m"
         middle = (start + end) / 2
         self._bar_label.position = (float(middle[0]), float(middle[1]), float(middle[2]))
+
+
+def _is_registered(state: ViewState, registration: Registration | None) -> bool:
+    """Say whether the query is to be laid onto the database, and can be."""
+    found = registration is not None and registration.T_database_query is not None
+    return found and state.options.layout == "registered"
+
+
+def _blinks(state: ViewState) -> bool:
+    return state.options.compare == "blink"
+
+
+def _mark_size(state: ViewState) -> float:
+    """Give the size of a keypoint's mark [m]: small beside the submap, but seen."""
+    return float(np.clip(0.006 * Extent.of(state.database).size[:2].max(), 0.02, 5.0))
 
 
 def round_length(longest: float) -> float:

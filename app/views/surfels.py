@@ -6,7 +6,7 @@ A mesh would need its faces rebuilt whenever the variance mask moves; surfels on
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from numpy.typing import NDArray
 
 from app.state import Layer, Untrusted
@@ -46,6 +46,8 @@ def make_surfels(
     offset: float = 0.0,
     stride: int = 1,
     tint: Rgb | None = None,
+    values: Float[NDArray[np.floating], "rows columns"] | None = None,
+    seen: Bool[NDArray[np.bool_], "rows columns"] | None = None,
 ) -> Surfels:
     """Turn a gradient map into coloured squares.
 
@@ -60,6 +62,8 @@ def make_surfels(
         offset: Added to the values before they are coloured.
         stride: Draw every so many rows and columns.
         tint: One colour for all, in place of the layer's.
+        values: What gives the colours, where it is not the layer of this map alone; NaN is grey.
+        seen: Cells to draw at most; None for all.
     """
     grid = gradient_map.grid
     cells = (slice(None, None, stride), slice(None, None, stride))
@@ -71,9 +75,16 @@ def make_surfels(
     kept = trusted if untrusted == "hidden" else np.ones(len(positions), dtype=bool)
     # Where nothing was seen for kilometres numbers may overflow; the browser must not see them.
     kept = kept & np.isfinite(positions[:, 2])
+    if seen is not None:
+        kept = kept & seen[cells].ravel()
     if tint is None:
-        values = layer_values(gradient_map, layer)[cells].ravel()[kept]
-        colors = colorize(values + offset, scale.low, scale.high, scale.color_map)
+        field = layer_values(gradient_map, layer) if values is None else values
+        shown = field[cells].ravel()[kept]
+        unknown = ~np.isfinite(shown)
+        colors = colorize(
+            np.where(unknown, 0.0, shown) + offset, scale.low, scale.high, scale.color_map
+        )
+        colors[unknown] = UNTRUSTED_GREY
     else:
         colors = np.tile(np.array(tint, dtype=np.uint8), (int(kept.sum()), 1))
     if untrusted == "grey":

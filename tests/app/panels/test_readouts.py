@@ -97,7 +97,7 @@ def test_names_cannot_bring_markup_into_the_page(server: viser.ViserServer) -> N
     shown += verdict_html(
         state, replace(result, closure=replace(result.closure, query_id=evil, reason=evil))
     )
-    shown += legend_html("data:", evil, evil, low=0.0, high=1.0, mark=None)
+    shown += legend_html("data:", evil, evil, low=0.0, high=1.0, note=evil)
     assert "<img src=x" not in shown
     assert shown.count("</textarea>") == 1
     assert "&lt;img src=x" in shown
@@ -265,13 +265,34 @@ def test_every_option_of_the_view_is_reported(server: viser.ViserServer) -> None
 def test_the_legend_prints_ends_middle_and_unit(
     low: float, high: float, texts: tuple[str, ...]
 ) -> None:
-    html = legend_html("data:x", "Elevation", "m", low=low, high=high, mark=None)
+    html = legend_html("data:x", "Elevation", "m", low=low, high=high)
     assert "Elevation" in html
     assert "[m]" in html
     for text in texts:
         assert text in html
 
 
-def test_the_legend_points_at_the_masks_threshold() -> None:
-    html = legend_html("data:x", "Mask", "share", low=0.0, high=1.0, mark=0.3)
-    assert "left:30.0%" in html
+def test_the_legend_stands_under_its_histogram_and_above_its_note() -> None:
+    html = legend_html(
+        "data:x", "Mask", "m", low=0.0, high=1.0, histogram="<svg/>", note="12 cells"
+    )
+    assert html.index("<svg/>") < html.index("data:x") < html.index("12 cells")
+
+
+def test_ways_of_comparing_are_offered_where_they_apply(server: viser.ViserServer) -> None:
+    reported: list[ViewOptions] = []
+    panel = ViewPanel(server, ViewOptions(), reported.append, lambda: None)
+    compare, swipe = find(server, "Compare"), find(server, "Swipe")
+    assert not compare.visible
+    user_sets(find(server, "Layout"), "registered")
+    assert compare.visible
+    assert not swipe.visible
+    user_sets(compare, "swipe")
+    assert swipe.visible
+    user_sets(swipe, 0.25)
+    assert (reported[-1].compare, reported[-1].swipe) == ("swipe", 0.25)
+    panel.set(ViewOptions(layer="difference", layout="registered", compare="query"))
+    assert compare.value == "query only"
+    assert not swipe.visible
+    assert find(server, "Layer").value == "height difference"
+    assert len(reported) == 3

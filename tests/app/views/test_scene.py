@@ -1,3 +1,4 @@
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -5,9 +6,21 @@ import numpy as np
 import pytest
 import viser
 
-from app.state import ViewOptions, ViewState, open_dataset, with_options, with_pair
+from app.state import (
+    Probe,
+    ViewOptions,
+    ViewState,
+    open_dataset,
+    with_match,
+    with_options,
+    with_pair,
+    with_probe,
+)
+from app.views import blinker
 from app.views import scene as scene_module
 from app.views.associations import ARC_PIECES
+from app.views.colors import UNTRUSTED_GREY
+from app.views.picking import Ray
 from app.views.scene import PairScene, round_length
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.synthetic import T_DATABASE_QUERY, make_dataset, make_map, make_result, needing
@@ -79,6 +92,145 @@ def test_moving_an_inlier_slider_leaves_the_surfaces_alone(
     scene.show(state, other)
     assert "make_surfels" not in conversions
     assert len(node(server, "/pair/matches/inliers").points) == 3 * ARC_PIECES
+
+
+def test_the_association_pointed_at_stands_out_and_the_others_step_back(
+    server: viser.ViserServer,
+) -> None:
+    scene = PairScene(server)
+    scene.show(STATE, RESULT)
+    lines = node(server, "/pair/matches/inliers")
+    bold, colors = lines.thickness, np.array(lines.colors)
+    scene.show(with_match(STATE, 2), RESULT)
+    chosen = node(server, "/pair/match/line")
+    assert chosen.visible
+    assert len(chosen.points) == ARC_PIECES
+    assert node(server, "/pair/match/label").text == "match 2: inlier, residual 0.000 m"
+    assert lines.thickness < bold < chosen.thickness
+    assert not np.array_equal(lines.colors, colors)
+    ends = node(server, "/pair/match/ends").points
+    query = scene._ground.placements[0]  # type: ignore[union-attr]
+    start = query.apply(np.append(RESULT.matches.query_xy[1], 0.0)[None])[0]
+    np.testing.assert_allclose(ends[0, :2], start[:2], atol=1e-4)
+    scene.show(with_match(STATE, 13), RESULT)
+    assert "match 13: outlier, residual 1.414 m" in node(server, "/pair/match/label").text
+    for number in (0, 99):  # none, and none of that number
+        scene.show(with_match(STATE, number), RESULT)
+        assert not chosen.visible
+        assert lines.thickness == bold
+
+
+def test_a_place_is_marked_with_its_values_in_both_layouts(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    for layout in ("side by side", "registered"):
+        state = with_probe(seeing(layout=layout), Probe("query", 0.5, -0.25))
+        scene.show(state, RESULT)
+        point = node(server, "/pair/probe/point")
+        assert point.visible
+        placement = scene._ground.placements[0]  # type: ignore[union-attr]
+        np.testing.assert_allclose(
+            point.points[0, :2], placement.apply(np.array([[0.5, -0.25, 0.0]]))[0, :2], atol=1e-4
+        )
+        assert " m · slope " in node(server, "/pair/probe/label").text
+    scene.show(STATE, RESULT)
+    assert not point.visible
+
+
+@pytest.mark.parametrize("layout", ["side by side", "registered"])
+def test_a_click_is_the_place_that_is_seen_there(server: viser.ViserServer, layout: str) -> None:
+    scene = PairScene(server)
+    assert scene.pick(Ray(np.array([0.0, 0.0, 9.0]), np.array([0.0, 0.0, -1.0]))) is None
+    scene.show(seeing(layout=layout), RESULT)
+    ground = scene._ground
+    assert ground is not None
+    for role, placement in zip(("query", "database"), ground.placements, strict=True):
+        above = placement.apply(np.array([[0.3, 0.4, 0.0]]))[0] + np.array([0.0, 0.0, 9.0])
+        probe = scene.pick(Ray(above, np.array([0.0, 0.0, -1.0])))
+        assert probe is not None
+        if layout == "side by side":
+            assert (probe.role, probe.x, probe.y) == (role, pytest.approx(0.3), pytest.approx(0.4))
+    scene.visible = False
+    assert scene.pick(Ray(above, np.array([0.0, 0.0, -1.0]))) is None
+
+
+def test_each_way_of_comparing_shows_what_it_says(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    frames = node(server, "/pair/query"), node(server, "/pair/database")
+    surfaces = (
+        lambda: node(server, "/pair/query/surface").points,
+        lambda: node(server, "/pair/database/surface").points,
+    )
+
+    def show(**options: Any) -> tuple[bool, bool]:
+        scene.show(seeing(layout="registered", **options), RESULT)
+        return tuple(frame.visible for frame in frames)  # type: ignore[return-value]
+
+    assert show() == (True, True)
+    whole = [len(points()) for points in surfaces]
+    assert show(compare="query") == (True, False)
+    assert show(compare="database") == (False, True)
+    assert show(compare="swipe", swipe=0.5) == (True, True)
+    line = float(node(server, "/pair/swipe").points[0, 0, 0])
+    ground = scene._ground
+    assert ground is not None
+    for index, (points, count) in enumerate(zip(surfaces, whole, strict=True)):
+        assert 0 < len(points()) < count
+        x = ground.placements[index].apply(points().astype(np.float64))[:, 0]
+        assert (x > line).all() if index == 0 else (x <= line).all()
+    assert show() == (True, True)
+    assert [len(points()) for points in surfaces] == whole
+    assert not node(server, "/pair/swipe").visible
+    scene.show(seeing(compare="query"), RESULT)  # side by side there is nothing to compare
+    assert all(frame.visible for frame in frames)
+
+
+def test_blinking_shows_one_after_the_other_until_it_ends(
+    server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(blinker, "PERIOD", 0.02)
+    scene = PairScene(server)
+    frames = node(server, "/pair/query"), node(server, "/pair/database")
+    scene.show(seeing(layout="registered", compare="blink"), RESULT)
+    seen: set[tuple[bool, bool]] = set()
+    end = time.monotonic() + 5
+    while len(seen & {(True, False), (False, True)}) < 2 and time.monotonic() < end:
+        seen.add((frames[0].visible, frames[1].visible))
+        time.sleep(0.005)
+    assert {(True, False), (False, True)} <= seen
+    scene.show(seeing(layout="registered"), RESULT)
+    assert all(frame.visible for frame in frames)
+    scene.show(seeing(layout="registered", compare="blink"), RESULT)
+    scene.close()
+    scene.close()
+
+
+def test_the_height_difference_colours_both_maps_alike_and_grey_where_only_one_saw(
+    server: viser.ViserServer,
+) -> None:
+    scene = PairScene(server)
+    shown = scene.show(seeing(layout="registered", layer="difference"), RESULT)
+    assert shown.scale is not None
+    assert shown.scale.unit == "m"
+    assert shown.scale.low == -shown.scale.high
+    assert shown.ground.difference is not None
+    assert shown.ground.difference.rms < 0.01  # of the true maps under the true motion
+    colors = node(server, "/pair/query/surface").colors
+    grey = (colors == UNTRUSTED_GREY).all(axis=-1)
+    assert 0 < grey.sum() < len(grey)
+    kept = shown.ground.difference
+    again = scene.show(seeing(layout="registered", layer="difference", keypoints=False), RESULT)
+    assert again.ground.difference is kept
+    lost = replace(RESULT, registration=replace(RESULT.registration, T_database_query=None))
+    scene.show(seeing(layer="difference"), lost)
+    assert (node(server, "/pair/query/surface").colors == UNTRUSTED_GREY).all()
+
+
+def test_from_above_the_camera_looks_down_on_what_is_shown(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    scene.show(seeing(layout="registered"), RESULT)
+    camera = scene.camera_above(seeing(layout="registered"))
+    across = np.hypot(*(np.array(camera.position) - camera.look_at)[:2])
+    assert across < 0.01 * (camera.position[2] - camera.look_at[2])
 
 
 def test_the_nodes_of_a_surface_are_changed_in_place(server: viser.ViserServer) -> None:
