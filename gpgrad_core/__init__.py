@@ -22,7 +22,7 @@ from gpgrad_core.evaluation import (
 )
 from gpgrad_core.features import DetectorParams, FeatureParams, extract_features
 from gpgrad_core.fitting import FitResult, fit_parameters
-from gpgrad_core.gradient_map import MapParams, infer_gradient_map
+from gpgrad_core.gradient_map import MapParams, infer_gradient_map, infer_slope_variance
 from gpgrad_core.loop_closure import ClosureParams, classify
 from gpgrad_core.matching import MatchParams, match_features
 from gpgrad_core.memo import Memo
@@ -99,6 +99,7 @@ __all__ = [
     "extract_features",
     "fit_parameters",
     "infer_gradient_map",
+    "infer_slope_variance",
     "load_cloud",
     "load_dataset",
     "match_features",

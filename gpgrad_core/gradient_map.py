@@ -213,6 +213,30 @@ def signal_std_of(points: Float[Array, "n 3"], params: TerrainParams) -> float:
     return max(float(points[:, 2].std()), 0.01 * params.noise_std)
 
 
+def infer_slope_variance(
+    submap: Submap, params: MapParams = MapParams(), progress: Progress = silent
+) -> Float[Array, "rows columns 2"]:
+    """Infer how far the slopes of `infer_gradient_map` are to be believed.
+
+    The paper leaves it out; differentiating Eq. (3) as Eqs. (4) and (5) do Eq. (2) gives
+
+        var(∂z/∂x) = ∂²k/∂x∂x' - ∂K(x, X)/∂x [K(X, X) + D]⁻¹ ∂K(X, x')/∂x'
+
+    Args:
+        submap: Gravity-aligned points [m].
+        params: Of the GP and the grid.
+        progress: Called once a block of rows; may raise Cancelled.
+
+    Returns:
+        Posterior variance of the slope along x and along y [m²/m²].
+
+    Raises:
+        InputError: If the grid or the GP would be too large, or the GP cannot be solved.
+    """
+    grid = map_grid(submap, params.resolution)
+    return fit_terrain(submap, params.terrain, progress=progress).sample_slope_variance(grid)
+
+
 def sample_map(submap: Submap, posterior: Posterior, resolution: float) -> GradientMap:
     """Sample a fitted GP over its submap's bounding box."""
     grid = map_grid(submap, resolution)

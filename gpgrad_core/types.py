@@ -282,7 +282,6 @@ class GradientMap:
     elevation: Float[Array, "rows columns"]  # posterior mean [m], Eq. (2)
     variance: Float[Array, "rows columns"]  # posterior variance of it [m²], Eq. (3)
     slope: Float[Array, "rows columns 2"]  # (dz/dx, dz/dy) [m/m], Eqs. (4), (5)
-    slope_variance: Float[Array, "rows columns 2"]  # posterior variance of either [m²/m²]
     signal_std: float  # standard deviation of the terrain before any point is seen [m]
     length_scale: float  # distance over which its height stays alike [m]
     gradient: Float[Array, "rows columns"] = field(init=False)  # steepness [m/m]
@@ -296,7 +295,6 @@ class GradientMap:
             self.elevation,
             self.variance,
             self.slope,
-            self.slope_variance,
             self.gradient,
             self.std,
         ):

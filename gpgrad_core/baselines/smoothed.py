@@ -84,7 +84,7 @@ def smooth(
     variance = np.maximum(scatter, params.map.noise_std**2) / np.maximum(effective, 1e-12)
     variance = np.where(weight >= KNOWN_FROM, np.minimum(variance, signal_std**2), signal_std**2)
     scale = params.map.length_scale
-    made = _as_map(grid, elevation + mean, variance, signal_std, scale, blur)
+    made = _as_map(grid, elevation + mean, variance, signal_std, scale)
     return made, scatter
 
 
@@ -94,13 +94,10 @@ def _as_map(
     variance: Float[Array, "rows columns"],
     signal_std: float,
     length_scale: float,
-    blur: float,
 ) -> GradientMap:
     slope_y, slope_x = np.gradient(elevation, grid.resolution)
     slope = np.stack([slope_x, slope_y], axis=-1)
-    # Differences of a mean over `blur` scatter by its standard deviation over that distance.
-    slope_variance = np.repeat((variance / blur**2)[..., None], 2, axis=-1)
-    return GradientMap(grid, elevation, variance, slope, slope_variance, signal_std, length_scale)
+    return GradientMap(grid, elevation, variance, slope, signal_std, length_scale)
 
 
 def _binned(

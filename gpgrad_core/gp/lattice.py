@@ -20,7 +20,7 @@ from gpgrad_core.gp.block_tridiagonal import NotPositiveDefiniteError
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.solution import TerrainFields
+from gpgrad_core.gp.solution import TerrainFields, clip_variance
 from gpgrad_core.gp.spacing import (
     MEAN_TOLERANCE,
     check_solvable,
@@ -80,7 +80,7 @@ class LatticePosterior:
         return tuple(strip for panel in self.panels for strip in panel.strips)
 
     def sample(self, grid: Grid) -> TerrainFields:
-        """Infer elevation [m], slope [m/m] and their variances at every cell, Eqs. (2)-(5)."""
+        """Infer elevation [m], its variance and slope [m/m] at every cell, Eqs. (2)-(5)."""
         fields = TerrainFields.prior(grid, self.kernel, self.mean)
 
         def mean(panel: Panel) -> None:
@@ -92,16 +92,25 @@ class LatticePosterior:
 
         def variance(strip: Strip) -> None:
             own = _columns(grid, strip)
-            of_height, of_slope = strip.reduction.sample(grid.x[own], grid.y)
-            fields.variance[:, own] -= of_height
-            fields.slope_variance[:, own] -= of_slope
+            fields.variance[:, own] -= strip.reduction.of_height(grid.x[own], grid.y)
 
         with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
             tasks = [executor.submit(mean, panel) for panel in self.panels]
             tasks += [executor.submit(variance, strip) for strip in self.strips]
         for task in tasks:
             task.result()
-        return fields.within_prior(self.kernel)
+        clip_variance(fields.variance, self.kernel.signal_std**2)
+        return fields
+
+    def sample_slope_variance(self, grid: Grid) -> Float[Array, "rows columns 2"]:
+        """Infer the variance of both slopes [m²/m²] at every cell."""
+        prior = self.kernel.slope_std**2
+        variance = np.full((*grid.shape, 2), prior)
+        with single_threaded_blas():
+            for strip in self.strips:
+                own = _columns(grid, strip)
+                variance[:, own] -= strip.reduction.of_slope(grid.x[own], grid.y)
+        return clip_variance(variance, prior)
 
 
 def _columns(grid: Grid, stretch: Strip | Panel) -> slice:

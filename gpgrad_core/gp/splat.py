@@ -1,14 +1,19 @@
 """Sums of separable Gaussians between scattered points and a regular lattice of nodes."""
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Real: TypeAlias = NDArray[np.floating]
+Digits: TypeAlias = type[np.float32] | type[np.float64]
 
 POINTS_PER_CHUNK = 256
+LEAST_EXPONENT = -36.0
+"""Gaussians with half the digits are no lower than exp of this, 2e-16."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +52,20 @@ class Axis:
         return Axis(self.start, self.spacing / 2, 2 * self.count - 1)
 
 
-def gaussian(at: Float[Array, "a"], axis: Axis, width: float) -> Float[Array, "a count"]:
+def gaussian(
+    at: Float[Array, "a"], axis: Axis, width: float, digits: Digits = np.float64
+) -> Float[Real, "a count"]:
     """``exp(-(d / width)²)`` between positions and nodes."""
-    offsets = at[:, None] - axis.nodes
-    offsets *= 1 / width
-    np.square(offsets, out=offsets)
-    np.negative(offsets, out=offsets)
-    return np.exp(offsets, out=offsets)
+    exponent = np.empty((len(at), axis.count), digits)
+    np.subtract(
+        (at * (1 / width))[:, None], axis.nodes * (1 / width), exponent, casting="same_kind"
+    )
+    np.square(exponent, out=exponent)
+    np.negative(exponent, out=exponent)
+    if digits is np.float32:
+        # Products of smaller numbers would be not quite zero, and such numbers cost tenfold.
+        np.maximum(exponent, LEAST_EXPONENT, out=exponent)
+    return np.exp(exponent, out=exponent)
 
 
 def gaussian_slope(at: Float[Array, "a"], axis: Axis, width: float) -> Float[Array, "a count"]:
@@ -70,7 +82,13 @@ class Splat:
     """
 
     def __init__(
-        self, points_xy: Float[Array, "n 2"], x: Axis, y: Axis, width: float, reach: float
+        self,
+        points_xy: Float[Array, "n 2"],
+        x: Axis,
+        y: Axis,
+        width: float,
+        reach: float,
+        digits: Digits = np.float64,
     ) -> None:
         """Prepare the factors.
 
@@ -80,28 +98,32 @@ class Splat:
             y: Rows of the lattice.
             width: Of the Gaussian [m].
             reach: Widths beyond which a Gaussian may be left out.
+            digits: Of the factors and the products.
         """
         self._shape = (y.count, x.count)
         self._num_points = len(points_xy)
-        self._chunks: list[tuple[slice, tuple[slice, slice], Array, Array]] = []
+        self._digits = digits
+        self._chunks: list[tuple[slice, tuple[slice, slice], Real, Real]] = []
         for start in range(0, len(points_xy), POINTS_PER_CHUNK):
             points = slice(start, start + POINTS_PER_CHUNK)
             at_x, at_y = points_xy[points].T
             rows, columns = y.within(at_y, reach * width), x.within(at_x, reach * width)
-            along_y = gaussian(at_y, y.part(rows), width)
-            along_x = gaussian(at_x, x.part(columns), width)
+            along_y = gaussian(at_y, y.part(rows), width, digits)
+            along_x = gaussian(at_x, x.part(columns), width, digits)
             self._chunks.append((points, (rows, columns), along_y, along_x))
 
     def to_nodes(self, values: Float[Array, "n"]) -> Float[Array, "rows columns"]:
         """Sum the points' values, spread by the Gaussian, at every node."""
         sums = np.zeros(self._shape)
+        narrow = values.astype(self._digits, copy=False)
         for points, box, along_y, along_x in self._chunks:
-            sums[box] += along_y.T @ (along_x * values[points, None])
+            sums[box] += along_y.T @ (along_x * narrow[points, None])
         return sums
 
     def to_points(self, weights: Float[Array, "rows columns"]) -> Float[Array, "n"]:
         """Sum the nodes' weights, spread by the Gaussian, at every point."""
         sums = np.empty(self._num_points)
+        narrow = weights.astype(self._digits, copy=False)
         for points, box, along_y, along_x in self._chunks:
-            sums[points] = np.einsum("pc,pc->p", along_y @ weights[box], along_x)
+            sums[points] = np.einsum("pc,pc->p", along_y @ narrow[box], along_x)
         return sums

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.solution import TerrainFields
+from gpgrad_core.gp.solution import TerrainFields, clip_variance
 from gpgrad_core.gp.spacing import MEAN_TOLERANCE, check_solvable, information
 from gpgrad_core.gp.threads import num_workers, single_threaded_blas
 from gpgrad_core.progress import Progress, silent
@@ -68,59 +68,75 @@ class TilePosterior:
     batches: tuple[_Batch, ...]
 
     def sample(self, grid: Grid) -> TerrainFields:
-        """Infer elevation [m], slope [m/m] and their variances at every cell, Eqs. (2)-(5)."""
+        """Infer elevation [m], its variance and slope [m/m] at every cell, Eqs. (2)-(5)."""
         fields = TerrainFields.prior(grid, self.kernel, self.mean)
         height, fields.slope[..., 0], fields.slope[..., 1] = self.field.sample(grid.x, grid.y)
         np.add(fields.elevation, height, out=fields.elevation)
+        self._reduce(fields.variance, grid, sloping=(False, False))
+        clip_variance(fields.variance, self.kernel.signal_std**2)
+        return fields
+
+    def sample_slope_variance(self, grid: Grid) -> Float[Array, "rows columns 2"]:
+        """Infer the variance of both slopes [m²/m²] at every cell."""
+        prior = self.kernel.slope_std**2
+        variance = np.full((*grid.shape, 2), prior)
+        self._reduce(variance[..., 0], grid, sloping=(True, False))
+        self._reduce(variance[..., 1], grid, sloping=(False, True))
+        return clip_variance(variance, prior)
+
+    def _reduce(
+        self, variance: Float[Array, "rows columns"], grid: Grid, *, sloping: tuple[bool, bool]
+    ) -> None:
+        """Bring a prior variance down, in place, by what the data say: Eq. (3).
+
+        Args:
+            variance: Of the height, or of one slope.
+            grid: Its cells.
+            sloping: Whether it is that of the slope along x, along y.
+        """
         columns = self.tiling.edges(grid.x, axis=0)
         rows = self.tiling.edges(grid.y, axis=1)
 
-        def reduce(batch: _Batch) -> Float[Floats, "b height width 3"]:
-            return self._reduction(batch, grid, columns, rows)
+        def reduction(batch: _Batch) -> Float[Floats, "b height width"]:
+            x = grid.x[_cells(columns, batch.tiles[:, 0])]
+            y = grid.y[_cells(rows, batch.tiles[:, 1])]
+            return self._reduction(batch, x, y, sloping)
 
         with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
-            for batch, reduction in zip(
-                self.batches,
-                executor.map(reduce, self.batches),
-                strict=True,
+            for batch, reduced in zip(
+                self.batches, executor.map(reduction, self.batches), strict=True
             ):
-                for (column, row), tile in zip(batch.tiles, reduction, strict=True):
-                    own = (
-                        slice(rows[row], rows[row + 1]),
-                        slice(columns[column], columns[column + 1]),
-                    )
-                    height, width = fields.variance[own].shape
-                    fields.variance[own] -= tile[:height, :width, 0]
-                    fields.slope_variance[own] -= tile[:height, :width, 1:]
-        return fields.within_prior(self.kernel)
+                for (column, row), tile in zip(batch.tiles, reduced, strict=True):
+                    own = variance[rows[row] : rows[row + 1], columns[column] : columns[column + 1]]
+                    height, width = own.shape
+                    own -= tile[:height, :width]
 
     def _reduction(
-        self, batch: _Batch, grid: Grid, columns: Indices, rows: Indices
-    ) -> Float[Floats, "b height width 3"]:
-        """How far the data bring each tile's variances down, Eq. (3): height, both slopes."""
-        x = grid.x[_cells(columns, batch.tiles[:, 0])]
-        y = grid.y[_cells(rows, batch.tiles[:, 1])]
+        self,
+        batch: _Batch,
+        x: Float[Array, "b width"],
+        y: Float[Array, "b height"],
+        sloping: tuple[bool, bool],
+    ) -> Float[Floats, "b height width"]:
+        """How far the data bring a variance of each tile down, ``k(x, X) [K + D]⁻¹ k(X, x)``."""
         at = self.points_xy[batch.members]
         length = self.kernel.length_scale
-        dtype = batch.inverse.dtype
-        offset_x = ((x[:, :, None] - at[:, None, :, 0]) / length).astype(dtype)
-        offset_y = ((y[:, :, None] - at[:, None, :, 1]) / length).astype(dtype)
-        along_x = np.exp(-0.5 * offset_x**2)
-        along_y = np.exp(-0.5 * offset_y**2)
-        along_y *= np.where(batch.padding, 0.0, self.kernel.signal_std**2)[:, None, :].astype(dtype)
-        shape = (len(at), y.shape[1], x.shape[1], at.shape[1])
-        reduction = np.empty((*shape[:3], 3), dtype)
-        factors = (
-            (along_y, along_x),
-            (along_y, along_x * offset_x / length),
-            (along_y * offset_y / length, along_x),
+        along: list[Float[Floats, "b cells p"]] = []
+        for axis, cells in enumerate((x, y)):
+            offset = ((cells[:, :, None] - at[:, None, :, axis]) / length).astype(
+                batch.inverse.dtype
+            )
+            bell = np.exp(-0.5 * offset**2)
+            along.append(bell * offset / length if sloping[axis] else bell)
+        along_x, along_y = along
+        along_y *= np.where(batch.padding, 0.0, self.kernel.signal_std**2)[:, None, :].astype(
+            batch.inverse.dtype
         )
-        for k, (rows_of, columns_of) in enumerate(factors):
-            covariance = rows_of[:, :, None, :] * columns_of[:, None, :, :]
-            covariance = covariance.reshape(shape[0], -1, shape[3])
-            reduced = np.einsum("bcp,bcp->bc", covariance @ batch.inverse, covariance)
-            reduction[..., k] = reduced.reshape(shape[:3])
-        return reduction
+        covariance = along_y[:, :, None, :] * along_x[:, None, :, :]
+        shape = covariance.shape
+        covariance = covariance.reshape(shape[0], -1, shape[3])
+        reduced = np.einsum("bcp,bcp->bc", covariance @ batch.inverse, covariance)
+        return reduced.reshape(shape[:3])
 
 
 def fit_tiles(
@@ -162,10 +178,11 @@ def fit_tiles(
         return _invert(chunk, owner, cloud, kernel, dtype)
 
     with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
+        matrix = executor.submit(_sparse_covariance, cloud, kernel)
         for batch in executor.map(invert, chunks):
             batches.append(batch)
             progress(0.8 * len(batches) / len(chunks))
-        weights = _sweep(cloud, kernel, batches)
+        weights = _sweep(cloud, matrix.result(), batches)
         if weights is None:
             return None
         field = FineKernel(cloud, kernel, bits).field(weights)
@@ -263,11 +280,8 @@ def _cells(edges: Int[Indices, "e"], tiles: Int[Indices, "b"]) -> Int[Indices, "
     return np.minimum(edges[tiles][:, None] + np.arange(most), max(int(edges[-1]) - 1, 0))
 
 
-def _sweep(
-    cloud: Cloud, kernel: SquaredExponential, batches: list[_Batch]
-) -> Float[Array, "n"] | None:
-    """Solve ``(K + D) weights = heights``; None if it does not converge."""
-    matrix = _sparse_covariance(cloud, kernel)
+def _sweep(cloud: Cloud, matrix: csr_array, batches: list[_Batch]) -> Float[Array, "n"] | None:
+    """Solve ``(K + D) weights = heights`` for that matrix; None if it does not converge."""
     weights = np.zeros_like(cloud.heights)
     residual = cloud.heights
     for _ in range(MAX_SWEEPS):

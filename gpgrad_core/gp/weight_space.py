@@ -46,9 +46,9 @@ from gpgrad_core.progress import Progress
 
 Array = NDArray[np.floating]
 
-RIPPLE = 0.05
+RIPPLE = 0.03
 """Ripple of the lattice kernel times information of the data that is let pass: the standard
-deviation is then within 2 % (measured: 0.3 x this), and the mean takes two or three steps."""
+deviation is then within 2 % (measured: half of this), and the mean takes two or three steps."""
 DROPPED = 0.05
 """Largest entry left out of Q beside its band, relative to the prior precision."""
 CUT = 1e-3
@@ -75,24 +75,34 @@ class VarianceReduction:
     pairs: Float[NDArray[np.float64], "half_rows half_cols"]  # V [m²]
     apart: Float[NDArray[np.float64], "2 half_rows half_cols"]  # V with δ² along x, along y [m⁴]
 
-    def sample(
+    def of_height(
         self, x: Float[NDArray[np.float64], "columns"], y: Float[NDArray[np.float64], "rows"]
-    ) -> tuple[
-        Float[NDArray[np.float64], "rows columns"], Float[NDArray[np.float64], "rows columns 2"]
-    ]:
-        """Reduction of the height's [m²] and the slopes' variance, at every pair of coordinates."""
-        length = self.length_scale
-        along_x = gaussian(x, self.x, length / np.sqrt(2))
-        along_y = gaussian(y, self.y, length / np.sqrt(2))
+    ) -> Float[NDArray[np.float64], "rows columns"]:
+        """Reduction of the height's variance [m²] at every pair of coordinates [m]."""
+        along_x, along_y = self._along(x, y)
+        return along_y @ (self.pairs @ along_x.T)
+
+    def of_slope(
+        self, x: Float[NDArray[np.float64], "columns"], y: Float[NDArray[np.float64], "rows"]
+    ) -> Float[NDArray[np.float64], "rows columns 2"]:
+        """Reduction of both slopes' variance [m²/m²] at every pair of coordinates [m]."""
+        along_x, along_y = self._along(x, y)
         spread_x = along_x * (x[:, None] - self.x.nodes) ** 2
         spread_y = along_y * (y[:, None] - self.y.nodes) ** 2
-        half = self.pairs @ along_x.T
-        height = along_y @ half
-        slope = np.empty((*height.shape, 2))
+        slope = np.empty((len(y), len(x), 2))
         slope[..., 0] = along_y @ (self.pairs @ spread_x.T - self.apart[0] @ along_x.T)
-        slope[..., 1] = spread_y @ half - along_y @ (self.apart[1] @ along_x.T)
-        slope *= 4 / length**4
-        return height, slope
+        slope[..., 1] = spread_y @ (self.pairs @ along_x.T) - along_y @ (self.apart[1] @ along_x.T)
+        slope *= 4 / self.length_scale**4
+        return slope
+
+    def _along(
+        self, x: Float[NDArray[np.float64], "columns"], y: Float[NDArray[np.float64], "rows"]
+    ) -> tuple[
+        Float[Array, "columns half_cols"],
+        Float[Array, "rows half_rows"],
+    ]:
+        width = self.length_scale / np.sqrt(2)
+        return gaussian(x, self.x, width), gaussian(y, self.y, width)
 
 
 class WeightSpace:
@@ -135,9 +145,11 @@ class WeightSpace:
         self._spacing_ratio = spacing / length
         self._scale2 = kernel.signal_std**2 * 2 * self._spacing_ratio**2 / np.pi  # s_h²
         reach = gaussian_reach(information, CUT)
-        self._splat = Splat(xy, self._x, self._y, length, reach)
+        # What is to be refined needs a residual of all digits.
+        digits = np.float64 if self._refined else self._dtype
+        self._splat = Splat(xy, self._x, self._y, length, reach, digits)
         self._precision = precision
-        overlap = Splat(xy, self._x.halved, self._y.halved, length / np.sqrt(2), reach)
+        overlap = Splat(xy, self._x.halved, self._y.halved, length / np.sqrt(2), reach, digits)
         summed = overlap.to_nodes(self._scale2 * precision)  # s_h² G
         reached = summed[::2, ::2] > self._scale2 * precision.min() * np.exp(-2 * MARGIN**2)
         self._overlap = np.where(summed < NEGLIGIBLE, 0.0, summed).astype(self._dtype)

@@ -95,7 +95,6 @@ def make_map(submap: Submap, resolution: float = 0.1) -> GradientMap:
         height(world).reshape(grid.shape),
         (0.3 * rim**2).reshape(grid.shape) ** 2,
         local_slope.reshape(*grid.shape, 2),
-        np.full((*grid.shape, 2), 1e-3),
         signal_std=0.3,
         length_scale=0.3,
     )

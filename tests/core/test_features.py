@@ -68,7 +68,7 @@ def test_a_bump_is_found_where_it_is_and_as_wide_as_it_is(
     slope = np.stack([steep, np.zeros(grid.shape)], axis=-1)
     flat = np.full(grid.shape, 1e-4)
     features = detect_features(
-        GradientMap(grid, np.zeros(grid.shape), flat, slope, slope**2, 0.15, 0.3),
+        GradientMap(grid, np.zeros(grid.shape), flat, slope, 0.15, 0.3),
         DetectorParams(name),
     )
     strongest = int(np.argmax(features.responses))
@@ -151,7 +151,7 @@ def test_tiny_maps_have_few_keypoints_or_none(name: Name, shape: tuple[int, int]
 @pytest.mark.parametrize("name", DETECTORS)
 def test_flat_ground_has_no_keypoints(name: Name) -> None:
     zeros = np.zeros(GRID.shape)
-    flat = GradientMap(GRID, zeros, zeros + 1e-4, *np.zeros((2, *GRID.shape, 2)), 0.15, 0.3)
+    flat = GradientMap(GRID, zeros, zeros + 1e-4, np.zeros((*GRID.shape, 2)), 0.15, 0.3)
     assert len(extract_features(flat, FeatureParams(detector=DetectorParams(name)))) == 0
 
 

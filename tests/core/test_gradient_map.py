@@ -214,7 +214,7 @@ def test_dense_clouds_are_binned_and_hardly_change() -> None:
         Submap.from_points(points), MapParams(length_scale=0.5, resolution=0.05)
     )
     kernel = SquaredExponential(made.signal_std, made.length_scale)
-    elevation, variance, slope, _ = fit_lattice(points, kernel, 0.05).sample(made.grid)
+    elevation, variance, slope = fit_lattice(points, kernel, 0.05).sample(made.grid)
     assert rms(made.elevation - elevation) <= 0.02 * 0.05
     assert rms(made.slope - slope) <= 0.02 * rms(slope)
     assert np.abs(made.std / np.sqrt(variance) - 1).max() <= 0.04

@@ -162,7 +162,7 @@ def gradient_map() -> GradientMap:
     slope[0, 1] = [3.0, -4.0]
     variance = np.array([[0.01, 0.04, 0.09], [0.16, 0.25, 1.0]])
     grid = Grid((0.0, 0.0), 0.1, (2, 3))
-    return GradientMap(grid, np.zeros((2, 3)), variance, slope, np.ones((2, 3, 2)), 1.0, 0.3)
+    return GradientMap(grid, np.zeros((2, 3)), variance, slope, 1.0, 0.3)
 
 
 def test_a_map_derives_steepness_and_std(gradient_map: GradientMap) -> None:

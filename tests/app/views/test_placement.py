@@ -60,7 +60,6 @@ def test_the_offset_of_height_is_found_over_the_overlap() -> None:
         query_map.elevation - 0.7,
         query_map.variance,
         query_map.slope,
-        query_map.slope_variance,
         query_map.signal_std,
         query_map.length_scale,
     )

@@ -20,9 +20,7 @@ def seen_from(
     slope_in_world = -(np.sin(phases) * ground.amplitudes) @ ground.wave_vectors
     slope = T_world_map.inverse().rotate(slope_in_world).reshape(*grid.shape, 2)
     variance = np.full(grid.shape, 1e-4)
-    return GradientMap(
-        grid, height, variance, slope, np.full_like(slope, 1e-3), SIGNAL_STD, length_scale
-    )
+    return GradientMap(grid, height, variance, slope, SIGNAL_STD, length_scale)
 
 
 @cache

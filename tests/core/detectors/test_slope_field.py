@@ -29,7 +29,7 @@ def share_right(query: Features, database: Features, T_database_query: SE2) -> f
 
 def of_height(grid: Grid, height: Array, slope: Array) -> GradientMap:
     variance = np.full(grid.shape, 1e-6)
-    return GradientMap(grid, height, variance, slope, np.full_like(slope, 1e-3), SIGNAL_STD, 0.3)
+    return GradientMap(grid, height, variance, slope, SIGNAL_STD, 0.3)
 
 
 @pytest.mark.parametrize("degrees", [37, 90, 180])

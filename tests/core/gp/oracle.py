@@ -34,7 +34,10 @@ class Fields:
     def fast(cls, posterior: Posterior, grid: Grid) -> "Fields":
         fields = posterior.sample(grid)
         return cls(
-            fields.elevation, np.sqrt(fields.variance), fields.slope, np.sqrt(fields.slope_variance)
+            fields.elevation,
+            np.sqrt(fields.variance),
+            fields.slope,
+            np.sqrt(posterior.sample_slope_variance(grid)),
         )
 
     @classmethod

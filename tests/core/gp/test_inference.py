@@ -96,11 +96,12 @@ def test_each_point_may_have_its_own_noise(
 def test_far_beyond_the_points_the_prior_holds_exactly(solver: Solver) -> None:
     points = cloud(0, 300, (2.0, 2.0)) + np.array([0.0, 0.0, 50.0])
     posterior = fit_gp(points, SquaredExponential(0.2, 0.3), 0.05, solver=solver)
-    elevation, variance, slope, slope_variance = posterior.sample(Grid((20.0, -30.0), 0.5, (4, 5)))
+    grid = Grid((20.0, -30.0), 0.5, (4, 5))
+    elevation, variance, slope = posterior.sample(grid)
     np.testing.assert_array_equal(elevation, points[:, 2].mean())
     np.testing.assert_array_equal(variance, 0.2**2)
     np.testing.assert_array_equal(slope, 0.0)
-    np.testing.assert_array_equal(slope_variance, (0.2 / 0.3) ** 2)
+    np.testing.assert_array_equal(posterior.sample_slope_variance(grid), (0.2 / 0.3) ** 2)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -189,7 +190,7 @@ def test_one_and_two_threads_give_the_same_bits(
 def test_flat_ground_is_flat(solver: Solver) -> None:
     points = cloud(8, 200, (2.0, 2.0))
     points[:, 2] = 3.5
-    elevation, variance, slope, _ = fit_gp(
+    elevation, variance, slope = fit_gp(
         points, SquaredExponential(0.1, 0.3), 0.05, solver=solver
     ).sample(Grid((0.0, 0.0), 0.1, (20, 20)))
     np.testing.assert_array_equal(elevation, 3.5)
@@ -275,13 +276,15 @@ def test_no_parameters_within_bounds_crash_it_or_give_nonsense(
     except InputError as error:
         assert "\n" not in str(error)  # noqa: PT017 - either outcome is right
         return
-    fields = posterior.sample(grid_beyond(points, side / 5, side / 10))
-    for field in fields:
+    grid = grid_beyond(points, side / 5, side / 10)
+    fields = posterior.sample(grid)
+    slope_variance = posterior.sample_slope_variance(grid)
+    for field in (*fields, slope_variance):
         assert np.isfinite(field).all()
     assert fields.variance.min() > 0
     assert fields.variance.max() <= kernel.signal_std**2
-    assert fields.slope_variance.min() > 0
-    assert fields.slope_variance.max() <= kernel.slope_std**2
+    assert slope_variance.min() > 0
+    assert slope_variance.max() <= kernel.slope_std**2
 
 
 @pytest.mark.parametrize(

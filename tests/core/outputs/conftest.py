@@ -59,5 +59,4 @@ def gradient_map() -> GradientMap:
     x, y = np.meshgrid(grid.x, grid.y)
     slope = np.broadcast_to([0.5, -0.25], (20, 30, 2)).copy()
     variance = np.where(x < 1.0, 0.0001, 0.36)
-    slope_variance = np.repeat(variance[..., None], 2, axis=-1)
-    return GradientMap(grid, 0.5 * x - 0.25 * y, variance, slope, slope_variance, 0.6, 0.3)
+    return GradientMap(grid, 0.5 * x - 0.25 * y, variance, slope, 0.6, 0.3)

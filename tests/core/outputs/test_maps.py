@@ -100,7 +100,7 @@ def test_a_picture_has_the_lowest_y_at_the_bottom() -> None:
     grid = Grid((0.0, 0.0), 0.1, (20, 20))
     _, y = np.meshgrid(grid.x, grid.y)
     slope = np.stack([np.zeros_like(y), np.ones_like(y)], axis=-1)
-    rising = GradientMap(grid, y, np.full_like(y, 1e-4), slope, slope / 9, 1.0, 0.3)
+    rising = GradientMap(grid, y, np.full_like(y, 1e-4), slope, 1.0, 0.3)
     picture = draw_map(rising)
     panel = picture[42 + 30 : 42 + 30 + 460, picture.shape[1] // 3 + 12 :][:, :460].astype(int)
     assert panel[10].sum() > panel[450].sum()  # viridis: high is bright
@@ -108,7 +108,7 @@ def test_a_picture_has_the_lowest_y_at_the_bottom() -> None:
 
 def test_flat_ground_can_be_drawn() -> None:
     grid = Grid((0.0, 0.0), 0.1, (5, 8))
-    flat = GradientMap(grid, np.zeros((5, 8)), np.ones((5, 8)), *np.zeros((2, 5, 8, 2)), 1.0, 0.3)
+    flat = GradientMap(grid, np.zeros((5, 8)), np.ones((5, 8)), np.zeros((5, 8, 2)), 1.0, 0.3)
     assert draw_map(flat).dtype == np.uint8
 
 
@@ -143,7 +143,7 @@ def test_what_cannot_be_drawn_or_named_is_refused(
         Grid((0.0, 0.0), 0.1, (1, 2000)),
         np.zeros((1, 2000)),
         np.ones((1, 2000)),
-        *np.zeros((2, 1, 2000, 2)),
+        np.zeros((1, 2000, 2)),
         1.0,
         0.3,
     )

@@ -22,8 +22,7 @@ def map_of(T_world_map: SE2, ground: Ground = GROUND, grid: Grid = GRID) -> Grad
     slope = np.stack([(height(s) - height(-s)) / (2 * step) for s in step * np.eye(2)], axis=-1)
     x, y = xy.T.reshape(2, *grid.shape)
     variance = 1e-4 * (2 + np.sin(0.5 * x) + np.cos(0.4 * y))
-    slope_variance = np.repeat(25 * variance[..., None], 2, axis=-1)
-    return GradientMap(grid, height(np.zeros(2)), variance, slope, slope_variance, 0.15, 0.3)
+    return GradientMap(grid, height(np.zeros(2)), variance, slope, 0.15, 0.3)
 
 
 DATABASE = map_of(SE2())

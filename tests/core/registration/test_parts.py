@@ -45,9 +45,7 @@ def test_the_search_on_plain_ground_finds_nothing() -> None:
 def test_cells_grow_on_wide_maps() -> None:
     grid = Grid((0.0, 0.0), 0.5, (160, 160))
     zero = np.zeros(grid.shape)
-    wide = make_relief(
-        GradientMap(grid, zero, zero, np.zeros((160, 160, 2)), np.zeros((160, 160, 2)), 0.15, 0.3)
-    )
+    wide = make_relief(GradientMap(grid, zero, zero, np.zeros((160, 160, 2)), 0.15, 0.3))
     spectra = make_spectra(wide)
     assert spectra.cell >= 1.2
     assert 2 * spectra.half <= 70
@@ -73,7 +71,6 @@ def test_alignment_ends_at_the_truth_also_where_the_query_leans(
             *(
                 query.variance,
                 query.slope,
-                query.slope_variance,
                 query.signal_std,
                 query.length_scale,
             ),
@@ -103,7 +100,6 @@ def test_covariances_cover_the_errors_and_shrink_with_the_noise() -> None:
                     noisy,
                     query.variance,
                     query.slope,
-                    query.slope_variance,
                     query.signal_std,
                     query.length_scale,
                 )
