@@ -63,18 +63,17 @@ from gpgrad_core.memo import Memo
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import (
     MAP_ENDINGS,
-    check_graph,
     check_output,
     report_closures,
     write_closures,
     write_fitted,
-    write_graph,
     write_map,
 )
 from gpgrad_core.parameters import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.scans import BuildParams, RecordingSources, build_dataset, simulate_recording
+from gpgrad_core.slam import build_pose_graph, odometry_poses, write_graph
 from gpgrad_core.types import Dataset
 from gpgrad_core.version import VERSION
 
@@ -197,7 +196,7 @@ class Detect:
         asked = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
         params = method.adapt(asked)
         if self.g2o:
-            check_graph(dataset)
+            odometry_poses(dataset)  # a graph without odometry should not cost minutes
         with _progress("pairs") as progress, ThreadPoolExecutor(num_workers()) as executor:
             result = detect_loop_closures(
                 dataset,
@@ -209,7 +208,7 @@ class Detect:
         report = report_closures(dataset, result, params, method=method.name)
         write_closures(self.out, report)
         if self.g2o:
-            write_graph(self.g2o, dataset, result.closures)
+            write_graph(self.g2o, build_pose_graph(dataset, result.closures))
         count = len(report.accepted)
         _say(
             f"{count} loop closure{'' if count == 1 else 's'} in {len(report.pairs)} pairs of "

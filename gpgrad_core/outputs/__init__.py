@@ -1,4 +1,4 @@
-"""Files that others read: loop closures, maps, pose graphs."""
+"""Files that others read: loop closures, maps."""
 
 from gpgrad_core.outputs.closure_table import write_closure_table
 from gpgrad_core.outputs.closures import (
@@ -10,15 +10,12 @@ from gpgrad_core.outputs.closures import (
 )
 from gpgrad_core.outputs.files import check_output, replacing
 from gpgrad_core.outputs.fitted import write_fitted
-from gpgrad_core.outputs.graph import GraphParams, check_graph, write_graph
 from gpgrad_core.outputs.maps import MAP_ENDINGS, write_map
 
 __all__ = [
     "MAP_ENDINGS",
     "ClosureReport",
-    "GraphParams",
     "PairRecord",
-    "check_graph",
     "check_output",
     "read_closures",
     "replacing",
@@ -26,6 +23,5 @@ __all__ = [
     "write_closure_table",
     "write_closures",
     "write_fitted",
-    "write_graph",
     "write_map",
 ]

@@ -16,6 +16,8 @@ VERBS = {
     "register": ["query", "database", "matches", "params"],
     "classify": ["registration", "params"],
     "detect_loop_closures": ["dataset", "params"],
+    "build_pose_graph": ["dataset", "closures", "params"],
+    "optimise_pose_graph": ["graph", "params"],
 }
 
 

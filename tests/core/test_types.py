@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.se2 import SE2
 from gpgrad_core.types import (
     Dataset,
     Features,
@@ -147,6 +148,29 @@ def test_a_unit_quaternion_is_a_rotation(seed: int) -> None:
     rotation = Pose(np.zeros(3), quaternion / np.linalg.norm(quaternion)).rotation
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_poses_compose_as_their_matrices_do(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = (
+        Pose(rng.normal(size=3), quaternion / np.linalg.norm(quaternion))
+        for quaternion in rng.normal(size=(2, 4))
+    )
+    points = rng.normal(size=(5, 3))
+    np.testing.assert_allclose((a @ b).apply(points), a.apply(b.apply(points)), atol=1e-12)
+    np.testing.assert_allclose((a.inverse() @ a).apply(points), points, atol=1e-12)
+    assert np.linalg.norm((a @ b).quaternion) == pytest.approx(1.0)
+    assert (a @ b).quaternion[3] >= 0
+
+
+def test_a_motion_of_the_plane_becomes_one_of_space_and_back() -> None:
+    pose = Pose.from_planar(SE2(1.0, -2.0, 3.0), 0.5)
+    assert pose.translation[2] == 0.5
+    assert pose.planar.x == pytest.approx(1.0)
+    assert pose.planar.y == pytest.approx(-2.0)
+    assert pose.planar.yaw == pytest.approx(3.0)
+    np.testing.assert_allclose(pose.rotation[2], [0, 0, 1], atol=1e-12)
 
 
 def test_a_dataset_finds_its_submaps_by_id() -> None:

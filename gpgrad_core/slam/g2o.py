@@ -1,0 +1,134 @@
+"""A pose graph in g2o's text format, which most optimisers read."""
+
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.outputs.files import replacing
+from gpgrad_core.slam.graph import Edge, EdgeKind, GraphParams, PoseGraph
+from gpgrad_core.types import Array, Pose
+
+HALVED = np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
+"""g2o's error of a turn is the quaternion's vector part: half of a small angle."""
+VERTEX, EDGE = "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT"
+COLUMNS = {VERTEX: 1 + 7, EDGE: 2 + 7 + 21}
+
+
+def write_graph(
+    path: Path | str, graph: PoseGraph, poses: Mapping[str, Pose] | None = None
+) -> None:
+    """Write a pose graph.
+
+    A vertex has the number that the submap is named by, or its place in the graph where names are
+    not numbers.
+
+    Args:
+        path: The ``.g2o`` file, of ``VERTEX_SE3:QUAT`` and ``EDGE_SE3:QUAT`` lines.
+        graph: Its edges; gravity, which the format has no line for, is left out.
+        poses: Where its vertices are, such as an optimised graph's; None: where they were before.
+
+    Raises:
+        InputError: If the file cannot be written there.
+        OSError: If writing fails.
+    """
+    numbers = vertex_numbers(graph)
+    lines = [
+        f"{VERTEX} {numbers[name]} {_text(pose)}" for name, pose in (poses or graph.poses).items()
+    ]
+    for edge in graph.edges:
+        information = np.linalg.inv(HALVED @ edge.covariance @ HALVED)
+        weights = " ".join(f"{weight:.9g}" for weight in information[np.triu_indices(6)])
+        ends = f"{numbers[edge.start]} {numbers[edge.end]}"
+        lines.append(f"{EDGE} {ends} {_text(edge.T_start_end)} {weights}")
+    with replacing(path) as unfinished:
+        unfinished.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def vertex_numbers(graph: PoseGraph) -> dict[str, int]:
+    """Number the vertices: by the submaps' names, or in their order where these are no numbers."""
+    names = list(graph.poses)
+    if all(name.isdecimal() for name in names) and len({int(name) for name in names}) == len(names):
+        return {name: int(name) for name in names}
+    return {name: place for place, name in enumerate(names)}
+
+
+def read_graph(path: Path | str, tilt_std: float | None = None) -> PoseGraph:
+    """Read a pose graph, of any tool.
+
+    The format does not tell odometry from loop closures: the first edge from a vertex to the one
+    that follows it is taken for odometry, and all others for closures.
+
+    Args:
+        path: The ``.g2o`` file; lines of other kinds are not understood.
+        tilt_std: How well each pose knows its roll and pitch [rad]; None is `GraphParams`'.
+
+    Returns:
+        The graph; its submaps are named by their numbers.
+
+    Raises:
+        InputError: If a line is of another kind, has not its columns, or names a vertex that there
+            is not; names the line.
+        OSError: If the file cannot be read.
+    """
+    path = Path(path)
+    poses: dict[str, Pose] = {}
+    rows: list[tuple[str, list[str], list[float]]] = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        tag, *words = line.split("#", 1)[0].split() or [""]
+        if not tag or tag == "FIX":
+            continue
+        where = f"{path}, line {number}"
+        if tag not in COLUMNS:
+            raise InputError(f"{where}: {tag[:40]!r} is not one of {VERTEX}, {EDGE}")
+        if len(words) != COLUMNS[tag]:
+            raise InputError(f"{where}: {tag} has {COLUMNS[tag]} columns, found {len(words)}")
+        num_ends = 1 if tag == VERTEX else 2
+        try:
+            ends = [str(int(word)) for word in words[:num_ends]]
+            values = [float(word) for word in words[num_ends:]]
+        except ValueError:
+            raise InputError(f"{where}: holds something that is not a number") from None
+        if not np.isfinite(values).all() or np.linalg.norm(values[3:7]) == 0:
+            raise InputError(f"{where}: holds a value that is not finite, or no turn")
+        if tag == VERTEX:
+            poses[ends[0]] = _pose(values)
+        else:
+            rows.append((where, ends, values))
+    names = sorted(poses, key=int)
+    following = set(pairwise(names))
+    edges: list[Edge] = []
+    for where, (start, end), values in rows:
+        if missing := [name for name in (start, end) if name not in poses]:
+            raise InputError(f"{where}: names vertex {missing[0]}, which the file does not have")
+        kind: EdgeKind = "odometry" if (start, end) in following else "loop"
+        following.discard((start, end))
+        covariance = _covariance(values[7:], where)
+        T_start_end = _pose(values)
+        trusted = kind == "odometry"
+        edges.append(Edge(start, end, T_start_end, covariance, kind, trusted=trusted))
+    tilt = GraphParams().tilt_std if tilt_std is None else tilt_std
+    edges.sort(key=lambda edge: edge.kind == "loop")
+    return PoseGraph({name: poses[name] for name in names}, tuple(edges), tilt)
+
+
+def _covariance(upper: list[float], where: str) -> Float[Array, "6 6"]:
+    information = np.zeros((6, 6))
+    information[np.triu_indices(6)] = upper
+    information += np.triu(information, 1).T
+    if np.linalg.eigvalsh(information)[0] <= 0:
+        raise InputError(f"{where}: the information matrix is not positive definite")
+    whole = np.linalg.inv(HALVED)
+    return whole @ np.linalg.inv(information) @ whole
+
+
+def _pose(values: list[float]) -> Pose:
+    quaternion = np.array(values[3:7])
+    return Pose(np.array(values[:3]), quaternion / np.linalg.norm(quaternion))
+
+
+def _text(pose: Pose) -> str:
+    return " ".join(f"{number:.9g}" for number in (*pose.translation, *pose.quaternion))

@@ -1,0 +1,223 @@
+"""The pose graph: submaps as nodes, odometry and accepted loop closures as edges between them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Annotated, Literal
+
+import numpy as np
+from jaxtyping import Float
+from typing_extensions import Doc
+
+from gpgrad_core.bounds import Bounds, check_bounds
+from gpgrad_core.errors import InputError
+from gpgrad_core.types import Array, Dataset, LoopClosure, Pose, Registration, read_only
+
+EdgeKind = Literal["odometry", "loop"]
+
+LEAST_LEVER = 0.1
+"""Inliers as good as at one point hold a turn no worse than over this distance [m]."""
+
+
+@dataclass(frozen=True)
+class GraphParams:
+    """How sure the edges of a pose graph are of themselves.
+
+    An odometry edge over a distance d has the standard deviations ``odometry_std +
+    odometry_drift d`` along x and y, ``odometry_std + height_drift d`` in height and
+    ``heading_std + heading_drift √d`` in turn: its heading walks at random. A closure brings its
+    own covariance where the registration knows it.
+    """
+
+    odometry_drift: Annotated[
+        float,
+        Bounds(0.0, 1.0, 0.005, "", slider=(0.0, 0.2)),
+        Doc("Standard deviation of odometry along x and y, as a share of the distance driven."),
+    ] = 0.02
+    odometry_std: Annotated[
+        float,
+        Bounds(0.0001, 100.0, 0.005, "m", slider=(0.005, 0.2)),
+        Doc("Standard deviation of odometry's offset, besides what grows with the distance."),
+    ] = 0.02
+    height_drift: Annotated[
+        float,
+        Bounds(0.0, 1.0, 0.001, "", slider=(0.0, 0.1)),
+        Doc("Standard deviation of odometry's height, as a share of the distance driven."),
+    ] = 0.004
+    heading_drift: Annotated[
+        float,
+        Bounds(0.0, 3.2, 0.001, "rad/√m", slider=(0.0, 0.05)),
+        Doc("Random walk of odometry's heading."),
+    ] = 0.01
+    heading_std: Annotated[
+        float,
+        Bounds(0.0001, 3.2, 0.001, "rad", slider=(0.001, 0.05)),
+        Doc("Standard deviation of odometry's turn, besides what grows with the distance."),
+    ] = 0.002
+    tilt_std: Annotated[
+        float,
+        Bounds(0.0001, 3.2, 0.001, "rad", slider=(0.001, 0.05)),
+        Doc("Standard deviation of roll and pitch, which gravity gives."),
+    ] = 0.005
+    closure_height_std: Annotated[
+        float,
+        Bounds(0.0001, 100.0, 0.005, "m", slider=(0.005, 0.2)),
+        Doc("Standard deviation of a closure's height, where the ground was aligned."),
+    ] = 0.03
+    association_std: Annotated[
+        float,
+        Bounds(0.0001, 10.0, 0.01, "m", slider=(0.01, 0.5)),
+        Doc("Standard deviation of one inlier; n of them place a closure without a covariance."),
+    ] = 0.15
+    unseen_std: Annotated[
+        float,
+        Bounds(0.0001, 1000.0, 0.1, "m"),
+        Doc("Standard deviation of a closure's height, where the ground was not aligned."),
+    ] = 10.0
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """What was measured between two submaps.
+
+    Attributes:
+        start: Id of the submap in whose frame the motion ends: the earlier one, the database.
+        end: Id of the submap whose points it maps: the later one, the query.
+        T_start_end: The motion.
+        covariance: Of its error ``T_start_end⁻¹ T_true``: x, y, z [m], then the vector of the
+            turn [rad], all in the frame of `end`, as g2o has it.
+        kind: Where it comes from.
+        score: Of the loop closure; None for odometry.
+        trusted: Whether it is held to be right whatever the others say, as odometry is.
+    """
+
+    start: str
+    end: str
+    T_start_end: Pose
+    covariance: Float[Array, "6 6"]
+    kind: EdgeKind
+    score: float | None = None
+    trusted: bool = False
+
+    def __post_init__(self) -> None:
+        """Freeze the array."""
+        read_only(self.covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGraph:
+    """Submaps and what was measured between them.
+
+    Attributes:
+        poses: ``T_world_submap`` by id, before any closure; the order is the traverse's.
+        edges: Odometry first, then loop closures.
+        tilt_std: How well each pose knows its roll and pitch [rad]: gravity holds them.
+    """
+
+    poses: dict[str, Pose]
+    edges: tuple[Edge, ...]
+    tilt_std: float
+
+    @property
+    def loops(self) -> tuple[Edge, ...]:
+        """The edges that are loop closures."""
+        return tuple(edge for edge in self.edges if edge.kind == "loop")
+
+
+def build_pose_graph(
+    dataset: Dataset,
+    closures: Iterable[LoopClosure],
+    params: GraphParams | None = None,
+    *,
+    trusted: Iterable[tuple[str, str]] = (),
+) -> PoseGraph:
+    """Gather a traverse's odometry and its accepted closures.
+
+    Args:
+        dataset: Its odometry is needed.
+        closures: Those refused are left out.
+        params: How sure the edges are.
+        trusted: Pairs (query id, database id) whose closure a person vouches for.
+
+    Raises:
+        InputError: If a submap has no odometry pose, or a closure names one that there is not.
+    """
+    params = params or GraphParams()
+    poses = odometry_poses(dataset)
+    vouched = set(trusted)
+    edges = [_odometry_edge(start, end, poses, params) for start, end in pairwise(poses)]
+    for closure in closures:
+        if not closure.accepted or closure.registration.T_database_query is None:
+            continue
+        for name in (closure.query_id, closure.database_id):
+            if name not in poses:
+                raise InputError(
+                    f"{dataset.name}: a closure names submap {name!r}, which there is not; the "
+                    "closures must be those of this dataset"
+                )
+        pair = closure.query_id, closure.database_id
+        edges.append(_loop_edge(closure, poses, params, trusted=pair in vouched))
+    return PoseGraph(poses, tuple(edges), params.tilt_std)
+
+
+def odometry_poses(dataset: Dataset) -> dict[str, Pose]:
+    """Give the odometry's pose of every submap, by id, in the dataset's order.
+
+    Raises:
+        InputError: If a submap has none: check it before the long work.
+    """
+    poses = {submap.id: submap.pose_odometry for submap in dataset.submaps}
+    missing = [name for name, pose in poses.items() if pose is None]
+    if missing:
+        raise InputError(
+            f"{dataset.name}: a pose graph needs odometry, and submap {missing[0]} has none "
+            f"({len(missing)} of {len(poses)} lack it); add it to poses_odom.txt"
+        )
+    return {name: pose for name, pose in poses.items() if pose is not None}
+
+
+def _odometry_edge(start: str, end: str, poses: dict[str, Pose], params: GraphParams) -> Edge:
+    T_start_end = poses[start].inverse() @ poses[end]
+    distance = float(np.linalg.norm(T_start_end.translation))
+    level = params.odometry_std + params.odometry_drift * distance
+    height = params.odometry_std + params.height_drift * distance
+    yaw = params.heading_std + params.heading_drift * np.sqrt(distance)
+    std = np.array([level, level, height, params.tilt_std, params.tilt_std, yaw])
+    return Edge(start, end, T_start_end, np.diag(std**2), "odometry", trusted=True)
+
+
+def _loop_edge(
+    closure: LoopClosure, poses: dict[str, Pose], params: GraphParams, *, trusted: bool
+) -> Edge:
+    """Lift a closure of the plane into space: gravity holds roll and pitch of both submaps."""
+    registration, start, end = closure.registration, closure.database_id, closure.query_id
+    motion = registration.T_database_query
+    assert motion is not None
+    planar = registration.covariance
+    if planar is not None:
+        height, height_std = registration.z_offset, params.closure_height_std
+        # Known for an error in the database's frame; an edge's is in the query's.
+        turn = np.eye(3)
+        turn[:2, :2] = motion.rotation.T
+        planar = turn @ planar @ turn.T
+    else:
+        # Nobody aligned the heights: the odometry's stands in, with next to no weight.
+        height, height_std = (poses[start].inverse() @ poses[end]).translation[2], params.unseen_std
+        planar = _covariance_of_inliers(registration, params)
+    covariance = np.zeros((6, 6))
+    covariance[np.ix_([0, 1, 5], [0, 1, 5])] = 0.5 * (planar + planar.T)
+    covariance[[2, 3, 4], [2, 3, 4]] = [height_std**2, params.tilt_std**2, params.tilt_std**2]
+    T_start_end = Pose.from_planar(motion, float(height))
+    return Edge(start, end, T_start_end, covariance, "loop", registration.score, trusted)
+
+
+def _covariance_of_inliers(registration: Registration, params: GraphParams) -> Float[Array, "3 3"]:
+    """Guess how well so many inliers on so large an overlap place a pair."""
+    offset_std = params.association_std / np.sqrt(max(registration.num_inliers, 1))
+    # Points spread over a disc lie sqrt(area / 2 pi) rms from its centre: the lever of the yaw.
+    lever = max(np.sqrt(registration.overlap_area / (2 * np.pi)), LEAST_LEVER)
+    return np.diag(np.array([offset_std, offset_std, offset_std / lever]) ** 2)

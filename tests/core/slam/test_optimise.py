@@ -1,0 +1,174 @@
+"""The graph finds the truth, wrong closures or not."""
+
+import time
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.progress import Cancelled
+from gpgrad_core.slam import GraphParams, SolverParams, build_pose_graph, optimise_pose_graph
+from gpgrad_core.types import Pose
+from tests.core.slam.traverses import Traverse, simulate, with_odometry
+
+
+def error(traverse: Traverse, poses: dict[str, Pose]) -> float:
+    """Of the places, with the first held where it is [m]."""
+    found = np.array([pose.translation for pose in poses.values()])
+    return float(np.sqrt(((found - traverse.true_xyz) ** 2).sum(axis=1).mean()))
+
+
+def test_closures_take_the_drift_out() -> None:
+    traverse = simulate(60)
+    graph = build_pose_graph(traverse.dataset, traverse.closures)
+    result = optimise_pose_graph(graph)
+    assert error(traverse, graph.poses) > 1.0
+    assert error(traverse, result.poses) < 0.2 * error(traverse, graph.poses)
+    assert not result.refused
+    assert list(result.poses) == list(graph.poses)
+    first = next(iter(graph.poses))
+    np.testing.assert_allclose(
+        result.poses[first].translation, graph.poses[first].translation, atol=1e-3
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_wrong_closures_lose(seed: int) -> None:
+    traverse = simulate(60, seed, wrong=0.2)
+    right = [c for c in traverse.closures if (c.query_id, c.database_id) not in traverse.wrong]
+    assert len(traverse.wrong) == round(0.25 * len(right))
+    clean = optimise_pose_graph(build_pose_graph(traverse.dataset, right))
+    mixed = optimise_pose_graph(build_pose_graph(traverse.dataset, traverse.closures))
+    refused = {(fit.edge.end, fit.edge.start) for fit in mixed.refused}
+    assert refused >= traverse.wrong
+    assert error(traverse, mixed.poses) <= 1.3 * error(traverse, clean.poses)
+    for fit in mixed.refused:
+        assert fit.weight == 0
+        assert fit.chi_square > SolverParams().max_chi_square
+
+
+def test_errors_are_as_large_as_their_covariances_say() -> None:
+    traverse = simulate(100)
+    params = GraphParams(  # what the simulation drifts by
+        odometry_std=0.0001,
+        odometry_drift=0.02,
+        height_drift=0.004,
+        heading_std=0.0001,
+        heading_drift=0.012,
+    )
+    edges = optimise_pose_graph(build_pose_graph(traverse.dataset, traverse.closures, params)).edges
+    # x, y, z and yaw were disturbed; as many of them as there are edges to spare are left.
+    spare = 4 * (len(edges) - 99)
+    assert sum(fit.chi_square for fit in edges) == pytest.approx(spare, rel=0.15)
+
+
+def test_chi_square_is_the_error_over_its_covariance() -> None:
+    traverse = simulate(40)
+    graph = build_pose_graph(traverse.dataset, traverse.closures)
+    result = optimise_pose_graph(graph)
+    for fit in result.edges:
+        edge = fit.edge
+        left = edge.T_start_end.inverse() @ result.poses[edge.start].inverse()
+        left = left @ result.poses[edge.end]
+        turn = Rotation.from_quat(left.quaternion).as_rotvec()
+        # GTSAM's error is the logarithm in SE(3): the same up to the square of the turn.
+        small = np.array([*left.translation, *turn])
+        expected = small @ np.linalg.solve(edge.covariance, small)
+        assert fit.chi_square == pytest.approx(expected, rel=0.05, abs=0.05)
+
+
+def test_no_closures_no_change() -> None:
+    graph = build_pose_graph(simulate(5, row=5).dataset, ())
+    result = optimise_pose_graph(graph)
+    assert result.poses == graph.poses
+    assert result.history.shape == (1, 5, 7)
+    assert result.at(0.5).keys() == graph.poses.keys()
+
+
+def test_a_closure_that_is_vouched_for_is_kept() -> None:
+    traverse = simulate(60, wrong=0.02)
+    vouched = build_pose_graph(traverse.dataset, traverse.closures, trusted=traverse.wrong)
+    assert traverse.wrong
+    kept = {
+        (fit.edge.end, fit.edge.start): fit.weight for fit in optimise_pose_graph(vouched).loops
+    }
+    assert all(kept[pair] == 1 for pair in traverse.wrong)
+
+
+def test_gravity_holds_roll_and_pitch() -> None:
+    traverse = simulate(60)
+    tilted = [
+        replace(c, registration=replace(c.registration, z_offset=c.registration.z_offset + 0.2))
+        for c in traverse.closures
+    ]
+    result = optimise_pose_graph(build_pose_graph(traverse.dataset, tilted))
+    for pose in result.poses.values():
+        assert np.arccos(min(pose.rotation[2, 2], 1.0)) < 0.02
+
+
+def test_the_way_leads_from_before_to_after_at_an_even_pace() -> None:
+    traverse = simulate(40)
+    graph = build_pose_graph(traverse.dataset, traverse.closures)
+    result = optimise_pose_graph(graph)
+    for share, expected in ((0.0, graph.poses), (1.0, result.poses)):
+        for name, pose in result.at(share).items():
+            np.testing.assert_allclose(pose.translation, expected[name].translation, atol=1e-9)
+            np.testing.assert_allclose(pose.rotation, expected[name].rotation, atol=1e-9)
+    places = [
+        np.array([pose.translation for pose in result.at(share).values()])
+        for share in np.linspace(0, 1, 21)
+    ]
+    steps = [np.sqrt(((b - a) ** 2).sum(1).mean()) for a, b in pairwise(places)]
+    assert max(steps) < 1.5 * np.median(steps)
+
+
+def test_the_frame_of_the_world_does_not_matter() -> None:
+    traverse = simulate(40)
+    far = Pose(np.array([500.0, -200.0, 30.0]), np.array([0.0, 0.0, np.sin(1.0), np.cos(1.0)]))
+    moved = with_odometry(traverse.dataset, lambda pose: far @ pose)
+    here, there = (
+        optimise_pose_graph(build_pose_graph(dataset, traverse.closures)).poses
+        for dataset in (traverse.dataset, moved)
+    )
+    for name, pose in here.items():
+        np.testing.assert_allclose((far @ pose).translation, there[name].translation, atol=1e-3)
+
+
+def test_the_same_graph_gives_the_same_poses_to_the_bit() -> None:
+    traverse = simulate(60, wrong=0.2)
+    graph = build_pose_graph(traverse.dataset, traverse.closures)
+    first, second = optimise_pose_graph(graph), optimise_pose_graph(graph)
+    np.testing.assert_array_equal(first.history, second.history)
+
+
+def test_hundreds_of_submaps_take_no_time() -> None:
+    traverse = simulate(300, row=20)
+    graph = build_pose_graph(traverse.dataset, traverse.closures)
+    start = time.process_time()
+    result = optimise_pose_graph(graph)
+    assert time.process_time() - start < 5  # 0.4 s on an idle core; a slow machine is no failure
+    assert error(traverse, result.poses) < 0.1 * error(traverse, graph.poses)
+
+
+def test_it_can_be_cancelled() -> None:
+    traverse = simulate(40)
+    said: list[float] = []
+
+    def hook(fraction: float) -> None:
+        said.append(fraction)
+        if len(said) == 2:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        optimise_pose_graph(build_pose_graph(traverse.dataset, traverse.closures), progress=hook)
+    assert 0 < said[0] < said[1] < 1
+
+
+def test_without_gtsam_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "gtsam", None)
+    traverse = simulate(20)
+    with pytest.raises(InputError, match="pose graphs need GTSAM"):
+        optimise_pose_graph(build_pose_graph(traverse.dataset, traverse.closures))
