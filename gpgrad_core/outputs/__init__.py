@@ -6,6 +6,7 @@ from gpgrad_core.outputs.closures import (
     PairRecord,
     read_closures,
     report_closures,
+    restore_closures,
     write_closures,
 )
 from gpgrad_core.outputs.files import check_output, replacing
@@ -20,6 +21,7 @@ __all__ = [
     "read_closures",
     "replacing",
     "report_closures",
+    "restore_closures",
     "write_closure_table",
     "write_closures",
     "write_fitted",

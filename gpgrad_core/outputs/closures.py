@@ -14,7 +14,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset, LoopClosure
+from gpgrad_core.types import Dataset, LoopClosure, Registration
 from gpgrad_core.version import VERSION
 
 
@@ -33,6 +33,8 @@ class PairRecord:
         reason: Why, or why not.
         T_database_query: Maps points of the query's frame into the database's; None where nothing
             was estimated.
+        z_offset: What is to be added to the query's heights [m]; None where it is not known.
+        covariance: Of x [m], y [m] and yaw [rad], row by row; None where it is not known.
     """
 
     query: str
@@ -44,6 +46,8 @@ class PairRecord:
     accepted: bool
     reason: str
     T_database_query: SE2 | None
+    z_offset: float | None = None
+    covariance: tuple[tuple[float, ...], ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -155,9 +159,31 @@ def read_closures(path: Path | str) -> ClosureReport:
         raise InputError(f"{path}: not a file of loop closures: {error}") from error
 
 
+def restore_closures(report: ClosureReport) -> tuple[LoopClosure, ...]:
+    """Give the closures that a file tells of, as far as it does.
+
+    Which associations were inliers is not in the file, only how many; nor is the correlation.
+    """
+    return tuple(_closure(pair) for pair in report.pairs)
+
+
+def _closure(pair: PairRecord) -> LoopClosure:
+    registration = Registration(
+        pair.T_database_query,
+        np.ones(pair.num_inliers, dtype=np.bool_),
+        pair.dissimilarity,
+        pair.overlap_area,
+        0.0,
+        pair.score,
+        z_offset=pair.z_offset or 0.0,
+        covariance=None if pair.covariance is None else np.array(pair.covariance),
+    )
+    return LoopClosure(pair.query, pair.database, registration, pair.accepted, pair.reason)
+
+
 def _record(closure: LoopClosure) -> PairRecord:
     registration = closure.registration
-    motion = registration.T_database_query
+    motion, covariance = registration.T_database_query, registration.covariance
     return PairRecord(
         query=closure.query_id,
         database=closure.database_id,
@@ -169,6 +195,11 @@ def _record(closure: LoopClosure) -> PairRecord:
         reason=closure.reason,
         T_database_query=motion
         and SE2(_rounded(motion.x), _rounded(motion.y), _rounded(motion.yaw)),
+        # What knows no covariance did not align the heights either.
+        z_offset=None if covariance is None else _rounded(registration.z_offset),
+        covariance=None
+        if covariance is None
+        else tuple(tuple(_rounded(value) for value in row) for row in covariance.tolist()),
     )
 
 
@@ -184,7 +215,21 @@ def _read_pair(pair: Mapping[str, Any]) -> PairRecord:
         accepted=pair["accepted"],
         reason=pair["reason"],
         T_database_query=motion and SE2(motion["x"], motion["y"], motion["yaw"]),
+        z_offset=pair.get("z_offset"),
+        covariance=_read_covariance(pair.get("covariance")),
     )
+
+
+def _read_covariance(rows: object) -> tuple[tuple[float, ...], ...] | None:
+    """Check a covariance of any tool's: what is not one makes a graph that cannot be solved."""
+    if rows is None:
+        return None
+    matrix = np.asarray(rows, dtype=np.float64)
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise TypeError("a covariance must be three rows of three numbers")
+    if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] <= 0:
+        raise TypeError("a covariance must be symmetric and positive definite")
+    return tuple(tuple(row) for row in matrix.tolist())
 
 
 def _rounded(value: float) -> float:

@@ -5,10 +5,16 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.outputs import read_closures, report_closures, write_closures
+from gpgrad_core.outputs import (
+    read_closures,
+    report_closures,
+    restore_closures,
+    write_closures,
+)
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
@@ -50,6 +56,8 @@ def test_the_file_has_what_the_contract_promises(
         "accepted": True,
         "reason": "9 inliers >= 8",
         "T_database_query": {"x": 5.1, "y": 4.9, "yaw": 3.13159265},
+        "z_offset": None,  # nothing was aligned
+        "covariance": None,
     }
     # Nothing was compared: null, for JSON has no infinity.
     assert content["pairs"][0]["dissimilarity"] is None
@@ -64,6 +72,41 @@ def test_what_is_written_is_read(dataset: Dataset, result: DetectionResult, tmp_
     assert back.accepted == (back.pairs[1],)
     assert back.pairs[0].dissimilarity == math.inf
     assert back.pairs[1].T_database_query == SE2(5.1, 4.9, 3.13159265)
+
+
+def test_what_was_aligned_keeps_its_height_and_covariance(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    covariance = np.array([[0.01, 0.002, 0.0], [0.002, 0.02, 0.0], [0.0, 0.0, 1e-4]])
+    found = result.closures[1]
+    aligned = replace(
+        found, registration=replace(found.registration, z_offset=-0.25, covariance=covariance)
+    )
+    report = report_closures(
+        dataset, replace(result, closures=(result.closures[0], aligned)), PipelineParams()
+    )
+    write_closures(tmp_path / "a.json", report)
+    lost, back = restore_closures(read_closures(tmp_path / "a.json"))
+    assert lost.registration.T_database_query is None
+    assert not lost.accepted
+    assert back.accepted
+    assert (back.query_id, back.database_id) == (found.query_id, found.database_id)
+    assert back.registration.num_inliers == found.registration.num_inliers
+    assert back.registration.z_offset == -0.25
+    np.testing.assert_allclose(back.registration.covariance, covariance)
+
+
+@pytest.mark.parametrize("wrong", [[[1, 0], [0, 1]], [[1, 0, 0], [0, 1, 0], [0, 0, -1]], [1, 2, 3]])
+def test_a_covariance_that_is_none_is_refused(
+    wrong: object, dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.json"
+    write_closures(path, report_closures(dataset, result, PipelineParams()))
+    content = json.loads(path.read_text())
+    content["pairs"][1]["covariance"] = wrong
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"a\.json: .*covariance must be"):
+        read_closures(path)
 
 
 def test_the_same_result_is_the_same_file(

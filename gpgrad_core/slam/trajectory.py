@@ -1,0 +1,95 @@
+"""Absolute and relative trajectory error, as the field and its tools define them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.types import Array, Dataset, Pose
+
+
+@dataclass(frozen=True)
+class TrajectoryError:
+    """How far a trajectory is from the true one.
+
+    Attributes:
+        count: Poses that were compared.
+        absolute: Root mean square of the distances after the rigid motion that makes it least [m].
+        absolute_median: Their median [m].
+        absolute_most: Their largest [m].
+        absolute_unaligned: Root mean square of the distances as they are, in the truth's frame [m].
+        relative: Root mean square error of the offset from each pose to the next [m].
+        relative_turn: The same of the turn [rad].
+    """
+
+    count: int
+    absolute: float
+    absolute_median: float
+    absolute_most: float
+    absolute_unaligned: float
+    relative: float
+    relative_turn: float
+
+
+def true_poses(dataset: Dataset) -> dict[str, Pose]:
+    """Give the true pose of every submap that has one, by id, in the dataset's order."""
+    poses = {submap.id: submap.pose_true for submap in dataset.submaps}
+    return {name: pose for name, pose in poses.items() if pose is not None}
+
+
+def trajectory_error(true: Mapping[str, Pose], found: Mapping[str, Pose]) -> TrajectoryError:
+    """Compare two trajectories, pose by pose.
+
+    Args:
+        true: By id, in the order of the traverse.
+        found: The same; poses that only one of both has are left out.
+
+    Raises:
+        InputError: If they have fewer than two poses in common.
+    """
+    names = [name for name in true if name in found]
+    if len(names) < 2:
+        raise InputError(
+            f"a trajectory error needs two poses or more with a true one, found {len(names)}"
+        )
+    truth = np.array([true[name].translation for name in names])
+    places = np.array([found[name].translation for name in names])
+    distances = np.linalg.norm(align_points(places, truth) - truth, axis=1)
+    unaligned = np.linalg.norm(places - truth, axis=1)
+    steps = [
+        (true[a].inverse() @ true[b]).inverse() @ (found[a].inverse() @ found[b])
+        for a, b in pairwise(names)
+    ]
+    turns = [
+        2 * np.arctan2(np.linalg.norm(step.quaternion[:3]), step.quaternion[3]) for step in steps
+    ]
+    return TrajectoryError(
+        count=len(names),
+        absolute=_rms(distances),
+        absolute_median=float(np.median(distances)),
+        absolute_most=float(distances.max()),
+        absolute_unaligned=_rms(unaligned),
+        relative=_rms(np.array([np.linalg.norm(step.translation) for step in steps])),
+        relative_turn=_rms(np.array(turns)),
+    )
+
+
+def align_points(points: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """Move points onto their counterparts by the best rigid motion, without a change of scale.
+
+    Umeyama 1991, Eqs. (39) to (41). Where the points lie on a line the turn about it is free, and
+    the distances that are left are the same for all.
+    """
+    middle, aim = points.mean(axis=0), target.mean(axis=0)
+    left, _, right = np.linalg.svd((target - aim).T @ (points - middle))
+    mirrored = np.linalg.det(left) * np.linalg.det(right) < 0
+    rotation = left @ np.diag([1.0, 1.0, -1.0 if mirrored else 1.0]) @ right
+    return (points - middle) @ rotation.T + aim
+
+
+def _rms(values: Float[NDArray[np.floating], "n"]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
