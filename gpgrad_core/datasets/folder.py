@@ -3,8 +3,10 @@
 import re
 import shutil
 import uuid
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from gpgrad_core.datasets.about import About, read_about, write_about
 from gpgrad_core.datasets.clouds import READERS, load_cloud_with_notes
@@ -12,12 +14,40 @@ from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import read_poses, write_poses
 from gpgrad_core.errors import InputError
 from gpgrad_core.progress import Progress, silent
-from gpgrad_core.types import Dataset, Pose
+from gpgrad_core.types import Dataset, Pose, Submap
 
 TRUTH_FILE = "poses_gt.txt"
 ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first that is there is read
 ABOUT_FILE = "dataset.toml"
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A dataset whose clouds stay on disk until they are asked for, one at a time.
+
+    Attributes:
+        dataset: All but the clouds: its submaps have their names and poses, and no points.
+        clouds: The file of each submap.
+    """
+
+    dataset: Dataset
+    clouds: tuple[Path, ...]
+
+    def load(self, k: int) -> tuple[Submap, tuple[str, ...]]:
+        """Load submap number k, and say what was left out of it, a line each.
+
+        Raises:
+            InputError: If its file is broken; names it.
+        """
+        known = self.dataset.submaps[k]
+        submap, notes = load_cloud_with_notes(self.clouds[k])
+        return replace(
+            submap,
+            pose_true=known.pose_true,
+            pose_odometry=known.pose_odometry,
+            images=known.images,
+        ), notes
 
 
 def load_dataset(path: Path | str, progress: Progress = silent) -> Dataset:
@@ -39,21 +69,36 @@ def load_dataset(path: Path | str, progress: Progress = silent) -> Dataset:
         InputError: If anything there is missing, broken or contradicts itself; one line that
             names the file, and the line where it is text.
     """
+    outline = outline_dataset(path)
+    submaps: list[Submap] = []
+    notes = list(outline.dataset.notes)
+    for k in range(len(outline.clouds)):
+        submap, of_cloud = outline.load(k)
+        submaps.append(submap)
+        notes += of_cloud
+        progress((k + 1) / len(outline.clouds))
+    return replace(outline.dataset, submaps=tuple(submaps), notes=tuple(notes))
+
+
+def outline_dataset(path: Path | str) -> Outline:
+    """Read all of a dataset but its clouds; see `load_dataset`.
+
+    Raises:
+        InputError: See `load_dataset`.
+    """
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if path.is_file():
-        submap, notes = load_cloud_with_notes(path)
-        progress(1.0)
-        return Dataset(path.stem, (submap,), notes=notes)
+        return Outline(Dataset(path.stem, (_without_points(path.stem),)), (path,))
     try:
-        return _load_folder(path, progress)
+        return _outline_folder(path)
     except OSError as error:
         place = error.filename or path
         raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
 
 
-def _load_folder(path: Path, progress: Progress) -> Dataset:
+def _outline_folder(path: Path) -> Outline:
     has_submaps = (path / "submaps").is_dir()
     clouds, ignored = _find_clouds(path / "submaps" if has_submaps else path)
     if not clouds:
@@ -64,18 +109,15 @@ def _load_folder(path: Path, progress: Progress) -> Dataset:
     about = About()
     if (path / ABOUT_FILE).exists():
         about = read_about(path / ABOUT_FILE, frozenset(cloud.stem for cloud in clouds))
-    # Text before clouds: a wrong pose file is told at once, not after a minute of loading.
     truth = read_poses(path / TRUTH_FILE, known) if (path / TRUTH_FILE).exists() else {}
     odometry: dict[int, Pose] = {}
     present = [path / name for name in ODOMETRY_FILES if (path / name).exists()]
     if present:
         odometry = read_poses(present[0], known)
         notes += [f"{file.name}: was ignored for {present[0].name}" for file in present[1:]]
-    submaps = []
-    for count, cloud in enumerate(clouds, start=1):
-        submap, cloud_notes = load_cloud_with_notes(cloud)
-        notes += cloud_notes
-        index = index_of(cloud.stem)
+    submaps: list[Submap] = []
+    for cloud in clouds:
+        submap, index = _without_points(cloud.stem), index_of(cloud.stem)
         if index is not None:
             submap = replace(
                 submap,
@@ -84,8 +126,7 @@ def _load_folder(path: Path, progress: Progress) -> Dataset:
                 images=_find_images(path / "images", index),
             )
         submaps.append(submap)
-        progress(count / len(clouds))
-    return Dataset(
+    dataset = Dataset(
         name=about.name or path.resolve().name,
         submaps=tuple(submaps),
         description=about.description,
@@ -94,6 +135,11 @@ def _load_folder(path: Path, progress: Progress) -> Dataset:
         licence=about.licence,
         sensor_noise=about.sensor_noise,
     )
+    return Outline(dataset, tuple(clouds))
+
+
+def _without_points(name: str) -> Submap:
+    return Submap(name, np.empty((0, 3)), fingerprint="")
 
 
 def _find_images(folder: Path, index: int) -> tuple[Path, ...]:

@@ -68,7 +68,7 @@ class TruePairs:
 
 
 @dataclass(frozen=True, eq=False)
-class _Footprint:
+class Footprint:
     """The ground that a submap covers in the world."""
 
     low: Float[Array, "2"]  # corners of its box [m]
@@ -94,14 +94,18 @@ def measure_pairs(dataset: Dataset, progress: Progress = silent) -> TruePairs:
             "two are needed to judge a pair: add poses_gt.txt with rows "
             "`index tx ty tz qx qy qz qw`"
         )
-    footprints = _footprints(known, progress)
+    footprints: list[Footprint] = []
+    for k, submap in enumerate(known):
+        assert submap.pose_true is not None
+        footprints.append(make_footprint(submap.pose_true.apply(submap.points)))
+        progress(0.5 * (k + 1) / len(known))
     poses = [submap.pose_true.planar for submap in known if submap.pose_true is not None]
     numbers = _numbers(known)
     pairs = [(query, database) for database, query in combinations(range(len(known)), 2)]
     pairs.sort()
     measured = np.zeros((len(pairs), 3))
     for k, (query, database) in enumerate(pairs):
-        measured[k] = _compare(footprints[query], footprints[database])
+        measured[k] = compare_footprints(footprints[query], footprints[database])
         if database == 0:
             progress(0.5 + 0.5 * k / len(pairs))
     query, database = np.array(pairs, dtype=np.intp).T
@@ -142,28 +146,21 @@ def box_iou(
     return common / (float(np.prod(high_a - low_a)) + float(np.prod(high_b - low_b)) - common)
 
 
-def _footprints(submaps: list[Submap], progress: Progress) -> list[_Footprint]:
-    clouds: list[Array] = []
-    for submap in submaps:
-        assert submap.pose_true is not None
-        clouds.append(submap.pose_true.apply(submap.points))
-    corner = np.min([cloud[:, :2].min(axis=0) for cloud in clouds], axis=0)
-    reach = np.max([cloud[:, :2].max(axis=0) for cloud in clouds], axis=0)
-    first = np.floor(corner / CELL).astype(np.int64)
-    columns = int(np.floor(reach[0] / CELL)) - int(first[0]) + 1
-    footprints: list[_Footprint] = []
-    for k, cloud in enumerate(clouds):
-        column, row = (np.floor(cloud[:, :2] / CELL).astype(np.int64) - first).T
-        cells, members = np.unique(row * columns + column, return_inverse=True)
-        heights = np.bincount(members, cloud[:, 2]) / np.bincount(members)
-        xy = cloud[:, :2]
-        footprints.append(_Footprint(xy.min(axis=0), xy.max(axis=0), cells, heights))
-        progress(0.5 * (k + 1) / len(clouds))
-    return footprints
+def make_footprint(points: Float[Array, "n 3"]) -> Footprint:
+    """Sort points of the world [m] into cells."""
+    column, row = np.floor(points[:, :2] / CELL).astype(np.int64).T
+    cells, members = np.unique((row << 32) + column, return_inverse=True)
+    heights = np.bincount(members, points[:, 2]) / np.bincount(members)
+    xy = points[:, :2]
+    return Footprint(xy.min(axis=0), xy.max(axis=0), cells, heights)
 
 
-def _compare(first: _Footprint, second: _Footprint) -> tuple[float, float, float]:
-    """Box IoU, surface overlap, median height difference [m]."""
+def compare_footprints(first: Footprint, second: Footprint) -> tuple[float, float, float]:
+    """Compare the ground of two submaps.
+
+    Returns:
+        Box IoU, surface overlap, median height difference [m] or NaN on too few common cells.
+    """
     iou = box_iou((first.low, first.high), (second.low, second.high))
     # Cells reach beyond the points in them: boxes just apart can still share some.
     if (first.low > second.high + CELL).any() or (second.low > first.high + CELL).any():
