@@ -5,6 +5,7 @@ import io
 import re
 import socket
 import sys
+import time
 import webbrowser
 from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -38,6 +39,7 @@ from gpgrad_core.datasets import (
     SimulationParams,
     demo_path,
     load_dataset,
+    outline_dataset,
     simulate_dataset,
     write_dataset,
 )
@@ -64,17 +66,35 @@ from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import (
     MAP_ENDINGS,
     check_output,
+    read_closures,
     report_closures,
+    restore_closures,
     write_closures,
     write_fitted,
     write_map,
 )
 from gpgrad_core.parameters import preferred_parameters, read_parameters
-from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
-from gpgrad_core.progress import Progress, silent
+from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
+from gpgrad_core.progress import Progress, part, silent
 from gpgrad_core.scans import BuildParams, RecordingSources, build_dataset, simulate_recording
-from gpgrad_core.slam import build_pose_graph, odometry_poses, write_graph
-from gpgrad_core.types import Dataset
+from gpgrad_core.slam import (
+    GraphParams,
+    Judged,
+    LoopCloser,
+    MergeParams,
+    Sessions,
+    Solution,
+    SolverParams,
+    build_pose_graph,
+    join_datasets,
+    judge_solution,
+    odometry_poses,
+    solve_sessions,
+    write_graph,
+    write_merged,
+    write_solution,
+)
+from gpgrad_core.types import Dataset, LoopClosure
 from gpgrad_core.version import VERSION
 
 V = TypeVar("V")
@@ -452,7 +472,97 @@ class Simulate:
         _say(f"{len(dataset.submaps)} submaps: {self.directory}")
 
 
-Verb: TypeAlias = View | Detect | Evaluate | Map | Fit | Build | Simulate
+@dataclass(frozen=True)
+class Slam:
+    """Correct a traverse by its loop closures, and put its submaps into one cloud and one map."""
+
+    datasets: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        Doc("Dataset folders with odometry; closures between several put them into one map."),
+    ]
+    out: Annotated[Path, Doc("Folder for poses, graph, figures, cloud and map; made if need be.")]
+    closures: Annotated[
+        Path | None, Doc("File of closures, as `gpgrad detect` writes it; None: detect them.")
+    ] = None
+    search_radius: Annotated[
+        float | None,
+        Doc(
+            "Compare only submaps of a traverse within this many metres of each other, by the "
+            "estimate so far; None: all."
+        ),
+    ] = None
+    merge: Annotated[bool, Doc("Write the merged cloud and map too.")] = True
+    graph: GraphParams = field(default_factory=GraphParams)
+    solver: SolverParams = field(default_factory=SolverParams)
+    merged: MergeParams = field(default_factory=MergeParams)
+    params: ParamsFile = None
+    pipeline: AllParams = field(default_factory=PipelineParams)
+
+    def run(self, given: Sequence[str]) -> None:
+        """Detect, solve, judge and write."""
+        check_directory(self.out)
+        if self.search_radius is not None and not self.search_radius > 0:
+            raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
+        sessions = join_datasets([outline_dataset(path) for path in self.datasets])
+        dataset = sessions.outline.dataset
+        odometry_poses(dataset)  # what lacks it should not cost minutes
+        for note in dataset.notes:
+            _warn(note)
+        params = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
+        if self.closures:
+            closures = restore_closures(read_closures(self.closures))
+        else:
+            closures = self._detect(sessions, params)
+        solution = solve_sessions(sessions, closures, self.graph, self.solver)
+        with _progress("judge") as progress:
+            judged = judge_solution(solution, progress)
+        with _progress("write") as progress:
+            write_solution(self.out, solution, judged, progress)
+        if self.merge:
+            with _progress("merge") as progress:
+                terrain = params.map.terrain
+                notes = write_merged(self.out, solution, terrain, self.merged, progress)
+            for note in notes:
+                _warn(note)
+        for line in (*_corrected(solution, judged), str(self.out)):
+            _say(line)
+
+    def _detect(self, sessions: Sessions, params: PipelineParams) -> tuple[LoopClosure, ...]:
+        """Find the closures submap by submap, and keep them beside the results."""
+        count, sizes, start = len(sessions.outline.clouds), dict[str, int](), time.perf_counter()
+        with (
+            _progress("closures") as progress,
+            ThreadPoolExecutor(num_workers()) as executor,
+            LoopCloser(
+                params,
+                self.graph,
+                self.solver,
+                search_radius=self.search_radius,
+                executor=executor,
+            ) as closer,
+        ):
+            for k in range(count):
+                submap, notes = sessions.load(k)
+                for note in notes:
+                    _warn(note)
+                sizes[submap.id] = len(submap.points)
+                closer.add(
+                    submap,
+                    part(progress, (k / count) ** 2, ((k + 1) / count) ** 2),
+                    starts_traverse=submap.id in sessions.starts,
+                    solve=self.search_radius is not None,
+                )
+            closures = closer.closures
+        seconds = {"total": time.perf_counter() - start}
+        self.out.mkdir(exist_ok=True)
+        report = report_closures(
+            sessions.outline.dataset, DetectionResult(closures, seconds), params
+        )
+        write_closures(self.out / "closures.json", replace(report, submaps=sizes))
+        return closures
+
+
+Verb: TypeAlias = View | Detect | Evaluate | Map | Fit | Build | Slam | Simulate
 VERBS: dict[str, type[Verb]] = {
     "view": View,
     "detect": Detect,
@@ -460,6 +570,7 @@ VERBS: dict[str, type[Verb]] = {
     "map": Map,
     "fit": Fit,
     "build": Build,
+    "slam": Slam,
     "simulate": Simulate,
 }
 
@@ -606,6 +717,27 @@ def _count(number: int, what: str) -> str:
     ('1 scan', '1,200 scans')
     """
     return f"{number:,} {what}{'' if number == 1 else 's'}"
+
+
+def _corrected(solution: Solution, judged: Judged) -> list[str]:
+    """What a corrected map is like, a line a session and one for the overlaps."""
+    loops, refused = len(solution.result.loops), len(solution.result.refused)
+    lines = [
+        f"{len(solution.result.poses)} submaps, {loops - refused} loop "
+        f"closure{'' if loops - refused == 1 else 's'} used, {refused} refused as wrong"
+    ]
+    for session, (before, after) in judged.trajectories.items():
+        lines.append(
+            f"{session}: trajectory error {before.absolute:.3f} m -> {after.absolute:.3f} m, "
+            f"from submap to submap {before.relative:.3f} m -> {after.relative:.3f} m"
+        )
+    first, last = judged.overlaps
+    if first.median is not None and last.median is not None:
+        lines.append(
+            f"median height difference where submaps overlap: {100 * first.median:.1f} cm "
+            f"({first.count} pairs) -> {100 * last.median:.1f} cm ({last.count} pairs)"
+        )
+    return lines
 
 
 def _say(line: str) -> None:

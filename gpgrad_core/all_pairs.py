@@ -87,12 +87,12 @@ def compare_all(
     if isinstance(detector, StagedDetector):
         compare = detector.compare
         for name, stage in (("maps", detector.infer), ("features", detector.extract)):
-            views = _side_by_side(stage, views, executor, part(progress, *STAGES[name]))
+            views = side_by_side(stage, views, executor, part(progress, *STAGES[name]))
             if name == "features" and isinstance(detector, OrderedDetector):
                 views = detector.gather(views)
             seconds[name], start = perf_counter() - start, perf_counter()
     blocks = [_Block.of(views, pairs) for pairs in _blocks(len(views), executor)]
-    found = _side_by_side(
+    found = side_by_side(
         _ComparedBlock(compare), blocks, executor, part(progress, *STAGES["pairs"])
     )
     seconds["pairs"] = perf_counter() - start
@@ -102,9 +102,10 @@ def compare_all(
     ), seconds
 
 
-def _side_by_side(
+def side_by_side(
     work: Work[J, R], jobs: list[J], executor: Executor | None, progress: Progress
 ) -> list[R]:
+    """Do all jobs as `run_jobs` does, with an answer that does not depend on the executor."""
     # Alone, a job may use all cores by itself; beside others it takes its share.
     beside = 1 if executor is None else max(1, len(jobs))
     return run_jobs(_Sharing(work, max(1, num_workers() // beside)), jobs, executor, progress)

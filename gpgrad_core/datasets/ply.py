@@ -6,7 +6,9 @@ refuse, but cannot say how much is missing. With the header's own promise checke
 one NumPy call.
 """
 
-from collections.abc import Mapping, Sequence
+import shutil
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -229,3 +231,29 @@ def write_ply(
     columns += [values.astype("<f4")[:, None] for values in extras.values()]
     rows = [np.ascontiguousarray(column).view(np.uint8) for column in columns]
     path.write_bytes(header.encode("ascii") + np.hstack(rows).tobytes())
+
+
+def write_ply_pieces(path: Path, pieces: Iterable[Float[Array, "n 3"]]) -> int:
+    """Write points as a little-endian binary PLY of doubles, one piece after the other.
+
+    How many there are is known when the last one is written: only then comes the header.
+
+    Args:
+        path: The file; overwritten if it exists.
+        pieces: Positions [m], in as many arrays as there are.
+
+    Returns:
+        The number of points.
+    """
+    count = 0
+    with tempfile.TemporaryFile(dir=path.parent) as body:
+        for piece in pieces:
+            body.write(np.ascontiguousarray(piece, dtype="<f8").tobytes())
+            count += len(piece)
+        lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+        header = "\n".join([*lines, *(f"property double {name}" for name in "xyz"), "end_header\n"])
+        body.seek(0)
+        with path.open("wb") as file:
+            file.write(header.encode("ascii"))
+            shutil.copyfileobj(body, file)
+    return count

@@ -1,5 +1,6 @@
 """Gradient maps as files: arrays (``.npz``), raster (``.tif``), picture (``.png``), mesh."""
 
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
@@ -10,11 +11,15 @@ from numpy.typing import NDArray
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import check_output, replacing
-from gpgrad_core.types import Array, GradientMap
+from gpgrad_core.types import Array, GradientMap, Grid
 
 Picture = UInt8[NDArray[np.uint8], "height width 3"]
 """Blue, green, red, as OpenCV has it."""
 
+Layer = Float[NDArray[np.floating], "rows columns"]
+
+TILE = 256
+"""Side of the squares of cells that a raster is written in."""
 MAP_ENDINGS = (".npz", ".tif", ".tiff", ".png", ".ply", ".glb", ".obj")
 
 PANEL_WIDTH, PANEL_HEIGHT = 460, 460
@@ -49,13 +54,13 @@ def write_map(
     with replacing(path) as unfinished:
         match path.suffix.lower():
             case ".npz":
-                _write_arrays(unfinished, gradient_map)
+                write_arrays(unfinished, gradient_map.grid, _layers(gradient_map))
             case ".png":
                 _write_picture(unfinished, draw_map(gradient_map, name, max_std_ratio))
             case ".ply" | ".glb" | ".obj":
                 _write_mesh(unfinished, gradient_map, max_std_ratio)
             case _:
-                _write_raster(unfinished, gradient_map)
+                write_raster(unfinished, gradient_map.grid, _layers(gradient_map))
 
 
 def _layers(gradient_map: GradientMap) -> dict[str, Array]:
@@ -72,33 +77,41 @@ def _layers(gradient_map: GradientMap) -> dict[str, Array]:
 UNITS = {"elevation": "m", "variance": "m2", "slope_x": "m/m", "slope_y": "m/m", "gradient": "m/m"}
 
 
-def _write_arrays(path: Path, gradient_map: GradientMap) -> None:
-    grid = gradient_map.grid
+def write_arrays(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
+    """Write layers and their grid as an NPZ; layers on disk are not brought into memory."""
     arrays = {"origin": np.asarray(grid.origin), "resolution": np.asarray(grid.resolution)}
-    np.savez_compressed(path, allow_pickle=False, **_layers(gradient_map), **arrays)
+    np.savez_compressed(path, allow_pickle=False, **layers, **arrays)
 
 
-def _write_raster(path: Path, gradient_map: GradientMap) -> None:
+def write_raster(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
     """Write one band a layer, north up, with GeoTIFF's tags for the scale and the place.
 
-    The submap's frame is local: there is no coordinate system to name. Geographic programs still
-    take the cell size and the corner from the tags, and GDAL the names of the bands.
+    The frame is local: there is no coordinate system to name. Geographic programs still take the
+    cell size and the corner from the tags, and GDAL the names of the bands; NaN is no data.
+    Layers on disk are read tile by tile.
     """
     import tifffile  # noqa: PLC0415 - for this format only; it would slow down every start
 
-    grid = gradient_map.grid
-    layers = _layers(gradient_map)
-    bands = np.stack([layer[::-1] for layer in layers.values()]).astype(np.float32)
+    rows, columns = grid.shape
     corner_x = grid.origin[0] - grid.resolution / 2
-    corner_y = grid.origin[1] + (grid.shape[0] - 0.5) * grid.resolution
+    corner_y = grid.origin[1] + (rows - 0.5) * grid.resolution
     items = "".join(
         f'<Item name="DESCRIPTION" sample="{band}" role="description">{escape(layer)}</Item>'
         f'<Item name="UNITTYPE" sample="{band}" role="unittype">{UNITS[layer]}</Item>'
         for band, layer in enumerate(layers)
     )
+    tiles = (
+        np.ascontiguousarray(layer[::-1][row : row + TILE, column : column + TILE], np.float32)
+        for layer in layers.values()
+        for row in range(0, rows, TILE)
+        for column in range(0, columns, TILE)
+    )
     tifffile.imwrite(
         path,
-        bands,
+        tiles,
+        shape=(len(layers), rows, columns),
+        dtype=np.float32,
+        tile=(TILE, TILE),
         photometric="minisblack",
         planarconfig="separate",
         compression="zlib",
@@ -109,6 +122,7 @@ def _write_raster(path: Path, gradient_map: GradientMap) -> None:
             (33922, "d", 6, (0.0, 0.0, 0.0, corner_x, corner_y, 0.0), True),  # ModelTiepoint
             (34735, "H", len(GEO_KEYS), GEO_KEYS, True),  # GeoKeyDirectory
             (42112, "s", 0, f"<GDALMetadata>{items}</GDALMetadata>", True),
+            (42113, "s", 0, "nan", True),  # GDAL_NODATA
         ],
     )
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from gpgrad_core.datasets.folder import index_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.slam.graph import Edge, EdgeKind, GraphParams, PoseGraph
@@ -23,8 +24,8 @@ def write_graph(
 ) -> None:
     """Write a pose graph.
 
-    A vertex has the number that the submap is named by, or its place in the graph where names are
-    not numbers.
+    A vertex has the number that the submap is named by, or its place in the graph where names have
+    no number of their own.
 
     Args:
         path: The ``.g2o`` file, of ``VERTEX_SE3:QUAT`` and ``EDGE_SE3:QUAT`` lines.
@@ -49,11 +50,12 @@ def write_graph(
 
 
 def vertex_numbers(graph: PoseGraph) -> dict[str, int]:
-    """Number the vertices: by the submaps' names, or in their order where these are no numbers."""
-    names = list(graph.poses)
-    if all(name.isdecimal() for name in names) and len({int(name) for name in names}) == len(names):
-        return {name: int(name) for name in names}
-    return {name: place for place, name in enumerate(names)}
+    """Number the vertices: as the submaps' names do, or in their order where two are alike."""
+    numbers = {name: index_of(name) for name in graph.poses}
+    named = {name: number for name, number in numbers.items() if number is not None}
+    if len(set(named.values())) == len(numbers):
+        return named
+    return {name: place for place, name in enumerate(numbers)}
 
 
 def read_graph(path: Path | str, tilt_std: float | None = None) -> PoseGraph:

@@ -134,6 +134,7 @@ def build_pose_graph(
     params: GraphParams | None = None,
     *,
     trusted: Iterable[tuple[str, str]] = (),
+    starts: Iterable[str] = (),
 ) -> PoseGraph:
     """Gather a traverse's odometry and its accepted closures.
 
@@ -142,14 +143,19 @@ def build_pose_graph(
         closures: Those refused are left out.
         params: How sure the edges are.
         trusted: Pairs (query id, database id) whose closure a person vouches for.
+        starts: Submaps with which another traverse begins: no odometry leads there.
 
     Raises:
         InputError: If a submap has no odometry pose, or a closure names one that there is not.
     """
     params = params or GraphParams()
     poses = odometry_poses(dataset)
-    vouched = set(trusted)
-    edges = [_odometry_edge(start, end, poses, params) for start, end in pairwise(poses)]
+    vouched, first = set(trusted), set(starts)
+    edges = [
+        _odometry_edge(start, end, poses, params)
+        for start, end in pairwise(poses)
+        if end not in first
+    ]
     for closure in closures:
         if not closure.accepted or closure.registration.T_database_query is None:
             continue

@@ -1,0 +1,121 @@
+"""The traverse before and after, drawn; matplotlib's objects only, so that nothing global moves."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from gpgrad_core.evaluation.figures.style import COLOURS, FALSE, new_figure
+from gpgrad_core.slam.optimise import OptimisedGraph
+from gpgrad_core.slam.trajectory import align_points
+from gpgrad_core.types import Array, Pose
+
+TRUE_PATH = "#999999"
+MOST_NAMES = 60
+"""More submaps than this are not named: the names would hide the path."""
+
+
+def draw_trajectories(
+    name: str,
+    traverses: Sequence[Sequence[str]],
+    before: Mapping[str, Pose],
+    result: OptimisedGraph,
+    true: Mapping[str, Pose],
+) -> Figure:
+    """Draw all traverses from above, before and after, with their closures by score.
+
+    Args:
+        name: Of the dataset.
+        traverses: Ids of the submaps of each.
+        before: Poses by id, in one frame.
+        result: The corrected poses, and what became of the closures.
+        true: True poses of those that have one; drawn moved onto the corrected ones.
+    """
+    figure = new_figure(14.0, 6.5, f"{name}: the traverse before and after")
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    scores = [fit.edge.score or 0.0 for fit in result.loops if fit.weight >= 0.5]
+    shade = ScalarMappable(Normalize(min(scores, default=0.0), max(scores, default=1.0)), "viridis")
+    for panel, poses, title in (
+        (panels[0], before, "before: odometry"),
+        (panels[1], result.poses, "after: with loop closures"),
+    ):
+        for number, names in enumerate(traverses):
+            _draw_truth(panel, [one for one in names if one in true], true, result.poses)
+            _draw_path(panel, names, poses, COLOURS[number % len(COLOURS)])
+        _draw_loops(panel, poses, result, shade)
+        panel.set_title(title)
+        panel.set_aspect("equal")
+        panel.set_xlabel("x in the world [m]")
+        panel.grid(alpha=0.3)
+    panels[0].set_ylabel("y in the world [m]")
+    handles = [Line2D([], [], color=COLOURS[0], marker="o", markersize=4)]
+    labels = ["submaps in their order"]
+    if true:
+        handles.append(Line2D([], [], color=TRUE_PATH, linewidth=3, alpha=0.6))
+        labels.append("where they truly are")
+    if result.refused:
+        handles.append(Line2D([], [], color=FALSE, linestyle=":"))
+        labels.append(f"closures refused as wrong: {len(result.refused)}")
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    if scores:
+        bar = figure.colorbar(shade, ax=panels, shrink=0.8)
+        bar.set_label(f"score of the {len(scores)} closures used")
+    return figure
+
+
+def draw_errors(name: str, before: Mapping[str, float], after: Mapping[str, float]) -> Figure:
+    """Draw how far each submap is from where it truly is, before and after [m]."""
+    figure = new_figure(11.0, 5.0, f"{name}: distance from the truth")
+    panel = figure.subplots()
+    places = np.arange(len(before))
+    panel.plot(places, list(before.values()), "o-", color=COLOURS[1], label="before: odometry")
+    panel.plot(places, list(after.values()), "o-", color=COLOURS[0], label="after")
+    if len(before) <= MOST_NAMES:
+        panel.set_xticks(places, list(before), rotation=90, fontsize=7)
+    panel.set_xlabel("submap")
+    panel.set_ylabel("distance after alignment [m]")
+    panel.set_ylim(bottom=0)
+    panel.grid(alpha=0.3)
+    panel.legend(frameon=False)
+    return figure
+
+
+def _places(names: Sequence[str], poses: Mapping[str, Pose]) -> Float[Array, "n 3"]:
+    return np.array([poses[name].translation for name in names]).reshape(-1, 3)
+
+
+def _draw_truth(
+    panel: Axes, names: Sequence[str], true: Mapping[str, Pose], found: Mapping[str, Pose]
+) -> None:
+    if len(names) < 2:
+        return
+    x, y, _ = align_points(_places(names, true), _places(names, found)).T
+    panel.plot(x, y, "-", color=TRUE_PATH, linewidth=3, alpha=0.6, zorder=1)
+
+
+def _draw_path(panel: Axes, names: Sequence[str], poses: Mapping[str, Pose], colour: str) -> None:
+    x, y, _ = _places(names, poses).T
+    panel.plot(x, y, "o-", color=colour, linewidth=1.0, markersize=3, zorder=3)
+    if len(poses) <= MOST_NAMES:
+        for k, name in enumerate(names):
+            panel.annotate(name, (x[k], y[k]), (3, 3), textcoords="offset points", fontsize=6)
+
+
+def _draw_loops(
+    panel: Axes, poses: Mapping[str, Pose], result: OptimisedGraph, shade: ScalarMappable
+) -> None:
+    for kept, dashes in ((True, "-"), (False, ":")):
+        fits = [fit for fit in result.loops if (fit.weight >= 0.5) == kept]
+        lines = [_places([fit.edge.start, fit.edge.end], poses)[:, :2] for fit in fits]
+        colours = [
+            shade.to_rgba(np.array(fit.edge.score or 0.0)) if kept else FALSE for fit in fits
+        ]
+        panel.add_collection(
+            LineCollection(lines, colors=colours, linestyles=dashes, linewidths=1.2, zorder=2)
+        )

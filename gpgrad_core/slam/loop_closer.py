@@ -1,0 +1,265 @@
+"""Loop closing while the robot drives: submaps come one by one."""
+
+import pickle
+import tempfile
+from collections import OrderedDict
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from gpgrad_core.all_pairs import StagedDetector, side_by_side
+from gpgrad_core.errors import InputError
+from gpgrad_core.loop_closure import classify
+from gpgrad_core.memo import Memo, array_bytes
+from gpgrad_core.pipeline import MapDetector, PipelineParams
+from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
+from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
+from gpgrad_core.slam.sessions import place_traverses
+from gpgrad_core.types import Dataset, LoopClosure, Pose, Registration, Submap
+
+VIEWS_IN_MEMORY = 1_000_000_000
+"""Bytes of maps and keypoints of earlier submaps; the rest waits on disk."""
+MEMO_BYTES = 200_000_000
+"""Each pair is compared once: there is little to remember."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What a new submap brought.
+
+    Attributes:
+        closures: The new submap's, with every earlier one that it was compared to.
+        poses: ``T_world_submap`` of all submaps so far, by id.
+    """
+
+    closures: tuple[LoopClosure, ...]
+    poses: dict[str, Pose]
+
+    @property
+    def accepted(self) -> tuple[LoopClosure, ...]:
+        """The loop closures among them."""
+        return tuple(closure for closure in self.closures if closure.accepted)
+
+
+class LoopCloser:
+    """Finds the closures of each new submap, and keeps the trajectory corrected.
+
+    What it has found after the last submap is what `detect_loop_closures` and
+    `optimise_pose_graph` find on all at once. Points are not kept, and maps beyond 1 GB wait in a
+    temporary folder that `close`, or the end of a ``with`` block, removes.
+
+    >>> from gpgrad_core.datasets import demo_path, load_dataset
+    >>> with LoopCloser() as closer:
+    ...     for submap in load_dataset(demo_path()).submaps[:2]:
+    ...         step = closer.add(submap)
+    >>> len(step.closures), len(step.poses)
+    (1, 2)
+    """
+
+    def __init__(
+        self,
+        params: PipelineParams | None = None,
+        graph: GraphParams | None = None,
+        solver: SolverParams | None = None,
+        *,
+        detector: StagedDetector | None = None,
+        search_radius: float | None = None,
+        executor: Executor | None = None,
+        views_in_memory: int = VIEWS_IN_MEMORY,
+    ) -> None:
+        """Begin with no submap.
+
+        Args:
+            params: Of all stages of the detection.
+            graph: How sure odometry and closures are.
+            solver: When a closure counts as wrong.
+            detector: Another way to register pairs; None is the pipeline.
+            search_radius: Compare only submaps whose origins lie within this distance of each
+                other by the present estimate [m]; None compares all.
+            executor: Threads to share the comparisons out to.
+            views_in_memory: Bytes of maps and keypoints to keep at hand.
+        """
+        self._params = params or PipelineParams()
+        self._graph_params, self._solver = graph, solver
+        self._detector = detector or MapDetector(self._params, Memo(MEMO_BYTES))
+        self._radius, self._executor = search_radius, executor
+        self._views = _Views(views_in_memory)
+        self._submaps: list[Submap] = []
+        self._traverses: list[int] = []  # the number of each submap's
+        self._poses: dict[str, Pose] = {}
+        self._closures: list[LoopClosure] = []
+        self._solved: tuple[int, OptimisedGraph] | None = None
+
+    def __enter__(self) -> "LoopCloser":
+        """Be used in a ``with`` block."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close at its end."""
+        self.close()
+
+    def close(self) -> None:
+        """Remove what waits on disk; no more submaps can be added."""
+        self._views.close()
+
+    @property
+    def closures(self) -> tuple[LoopClosure, ...]:
+        """The verdicts on all pairs compared so far, by query and then by database."""
+        return tuple(self._closures)
+
+    @property
+    def graph(self) -> PoseGraph:
+        """Odometry and accepted closures so far, all traverses that closures join in one frame."""
+        starts = [
+            self._submaps[k].id
+            for k, (before, number) in enumerate(pairwise(self._traverses), start=1)
+            if number != before
+        ]
+        graph = build_pose_graph(
+            Dataset("the traverse", tuple(self._submaps)),
+            self._closures,
+            self._graph_params,
+            starts=starts,
+        )
+        return place_traverses(graph).graph
+
+    @property
+    def result(self) -> OptimisedGraph:
+        """The graph so far at rest; solved once for each new submap at most."""
+        if self._solved is None or self._solved[0] != len(self._submaps):
+            self._solved = len(self._submaps), optimise_pose_graph(self.graph, self._solver)
+        return self._solved[1]
+
+    def add(
+        self,
+        submap: Submap,
+        progress: Progress = silent,
+        *,
+        starts_traverse: bool = False,
+        solve: bool = True,
+    ) -> Step:
+        """Take the next submap of the traverse.
+
+        Args:
+            submap: With its odometry's pose.
+            progress: Called as it gets on; may raise Cancelled: the submap is then not added.
+            starts_traverse: Whether no odometry leads from the submap before to this one.
+            solve: Whether a closure corrects the poses at once; else `result` does when asked.
+
+        Raises:
+            InputError: If it has no odometry pose, its id was there before, or no map can be made.
+        """
+        if submap.pose_odometry is None:
+            raise InputError(f"submap {submap.id} has no odometry pose, which a pose graph needs")
+        if submap.id in self._poses:
+            raise InputError(f"submap {submap.id} was added before; ids must differ")
+        number = self._traverses[-1] + starts_traverse if self._traverses else 0
+        predicted = self._predicted(submap.pose_odometry, starts_traverse=starts_traverse)
+        made = side_by_side(self._detector.infer, [submap], None, part(progress, 0.0, 0.4))[0]
+        view = side_by_side(self._detector.extract, [made], None, part(progress, 0.4, 0.5))[0]
+        earlier = [
+            other.id
+            for other, of_traverse in zip(self._submaps, self._traverses, strict=True)
+            if of_traverse != number or self._near(predicted, self._poses[other.id])
+        ]
+        found = side_by_side(
+            _Comparison(view, self._detector.compare, self._views.get),
+            earlier,
+            self._executor,
+            part(progress, 0.5, 1.0),
+        )
+        closures = tuple(
+            classify(registration, self._params.closure, query_id=submap.id, database_id=name)
+            for name, registration in zip(earlier, found, strict=True)
+        )
+        self._views.put(submap.id, view)
+        self._submaps.append(replace(submap, points=np.empty((0, 3)), colors=None, noise_std=None))
+        self._traverses.append(number)
+        self._closures += closures
+        self._poses[submap.id] = predicted
+        if solve and any(closure.accepted for closure in closures):
+            self._poses = dict(self.result.poses)
+        return Step(closures, dict(self._poses))
+
+    def _predicted(self, odometry: Pose, *, starts_traverse: bool) -> Pose:
+        """Where odometry leads from the last submap."""
+        if not self._submaps or starts_traverse:
+            return odometry
+        last = self._submaps[-1]
+        assert last.pose_odometry is not None
+        return self._poses[last.id] @ last.pose_odometry.inverse() @ odometry
+
+    def _near(self, first: Pose, second: Pose) -> bool:
+        if self._radius is None:
+            return True
+        distance = np.linalg.norm(first.translation[:2] - second.translation[:2])
+        return bool(distance <= self._radius)
+
+
+class _Views:
+    """What was made of each submap: the latest used in memory, the others on disk."""
+
+    def __init__(self, max_bytes: int) -> None:
+        self._max_bytes, self._bytes = max_bytes, 0
+        self._held: OrderedDict[str, tuple[Any, int]] = OrderedDict()
+        self._names: dict[str, int] = {}
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._lock = Lock()
+
+    def put(self, name: str, view: Any) -> None:
+        with self._lock:
+            self._names[name] = len(self._names)
+            self._hold(name, view)
+
+    def get(self, name: str) -> Any:
+        with self._lock:
+            held = self._held.get(name)
+            if held is not None:
+                self._held.move_to_end(name)
+                return held[0]
+            view = pickle.loads(self._file(name).read_bytes())
+            self._hold(name, view)
+            return view
+
+    def close(self) -> None:
+        with self._lock:
+            self._held.clear()
+            if self._folder is not None:
+                self._folder.cleanup()
+
+    def _hold(self, name: str, view: Any) -> None:
+        size = array_bytes(view)
+        self._held[name] = view, size
+        self._bytes += size
+        while self._bytes > self._max_bytes and len(self._held) > 1:
+            oldest, (evicted, freed) = self._held.popitem(last=False)
+            self._bytes -= freed
+            file = self._file(oldest)
+            if not file.exists():
+                file.write_bytes(pickle.dumps(evicted, protocol=pickle.HIGHEST_PROTOCOL))
+
+    def _file(self, name: str) -> Path:
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="gpgrad-")
+        return Path(self._folder.name) / f"{self._names[name]}.pickle"
+
+
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """Compares the new submap with an earlier one."""
+
+    view: Any
+    compare: Callable[[Any, Any], Registration]
+    earlier: Callable[[str], Any]
+
+    def __call__(self, job: str, progress: Progress) -> Registration:
+        registration = self.compare(self.view, self.earlier(job))
+        progress(1.0)
+        return registration

@@ -1,0 +1,308 @@
+"""One cloud and one elevation map of all submaps, tile by tile: memory does not grow with them."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+from typing_extensions import Doc
+
+from gpgrad_core.bounds import Bounds, check_bounds
+from gpgrad_core.errors import InputError
+from gpgrad_core.gradient_map import (
+    TerrainParams,
+    fit_terrain,
+    kept_rows,
+    ordinary_noise,
+    signal_std_of,
+)
+from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.slam.tiling import Tile, TileStore
+from gpgrad_core.types import Array, Grid, Pose, Submap
+
+Floats = NDArray[np.float32]
+
+TILE_SIDE = 40.0
+"""Side of a tile, in length-scales."""
+BLEND = 2.0
+"""Length-scales on either side of an edge over which two tiles' maps fade into one another."""
+HALO = 6.0
+"""Length-scales of points beyond these that a tile sees: what it lacks no longer matters."""
+MAX_CELLS = 400_000_000
+"""Of a merged map; its layers lie on disk, 1.6 GB each at the most."""
+LAYERS = ("elevation", "variance", "slope_x", "slope_y")
+ROWS_AT_ONCE = 256
+
+
+@dataclass(frozen=True)
+class MergeParams:
+    """How all submaps become one cloud and one map."""
+
+    resolution: Annotated[
+        float,
+        Bounds(0.005, 10.0, 0.005, "m", slider=(0.02, 0.5)),
+        Doc("Side of a cell of the merged elevation map."),
+    ] = 0.05
+    voxel: Annotated[
+        float,
+        Bounds(0.001, 10.0, 0.005, "m", slider=(0.01, 0.5)),
+        Doc("Points of the merged cloud within one cube of this side become their mean."),
+    ] = 0.05
+    max_std_ratio: Annotated[
+        float,
+        Bounds(0.001, 1.0, 0.01, "", slider=(0.05, 1.0)),
+        Doc("Cells less sure than this, as std / signal_std, are left empty."),
+    ] = 0.3
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """All submaps' points in the world, by place.
+
+    Attributes:
+        store: Rows of x, y, z and the noise of z [m].
+        low: Lowest x, y of all points [m].
+        high: Highest x, y [m].
+        signal_std: Of the terrain: the median of the submaps' own, or as the params say [m].
+    """
+
+    store: TileStore
+    low: Float[Array, "2"]
+    high: Float[Array, "2"]
+    signal_std: float
+
+
+@dataclass(frozen=True, eq=False)
+class MergedMap:
+    """An elevation map of all submaps; its layers lie in files until they are looked at.
+
+    Attributes:
+        grid: In the world; cell centres are whole multiples of the resolution.
+        layers: ``elevation`` [m], ``variance`` [m²], ``slope_x``, ``slope_y`` [m/m], as a
+            `GradientMap` has them; NaN where nobody has been.
+        notes: What had to be left out, a line each.
+    """
+
+    grid: Grid
+    layers: Mapping[str, Floats]
+    notes: tuple[str, ...] = ()
+
+
+def gather(
+    submaps: Iterable[Submap],
+    poses: Mapping[str, Pose],
+    terrain: TerrainParams,
+    folder: Path,
+    *,
+    count: int,
+    voxel: float,
+    progress: Progress = silent,
+) -> Gathered:
+    """Sort the points of all submaps into tiles of the world, one submap at a time.
+
+    Args:
+        submaps: Any iterable: each is looked at once.
+        poses: ``T_world_submap`` by id.
+        terrain: Says the noise of a point, and how large the tiles should be.
+        folder: An empty folder for the files; the caller removes it.
+        count: How many submaps there are, for the progress.
+        voxel: The tiles' side becomes a whole number of these.
+        progress: Called once a submap.
+
+    Raises:
+        InputError: If a submap has no pose, or its noise is not known.
+    """
+    side = voxel * np.ceil(TILE_SIDE * terrain.length_scale / voxel)
+    store = TileStore(folder, float(side), 4)
+    low, high, signals = np.full(2, np.inf), np.full(2, -np.inf), list[float]()
+    for k, submap in enumerate(submaps):
+        if submap.id not in poses:
+            raise InputError(f"submap {submap.id} has no pose: it cannot be put into the map")
+        kept = kept_rows(submap, terrain.max_points)
+        points = poses[submap.id].apply(submap.points[kept])
+        noise = ordinary_noise(submap, submap, terrain)[kept]
+        store.add(np.column_stack([points, noise]))
+        low = np.minimum(low, points[:, :2].min(axis=0))
+        high = np.maximum(high, points[:, :2].max(axis=0))
+        signals.append(signal_std_of(submap.points, terrain))
+        progress((k + 1) / count)
+    if not signals:
+        raise InputError("there are no submaps to make a map of")
+    return Gathered(store, low, high, float(np.median(signals)))
+
+
+def merge_clouds(
+    gathered: Gathered, voxel: float, progress: Progress = silent
+) -> Iterable[Float[Array, "n 3"]]:
+    """Give the means of all voxels, tile by tile.
+
+    Args:
+        gathered: Its tiles' side is a whole number of voxels: no voxel lies in two tiles.
+        voxel: Side of a voxel [m].
+        progress: Called once a tile.
+    """
+    tiles = gathered.store.tiles
+    for k, tile in enumerate(tiles):
+        points = gathered.store.read(tile)[:, :3]
+        _, owner, counts = np.unique(
+            np.floor(points / voxel).astype(np.int64),
+            axis=0,
+            return_inverse=True,
+            return_counts=True,
+        )
+        sums = [np.bincount(owner.ravel(), points[:, axis]) for axis in range(3)]
+        yield np.column_stack(sums) / counts[:, None]
+        progress((k + 1) / len(tiles))
+
+
+def merge_maps(
+    gathered: Gathered,
+    terrain: TerrainParams,
+    params: MergeParams,
+    folder: Path,
+    progress: Progress = silent,
+) -> MergedMap:
+    """Infer the elevation of all the ground seen, Eqs. (2)-(5), tile by tile without a seam.
+
+    Each tile's GP sees the points around it too, and its map fades into those of the tiles
+    beside it: over an edge the elevation changes as smoothly as within a tile.
+
+    Args:
+        gathered: All points.
+        terrain: The GP.
+        params: Of the map.
+        folder: For the layers' files; the caller removes it.
+        progress: Called once a tile; may raise Cancelled.
+
+    Raises:
+        InputError: If the map would be too large.
+    """
+    grid = _grid(gathered, params.resolution)
+    sums = {name: _on_disk(folder / f"{name}.npy", grid.shape) for name in (*LAYERS, "weight")}
+    known = replace(
+        terrain,
+        signal_std=gathered.signal_std,
+        noise_model="file",
+        noise_factor=1.0,
+        max_points=None,
+    )
+    notes: list[str] = []
+    tiles = list(gathered.store.neighbourhoods())
+    for k, tile in enumerate(tiles):
+        report = part(progress, 0.95 * k / len(tiles), 0.95 * (k + 1) / len(tiles))
+        notes += _add_tile(gathered.store, tile, grid, known, sums, report)
+        report(1.0)
+    _settle(sums, params.max_std_ratio * gathered.signal_std)
+    progress(1.0)
+    return MergedMap(grid, {name: sums[name] for name in LAYERS}, tuple(notes))
+
+
+def _grid(gathered: Gathered, resolution: float) -> Grid:
+    """Cover all points; cells lie on whole multiples of the resolution."""
+    first = np.floor(gathered.low / resolution).astype(np.int64)
+    columns, rows = np.ceil(gathered.high / resolution).astype(np.int64) - first + 1
+    if rows * columns > MAX_CELLS:
+        fitting = np.sqrt(np.prod(gathered.high - gathered.low) / MAX_CELLS)
+        raise InputError(
+            f"the merged map would have {rows * columns:,} cells of {resolution:g} m, more than "
+            f"{MAX_CELLS:,}; raise its resolution to {np.ceil(fitting * 100) / 100:g} m or more"
+        )
+    x, y = first * resolution
+    return Grid((float(x), float(y)), resolution, (int(rows), int(columns)))
+
+
+def _on_disk(path: Path, shape: tuple[int, int]) -> Floats:
+    return np.lib.format.open_memmap(path, mode="w+", dtype=np.float32, shape=shape)
+
+
+def _add_tile(
+    store: TileStore,
+    tile: Tile,
+    grid: Grid,
+    terrain: TerrainParams,
+    sums: Mapping[str, Floats],
+    progress: Progress,
+) -> list[str]:
+    """Fit one tile and add its map, weighed down towards its edges."""
+    blend = BLEND * terrain.length_scale
+    low = np.array(tile) * store.side
+    window = [_cells(grid, axis, low[axis], low[axis] + store.side, blend) for axis in (0, 1)]
+    columns, rows = window
+    if columns.start >= columns.stop or rows.start >= rows.stop:
+        return []
+    near = store.read_around(tile, blend)
+    if not len(near):
+        return []
+    seen = store.read_around(tile, blend + HALO * terrain.length_scale)
+    # In the tile's own frame: sums over coordinates of a country's grid would lose digits.
+    points = seen[:, :3] - np.array([*low, 0.0])
+    try:
+        submap = Submap.from_points(points, "the merged map", noise_std=seen[:, 3])
+    except InputError:  # fewer than three points, or all on one line
+        middle = near[:, :2].mean(axis=0)
+        return [
+            f"{len(near)} point{'' if len(near) == 1 else 's'} near x {middle[0]:.1f} m, "
+            f"y {middle[1]:.1f} m span no ground: there the merged map is empty"
+        ]
+    posterior = fit_terrain(submap, terrain, progress)
+    origin = (float(grid.x[columns.start] - low[0]), float(grid.y[rows.start] - low[1]))
+    shape = (rows.stop - rows.start, columns.stop - columns.start)
+    fields = posterior.sample(Grid(origin, grid.resolution, shape))
+    elevation, variance, slope, _ = fields
+    weight = np.outer(
+        _fading(grid.y[rows], low[1], store.side, blend),
+        _fading(grid.x[columns], low[0], store.side, blend),
+    )
+    layers = (elevation, variance, slope[..., 0], slope[..., 1])
+    for name, layer in zip(LAYERS, layers, strict=True):
+        sums[name][rows, columns] += (weight * layer).astype(np.float32)
+    sums["weight"][rows, columns] += weight.astype(np.float32)
+    return []
+
+
+def _cells(grid: Grid, axis: int, low: float, high: float, margin: float) -> slice:
+    """Columns (axis 0) or rows (axis 1) whose centres lie in low … high, or within a margin."""
+    start = np.ceil((low - margin - grid.origin[axis]) / grid.resolution)
+    stop = np.floor((high + margin - grid.origin[axis]) / grid.resolution) + 1
+    count = grid.shape[1 - axis]
+    return slice(int(np.clip(start, 0, count)), int(np.clip(stop, 0, count)))
+
+
+def _fading(
+    positions: Float[Array, "n"], low: float, side: float, blend: float
+) -> Float[Array, "n"]:
+    """Weight of a tile along one axis: 1 inside, falling smoothly to 0 a blend beyond its edges.
+
+    At any place the weights of neighbouring tiles add up to 1.
+    """
+    rising, falling = (
+        np.clip((distance + blend) / (2 * blend), 0.0, 1.0)
+        for distance in (positions - low, low + side - positions)
+    )
+    return _smooth(rising) * _smooth(falling)
+
+
+def _smooth(share: Float[Array, "n"]) -> Float[Array, "n"]:
+    """Rise from 0 to 1, level at either end: the slope has no seam either."""
+    return share * share * (3 - 2 * share)
+
+
+def _settle(sums: Mapping[str, Floats], most_std: float) -> None:
+    """Turn weighted sums into means, some rows at a time, and empty what nobody has seen."""
+    weight = sums["weight"]
+    for start in range(0, len(weight), ROWS_AT_ONCE):
+        rows = slice(start, start + ROWS_AT_ONCE)
+        total = weight[rows]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            means = {name: sums[name][rows] / total for name in LAYERS}
+            empty = ~(np.sqrt(means["variance"]) <= most_std)
+        for name in LAYERS:
+            means[name][empty] = np.nan
+            sums[name][rows] = means[name]

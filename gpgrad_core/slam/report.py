@@ -1,0 +1,286 @@
+"""What a corrected map leaves in its folder: poses, graph, errors, figures, cloud and map."""
+
+import json
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gpgrad_core.datasets.ply import write_ply_pieces
+from gpgrad_core.datasets.poses import write_poses
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation.report import check_directory
+from gpgrad_core.gradient_map import TerrainParams
+from gpgrad_core.outputs.files import replacing
+from gpgrad_core.outputs.maps import write_arrays, write_raster
+from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.slam.consistency import Consistency, measure_consistency
+from gpgrad_core.slam.g2o import vertex_numbers, write_graph
+from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
+from gpgrad_core.slam.merge import MergeParams, gather, merge_clouds, merge_maps
+from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
+from gpgrad_core.slam.sessions import Placed, Sessions, place_traverses
+from gpgrad_core.slam.trajectory import TrajectoryError, align_points, trajectory_error, true_poses
+from gpgrad_core.types import LoopClosure, Pose, Submap
+from gpgrad_core.version import VERSION
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Datasets in one map.
+
+    Attributes:
+        sessions: What went in.
+        placed: Their graph, before it was solved.
+        result: The graph at rest.
+    """
+
+    sessions: Sessions
+    placed: Placed
+    result: OptimisedGraph
+
+    @property
+    def before(self) -> dict[str, Pose]:
+        """Odometry's poses, all in the first session's frame."""
+        return self.placed.graph.poses
+
+    def submaps(self, note: Callable[[str], None] | None = None) -> Iterator[Submap]:
+        """Load the submaps one by one, saying aloud what was left out of each."""
+        for k in range(len(self.sessions.outline.clouds)):
+            submap, notes = self.sessions.load(k)
+            if note is not None:
+                for line in notes:
+                    note(line)
+            yield submap
+
+
+def solve_sessions(
+    sessions: Sessions,
+    closures: Iterable[LoopClosure],
+    graph: GraphParams | None = None,
+    solver: SolverParams | None = None,
+) -> Solution:
+    """Put datasets into one map by their closures.
+
+    Raises:
+        InputError: If a submap has no odometry, a closure names one that there is not, or no
+            closure joins a session to the others.
+    """
+    dataset = sessions.outline.dataset
+    placed = place_traverses(build_pose_graph(dataset, closures, graph, starts=sessions.starts))
+    if placed.alone:
+        name = placed.alone[0].split(":")[0]
+        raise InputError(
+            f"{name}: no loop closure joins it to {next(iter(sessions.traverses))}, so that there "
+            "is no one map of both; accept more closures (--closure.min-score), or leave it out"
+        )
+    return Solution(sessions, placed, optimise_pose_graph(placed.graph, solver))
+
+
+@dataclass(frozen=True)
+class Judged:
+    """How good the map is.
+
+    Attributes:
+        trajectories: Errors before and after of each session with a truth, by its name.
+        overlaps: Differences in height of overlapping submaps, before and after.
+    """
+
+    trajectories: Mapping[str, tuple[TrajectoryError, TrajectoryError]]
+    overlaps: tuple[Consistency, Consistency]
+
+
+def judge_solution(solution: Solution, progress: Progress = silent) -> Judged:
+    """Measure trajectories by the truth where there is one, and how well submaps lie together.
+
+    Args:
+        solution: Its clouds are loaded one by one, twice.
+        progress: Called twice; may raise Cancelled.
+    """
+    true = true_poses(solution.sessions.outline.dataset)
+    trajectories: dict[str, tuple[TrajectoryError, TrajectoryError]] = {}
+    for session, names in solution.sessions.traverses.items():
+        known = {name: true[name] for name in names if name in true}
+        if len(known) >= 2:
+            trajectories[session] = (
+                trajectory_error(known, solution.before),
+                trajectory_error(known, solution.result.poses),
+            )
+    overlaps: list[Consistency] = []
+    for k, poses in enumerate((solution.before, solution.result.poses)):
+        overlaps.append(measure_consistency(solution.submaps(), poses))
+        progress((k + 1) / 2)
+    return Judged(trajectories, (overlaps[0], overlaps[1]))
+
+
+def write_solution(
+    directory: Path | str,
+    solution: Solution,
+    judged: Judged,
+    progress: Progress = silent,
+) -> None:
+    """Write poses, graph, errors and figures into a folder; it is made if it is not there.
+
+    Args:
+        directory: The folder.
+        solution: What was found.
+        judged: How good it is.
+        progress: Called now and then.
+
+    Raises:
+        InputError: If the folder cannot be made or written to.
+    """
+    from gpgrad_core.slam.figures import (  # noqa: PLC0415 - matplotlib takes half a second
+        draw_errors,
+        draw_trajectories,
+    )
+
+    directory = check_directory(directory)
+    directory.mkdir(exist_ok=True)
+    sessions, result = solution.sessions, solution.result
+    for session, names in sessions.traverses.items():
+        poses = {sessions.numbers[name]: result.poses[name] for name in names}
+        with replacing(directory / poses_file(sessions, session)) as unfinished:
+            write_poses(unfinished, poses)
+    write_graph(directory / "graph.g2o", used_graph(solution), result.poses)
+    progress(0.3)
+    true = true_poses(sessions.outline.dataset)
+    name = sessions.outline.dataset.name
+    figures = {
+        "trajectory": draw_trajectories(
+            name, list(sessions.traverses.values()), solution.before, result, true
+        )
+    }
+    distances = [_distances(solution, poses, true) for poses in (solution.before, result.poses)]
+    if distances[0]:
+        figures["errors"] = draw_errors(name, *distances)
+    for figure_name, figure in figures.items():
+        with replacing(directory / f"{figure_name}.png") as unfinished:
+            figure.savefig(unfinished)
+    progress(0.9)
+    with replacing(directory / "report.json") as unfinished:
+        text = json.dumps(_content(solution, judged), indent=1, ensure_ascii=False, allow_nan=False)
+        unfinished.write_text(text + "\n", encoding="utf-8")
+    progress(1.0)
+
+
+def poses_file(sessions: Sessions, session: str) -> str:
+    """Name of the file of a session's corrected poses."""
+    if len(sessions.traverses) == 1:
+        return "poses_corrected.txt"
+    return f"poses_corrected_{''.join(c if c.isalnum() or c in '-_' else '_' for c in session)}.txt"
+
+
+def used_graph(solution: Solution) -> PoseGraph:
+    """The graph without the closures that were found wrong: what other tools should solve."""
+    graph = solution.placed.graph
+    kept = tuple(fit.edge for fit in solution.result.edges if fit.weight >= 0.5)
+    return PoseGraph(graph.poses, kept, graph.tilt_std)
+
+
+def write_merged(
+    directory: Path | str,
+    solution: Solution,
+    terrain: TerrainParams,
+    params: MergeParams | None = None,
+    progress: Progress = silent,
+) -> tuple[str, ...]:
+    """Write all submaps as one cloud and one elevation map, in memory that does not grow.
+
+    Writes ``cloud.ply``, ``map.npz`` and ``map.tif``.
+
+    Args:
+        directory: A folder that is there.
+        solution: Where the submaps lie; they are loaded one by one.
+        terrain: The GP.
+        params: Of cloud and map.
+        progress: Called now and then; may raise Cancelled.
+
+    Returns:
+        What had to be left out, a line each.
+
+    Raises:
+        InputError: If the map would be too large, or the noise of a point is not known.
+    """
+    directory, params = Path(directory), params or MergeParams()
+    # Beside the results: what lies there for a while may be as large as they are.
+    with tempfile.TemporaryDirectory(dir=directory, prefix=".merging-") as folder:
+        tiles, layers = Path(folder, "tiles"), Path(folder, "layers")
+        tiles.mkdir()
+        layers.mkdir()
+        gathered = gather(
+            solution.submaps(),
+            solution.result.poses,
+            terrain,
+            tiles,
+            count=len(solution.result.poses),
+            voxel=params.voxel,
+            progress=part(progress, 0.0, 0.15),
+        )
+        with replacing(directory / "cloud.ply") as unfinished:
+            pieces = merge_clouds(gathered, params.voxel, part(progress, 0.15, 0.25))
+            write_ply_pieces(unfinished, pieces)
+        merged = merge_maps(gathered, terrain, params, layers, part(progress, 0.25, 0.9))
+        with replacing(directory / "map.npz") as unfinished:
+            write_arrays(unfinished, merged.grid, merged.layers)
+        progress(0.95)
+        with replacing(directory / "map.tif") as unfinished:
+            write_raster(unfinished, merged.grid, merged.layers)
+        progress(1.0)
+        return merged.notes
+
+
+def _distances(
+    solution: Solution, poses: Mapping[str, Pose], true: Mapping[str, Pose]
+) -> dict[str, float]:
+    """Of each submap from the truth, each session aligned by itself [m]."""
+    found: dict[str, float] = {}
+    for names in solution.sessions.traverses.values():
+        known = [name for name in names if name in true]
+        if len(known) < 2:
+            continue
+        truth = np.array([true[name].translation for name in known])
+        places = np.array([poses[name].translation for name in known])
+        left = np.linalg.norm(align_points(places, truth) - truth, axis=1)
+        found |= dict(zip(known, left.tolist(), strict=True))
+    return found
+
+
+def _content(solution: Solution, judged: Judged) -> dict[str, Any]:
+    """What ``report.json`` tells: metres and radians, null for unknown."""
+    numbers = vertex_numbers(solution.placed.graph)
+    return {
+        "dataset": solution.sessions.outline.dataset.name,
+        "gpgrad": VERSION,
+        "sessions": {
+            session: {
+                "poses": poses_file(solution.sessions, session),
+                "submaps": len(names),
+                "closures_that_agree_on_its_place": solution.placed.support.get(names[0]),
+            }
+            for session, names in solution.sessions.traverses.items()
+        },
+        "trajectory_error": {
+            session: {"before": asdict(before), "after": asdict(after)}
+            for session, (before, after) in judged.trajectories.items()
+        },
+        "height_differences": {
+            "before": asdict(judged.overlaps[0]),
+            "after": asdict(judged.overlaps[1]),
+        },
+        "submaps": [{"id": name, "vertex": number} for name, number in numbers.items()],
+        "edges": [
+            {
+                "start": fit.edge.start,
+                "end": fit.edge.end,
+                "kind": fit.edge.kind,
+                "score": fit.edge.score,
+                "chi_square": float(f"{fit.chi_square:.6g}"),
+                "weight": fit.weight,
+            }
+            for fit in solution.result.edges
+        ],
+    }
