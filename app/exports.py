@@ -24,11 +24,11 @@ from gpgrad_core.outputs import (
     report_closures,
     write_closure_table,
     write_closures,
-    write_graph,
     write_map,
 )
 from gpgrad_core.pipeline import DetectionResult, detect_loop_closures, infer_map
 from gpgrad_core.progress import Progress
+from gpgrad_core.slam import build_pose_graph, write_graph
 
 CLOSURES = {
     "JSON": "closures.json",
@@ -165,7 +165,7 @@ class Exports(Part):
             )
         match path.suffix:
             case ".g2o":
-                write_graph(path, dataset, result.closures)
+                write_graph(path, build_pose_graph(dataset, result.closures))
             case ".csv":
                 write_closure_table(path, report_closures(dataset, result, params))
             case _:
