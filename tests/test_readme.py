@@ -73,7 +73,9 @@ def test_files_named_in_the_listing_exist() -> None:
     assert named > 10
 
 
-@pytest.mark.parametrize("verb", ["view", "detect", "evaluate", "map", "fit", "build", "simulate"])
+@pytest.mark.parametrize(
+    "verb", ["view", "detect", "evaluate", "map", "fit", "build", "slam", "simulate"]
+)
 def test_flags_of_the_commands_exist(verb: str) -> None:
     row = next(line for line in README.splitlines() if line.startswith(f"| `gpgrad {verb}"))
     said = run_gpgrad(verb, "--help").out

@@ -20,11 +20,13 @@ def test_version(gpgrad: Run) -> None:
 def test_the_verbs_are_listed(gpgrad: Run) -> None:
     finished = gpgrad("--help")
     assert finished.code == 0
-    for verb in ("view", "detect", "evaluate", "map", "fit", "build", "simulate"):
+    for verb in ("view", "detect", "evaluate", "map", "fit", "build", "slam", "simulate"):
         assert re.search(rf"\b{verb}\b", finished.out)
 
 
-@pytest.mark.parametrize("verb", ["view", "detect", "evaluate", "map", "fit", "build", "simulate"])
+@pytest.mark.parametrize(
+    "verb", ["view", "detect", "evaluate", "map", "fit", "build", "slam", "simulate"]
+)
 def test_every_flag_has_a_text_and_a_default(gpgrad: Run, verb: str) -> None:
     finished = gpgrad(verb, "--help")
     assert finished.code == 0
@@ -48,10 +50,10 @@ def test_every_flag_has_a_text_and_a_default(gpgrad: Run, verb: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ((), "Expected one of {view, detect, evaluate, map, fit, build, simulate}"),
+        ((), "Expected one of {view, detect, evaluate, map, fit, build, slam, simulate}"),
         (
             ("detekt", "x"),
-            "unknown verb 'detekt'; known: view, detect, evaluate, map, fit, build, simulate",
+            "unknown verb 'detekt'; known: view, detect, evaluate, map, fit, build, slam, simulate",
         ),
         (("detect",), "--out"),
         (("detect", "x", "--out", "a.json", "--bogus", "3"), "--bogus"),
