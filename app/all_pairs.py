@@ -42,6 +42,8 @@ class AllPairs(Part):
         *,
         on_pair: Callable[[str, str], None],
         message_of: Callable[[Exception], str],
+        on_judged: Callable[[Judged], None] = lambda judged: None,  # noqa: ARG005
+        on_progress: Callable[[float | None, str], None] = lambda fraction, message: None,  # noqa: ARG005
     ) -> None:
         """Make the panel in the current container.
 
@@ -52,8 +54,13 @@ class AllPairs(Part):
             turns: Of what takes long.
             on_pair: Given the query and the database to show; must be quick.
             message_of: Says what went wrong in one line.
+            on_judged: Given all pairs whenever they were judged anew.
+            on_progress: Given how far the run is, and None once nothing runs, with why if there
+                is something to say.
         """
         self._host = host
+        self._tell_judged = on_judged
+        self._on_progress = on_progress
         self._memo = memo
         self._message_of = message_of
         self._lock = threading.Lock()
@@ -64,8 +71,8 @@ class AllPairs(Part):
         self._panel = AllPairsPanel(
             host,
             tuple(RULES),
-            on_run=self._run,
-            on_cancel=self._cancel,
+            on_run=self.run,
+            on_cancel=self.cancel,
             on_rule=self._set_rule,
             on_pair=on_pair,
         )
@@ -73,7 +80,7 @@ class AllPairs(Part):
             self._register,
             self._on_survey,
             self._on_error,
-            on_cancel=lambda state: self._panel.stopped("Cancelled."),  # noqa: ARG005
+            on_cancel=lambda state: self._stopped("Cancelled."),  # noqa: ARG005
             turns=turns,
             name="all pairs",
         )
@@ -82,7 +89,7 @@ class AllPairs(Part):
                 job.survey, job.state.params.closure, RULES[job.rule]
             ),
             self._on_judged,
-            lambda job, error: self._panel.stopped(message_of(error), bad=True),  # noqa: ARG005
+            lambda job, error: self._stopped(message_of(error), bad=True),  # noqa: ARG005
             name="verdicts",
         )
 
@@ -98,6 +105,15 @@ class AllPairs(Part):
             self._panel.clear()
         self._submit()
 
+    def run(self) -> None:
+        """Register all pairs with the parameters as they are; returns at once."""
+        self._running(0.0)
+        self._surveyor.submit(self._state)
+
+    def cancel(self) -> None:
+        """Stop registering."""
+        self._surveyor.cancel()
+
     def wait_idle(self, timeout: float) -> bool:
         """Wait until nothing runs; says whether that came true within the timeout [s]."""
         return self._surveyor.wait_idle(timeout) and self._judge.wait_idle(timeout)
@@ -107,12 +123,13 @@ class AllPairs(Part):
         self._surveyor.close()
         self._judge.close()
 
-    def _run(self) -> None:
-        self._panel.running(0.0)
-        self._surveyor.submit(self._state)
+    def _running(self, fraction: float) -> None:
+        self._panel.running(fraction)
+        self._on_progress(fraction, "")
 
-    def _cancel(self) -> None:
-        self._surveyor.cancel()
+    def _stopped(self, message: str = "", *, bad: bool = False) -> None:
+        self._panel.stopped(message, bad=bad)
+        self._on_progress(None, message)
 
     def _set_rule(self, rule: str) -> None:
         self._rule = rule
@@ -138,7 +155,7 @@ class AllPairs(Part):
             progress(fraction)
             if fraction - reported >= REPORT_EVERY:
                 reported = fraction
-                self._panel.running(fraction)
+                self._running(fraction)
 
         return survey_pairs(state.dataset, state.params, self._memo, report)
 
@@ -148,12 +165,12 @@ class AllPairs(Part):
             if state.dataset is not self._state.dataset:
                 return  # another was opened in the very last moment
             self._survey = survey
-        self._panel.stopped()
+        self._stopped()
         self._submit()
 
     def _on_error(self, state: ViewState, error: Exception) -> None:
         del state
-        self._panel.stopped(self._message_of(error), bad=True)
+        self._stopped(self._message_of(error), bad=True)
 
     def _on_judged(self, job: _Judging, judged: Judged, seconds: float) -> None:
         del seconds
@@ -162,6 +179,7 @@ class AllPairs(Part):
         with self._host.atomic():
             self._panel.show(findings(judged, job.state))
         self._host.flush()
+        self._tell_judged(judged)
 
 
 def findings(judged: Judged, state: ViewState) -> Findings:

@@ -145,7 +145,7 @@ class Demo(Part):
 
     def _play(self, client: viser.ClientHandle | None, act: Act) -> None:
         if act == "pose graph":
-            if len(self._explore.keyframes) < 2:
+            if self._explore.graph is None:
                 self._panel.stopped("Optimise the pose graph first, in Explore.", bad=True)
                 return
             self._panel.stopped()
@@ -264,14 +264,14 @@ def _closure_page(state: ViewState, result: PairResult, progress: Progress) -> _
 def _world_page(explore: Explore, progress: Progress) -> _Page:
     world = explore.world
     assert world is not None
-    keyframes = explore.keyframes if world.options.poses == "corrected" else ()
+    graph = explore.graph if world.options.poses == "corrected" else None
 
     def compose(server: viser.ViserServer) -> Composed:
         scene = WorldScene(server, visible=True)
         scale = scene.show(world)
         camera = scene.camera()
         assert camera is not None
-        moving = relaxation(keyframes, scene.mover()) if len(keyframes) > 1 else None
+        moving = None if graph is None else relaxation(graph, scene.mover())
         return Composed(camera, world_legend(scale), moving)
 
     count = len(world.poses)

@@ -25,7 +25,6 @@ from app.views.world import World, WorldScene
 from app.world import (
     PoseSource,
     WorldOptions,
-    keyframe,
     measure,
     pose_sources,
     poses_of,
@@ -33,12 +32,10 @@ from app.world import (
 )
 from gpgrad_core.memo import Memo
 from gpgrad_core.progress import Progress, part
+from gpgrad_core.slam import OptimisedGraph
 from gpgrad_core.types import Pose
 
 RELAXING_SECONDS = 4.0
-
-Keyframes = tuple[Mapping[str, Pose], ...]
-"""Poses of all submaps, moment by moment; the last are the corrected ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,19 +43,21 @@ class Correction:
     """What the pose graph says of the world.
 
     Attributes:
-        keyframes: From odometry to the corrected poses; empty before the first optimisation.
+        graph: The optimised graph; None before the first optimisation.
         loops: Pairs of submaps, accepted and refused.
         highest_score: Of the last colour of the loops.
+        marked: Pair (query, database) whose loop stands out.
     """
 
-    keyframes: Keyframes = ()
+    graph: OptimisedGraph | None = None
     loops: tuple[Loop, ...] = ()
     highest_score: float = 1.0
+    marked: tuple[str, str] | None = None
 
     @property
     def corrected(self) -> Mapping[str, Pose] | None:
         """The corrected poses, if there are any."""
-        return self.keyframes[-1] if self.keyframes else None
+        return None if self.graph is None else self.graph.poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,9 +210,9 @@ class Explore(Part):
         return None if self._picture is None else self._picture.scale
 
     @property
-    def keyframes(self) -> Keyframes:
-        """How the world moves when the pose graph relaxes; empty before it was optimised."""
-        return self._correction.keyframes
+    def graph(self) -> OptimisedGraph | None:
+        """The optimised pose graph, if there is one."""
+        return self._correction.graph
 
     def camera(self) -> Camera | None:
         """Give the view that shows all."""
@@ -304,13 +303,14 @@ class Explore(Part):
             options,
             correction.loops,
             job.selected,
+            correction.marked,
             correction.highest_score,
         )
-        if not job.relaxing or len(correction.keyframes) < 2:
+        graph = correction.graph
+        if not job.relaxing or graph is None:
             return _Picture(world, self.scene.show(world))
-        scale = self.scene.show(world, at=correction.keyframes[0])
-        move = self.scene.mover()
-        play(relaxation(correction.keyframes, move), progress)
+        scale = self.scene.show(world, at=graph.at(0.0))
+        play(relaxation(graph, self.scene.mover()), progress)
         return _Picture(world, scale)
 
     def _sights(self, job: _Job, progress: Progress) -> dict[str, Sight]:
@@ -366,11 +366,9 @@ class Explore(Part):
         )
 
 
-def relaxation(keyframes: Keyframes, move: Callable[[Mapping[str, Pose]], None]) -> Animation:
-    """Let the world relax: from odometry to the corrected poses, iteration by iteration."""
-    return Animation(
-        RELAXING_SECONDS, lambda share: move(keyframe(keyframes, ease(share))), rest=1.5
-    )
+def relaxation(graph: OptimisedGraph, move: Callable[[Mapping[str, Pose]], None]) -> Animation:
+    """Let the world relax from odometry to the corrected poses, as the solver went."""
+    return Animation(RELAXING_SECONDS, lambda share: move(graph.at(ease(share))), rest=1.5)
 
 
 def world_legend(scale: Scale | None) -> str:

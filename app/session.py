@@ -17,12 +17,11 @@ import viser
 
 from app import state as states
 from app.all_pairs import AllPairs
-from app.demo import Demo
-from app.explore import Explore
 from app.exports import Exports
 from app.fit import Fit, with_fitted
 from app.host import Host
 from app.inspection import Inspection
+from app.nudge import Nudge
 from app.opening import Opened, Opening
 from app.panels.commands import Commands
 from app.panels.dataset import DatasetSummary, PairPanel
@@ -38,9 +37,10 @@ from app.presets import Presets
 from app.runner import Runner
 from app.saving import Saving
 from app.shortcuts import Actions, add_shortcuts
-from app.stage import Stage
+from app.stage import Stage, StageCalls
 from app.stages import TimedMemo
 from app.state import Probe, ViewOptions, ViewState
+from app.survey import Judged
 from app.turns import Turns
 from app.undo import Undo
 from app.views.colors import legend_uri
@@ -54,6 +54,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PairResult, PipelineParams, register_pair
 from gpgrad_core.progress import Progress
+from gpgrad_core.types import Registration
 
 _log = logging.getLogger(__name__)
 
@@ -68,7 +69,6 @@ MAIN_PARAMETERS = {
 """The parameters that stand in the open, and what people call them."""
 
 CONTROL_WIDTH = 310
-VIEW_WIDTH = 280
 LONG = 1.0
 """What takes longer has a bar and can be cancelled [s]."""
 
@@ -165,7 +165,7 @@ class Session:
         gui.set_panel_label("Loop closure")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(CONTROL_WIDTH)
-        ways = WaysPanel(self._host, "Tune", lambda way: self._stage.go(way, self._state))
+        ways = WaysPanel(self._host, "Tune", self._go)
         self._presence = PresenceLine(self._host)
         self._verdict = VerdictCard(self._host)
         self._status = StatusLine(self._host, on_cancel=self._cancel)
@@ -219,16 +219,17 @@ class Session:
             )
             self._parts.append(self._inspection)
         with left.add_tab("All pairs"):
-            self._parts.append(
-                AllPairs(
-                    self._host,
-                    state,
-                    self._memo,
-                    self._turns.long,
-                    on_pair=self._show_pair,
-                    message_of=message_of,
-                )
+            all_pairs = AllPairs(
+                self._host,
+                state,
+                self._memo,
+                self._turns.long,
+                on_pair=self._show_pair,
+                message_of=message_of,
+                on_judged=self._take_judged,
+                on_progress=self._take_progress,
             )
+            self._parts.append(all_pairs)
         with left.add_tab("Data"):
             self._opening = Opening(
                 self._host,
@@ -244,38 +245,34 @@ class Session:
             self._parts.append(
                 Exports(self._host, state, self._memo, self._turns.long, message_of=message_of)
             )
-        explore_panel, demo_panel = gui.add_panel(), gui.add_panel()
-        with explore_panel.add_tab("World"):
-            explore = Explore(
+        with left.add_tab("Nudge"):
+            nudge = Nudge(
                 self._host,
-                state,
                 self._memo,
-                self._turns,
-                on_tune=self._tune,
-                message_of=message_of,
-            )
-        with demo_panel.add_tab("Demo"):
-            demo = Demo(
-                self._host,
-                state,
-                self._turns,
                 self._scene,
-                explore,
-                on_subject=lambda subject: self._stage.show(subject, self._state),
                 on_registered=self._register,
-                on_full_screen=lambda: self._stage.set_full_screen(True),
+                on_layout=self._change,
+                on_motion=self._take_motion,
                 message_of=message_of,
             )
-        self._parts += [explore, demo]
-        for panel in (left, explore_panel, demo_panel):  # one at a time is to be seen
-            panel.dock_left()
-            panel.set_width(VIEW_WIDTH)
-        panels: dict[Way, viser.PanelHandle] = {
-            "Explore": explore_panel,
-            "Tune": left,
-            "Demo": demo_panel,
-        }
-        self._stage = Stage(self._host, self._scene, explore, panels, ways, self._commands)
+        self._stage = Stage(
+            self._host,
+            state,
+            self._memo,
+            self._turns,
+            self._scene,
+            left,
+            ways,
+            self._commands,
+            StageCalls(
+                on_tune=self._show_pair,
+                on_registered=self._register,
+                on_find=all_pairs.run,
+                on_cancel_find=all_pairs.cancel,
+                message_of=message_of,
+            ),
+        )
+        self._parts += [nudge, self._stage, *self._stage.parts]
         self._add_shortcuts()
 
     def _add_shortcuts(self) -> None:
@@ -341,15 +338,24 @@ class Session:
         self._change(pair=(query_id, database_id))
         self._pair_panel.show(self._state)
 
-    def _tune(self, query_id: str, database_id: str) -> None:
-        self._show_pair(query_id, database_id)
-        self._stage.go("Tune", self._state)
+    # The stage is made last: what is made before it reaches it by these.
+
+    def _go(self, way: Way) -> None:
+        self._stage.go(way)
+
+    def _take_judged(self, judged: Judged) -> None:
+        self._stage.graph.judged(judged)
+
+    def _take_progress(self, fraction: float | None, message: str) -> None:
+        self._stage.graph.finding(fraction, message)
+
+    def _take_motion(self, query_id: str, database_id: str, registration: Registration) -> None:
+        self._stage.graph.take_motion(query_id, database_id, registration)
 
     def _register(self) -> None:
         """Show the pair registered."""
         options = replace(self._state.options, layout="registered", compare="both")
-        self._view_panel.set(options)
-        self._change(options=options)
+        self._set_options(options)
 
     def _cancel(self) -> None:
         self._runner.cancel()
@@ -460,7 +466,6 @@ class Session:
         self._view_panel.set(state.options)
         self._summary.show(state.dataset)
         self._pair_panel.show(state)
-        self._stage.forget_views()
         camera = self._start_camera(opened)
         if self._stage.subject == "pair":  # the world brings the cameras to itself
             self._scene.move_cameras(camera)

@@ -1,12 +1,11 @@
 """The whole dataset in one frame: where its submaps stand, and what there is to say of each."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import ceil, degrees, sqrt
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from gpgrad_core.types import Dataset, Pose, Submap
 
@@ -171,25 +170,3 @@ def describe_pose(pose: Pose) -> str:
     """Write a pose's position and heading."""
     x, y, z = pose.translation
     return f"{x:.2f}, {y:.2f}, {z:.2f} m; {degrees(pose.planar.yaw):+.1f}°"
-
-
-def between(start: Pose, end: Pose, share: float) -> Pose:
-    """Go a share of the way from one pose to another: straight, and turning evenly."""
-    turns = Slerp([0.0, 1.0], Rotation.from_quat(np.stack([start.quaternion, end.quaternion])))
-    return Pose(
-        (1 - share) * start.translation + share * end.translation,
-        np.asarray(turns(share).as_quat(), dtype=np.float64),
-    )
-
-
-def keyframe(keyframes: Sequence[Mapping[str, Pose]], share: float) -> dict[str, Pose]:
-    """Give all poses at a share of the way through moments at even distances.
-
-    Args:
-        keyframes: One or more; all of the same submaps.
-        share: In [0, 1].
-    """
-    place = share * (len(keyframes) - 1)
-    first = min(int(place), len(keyframes) - 1)
-    start, end = keyframes[first], keyframes[min(first + 1, len(keyframes) - 1)]
-    return {name: between(pose, end[name], place - first) for name, pose in start.items()}

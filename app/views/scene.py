@@ -201,11 +201,25 @@ class PairScene:
         maps = result.query_map, result.database_map
         dz = z_offset_of(result.registration, maps, state.params.features.max_std_ratio)
 
-        def draw(share: float) -> None:
+        place_pair = self.placing(state, result)
+        return lambda share: place_pair(*glide(*boxes, motion, dz, share))
+
+    def placing(
+        self, state: ViewState, result: PairResult
+    ) -> Callable[[Placement, Placement], None]:
+        """Give what puts query and database anywhere, without drawing them anew.
+
+        It does nothing once another picture has been shown.
+
+        Args:
+            state: As it was shown.
+            result: What was shown.
+        """
+
+        def put(at_query: Placement, at_database: Placement) -> None:
             with self._lock:
                 if self._last is not result:
                     return
-                at_query, at_database = glide(*boxes, motion, dz, share)
                 with self._host.atomic():
                     self._query.move(at_query)
                     self._database.move(at_database)
@@ -213,7 +227,7 @@ class PairScene:
                     self._show_marks(state, result, at_query, at_database)
             self._host.flush()
 
-        return draw
+        return put
 
     def knows_motion(self, state: ViewState) -> bool:
         """Say whether the pair of a state is the one last shown with its registration."""

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
+from app.state import ColorMap
 from app.views.associations import arcs
 from app.views.colors import Rgb, colorize
 from app.world import PoseSource
@@ -20,7 +21,8 @@ TRAJECTORY_COLORS: dict[PoseSource, Rgb] = {
     "corrected": (31, 119, 200),
 }
 REFUSED_LOOP: Rgb = (165, 165, 165)
-SCORE_MAP = "turbo"
+WRONG_LOOP: Rgb = (0, 0, 0)
+SCORE_MAP: ColorMap = "viridis"
 LOOP_PIECES = 12
 """Straight pieces of the arch of one loop."""
 LOOP_RISE = 0.25
@@ -35,13 +37,20 @@ class Loop:
         query: Id of the later submap.
         database: Id of the earlier one.
         score: What its colour tells.
-        accepted: Whether the pose graph uses it.
+        accepted: Whether it is taken for a loop closure.
+        wrong: Whether the pose graph found that the others contradict it.
     """
 
     query: str
     database: str
     score: float
     accepted: bool
+    wrong: bool = False
+
+    @property
+    def pair(self) -> tuple[str, str]:
+        """Query and database."""
+        return self.query, self.database
 
 
 def way(poses: Mapping[str, Pose], lift: float) -> LinePoints:
@@ -74,14 +83,17 @@ def arches(loops: Iterable[Loop], poses: Mapping[str, Pose], lift: float) -> Lin
 
 
 def arch_colors(loops: Iterable[Loop], highest: float) -> UInt8[NDArray[np.uint8], "n 3"]:
-    """Colour the pieces of `arches` by the score, from 0 to the highest; as shown.
+    """Colour the pieces of `arches` by the score, from 0 to the highest; wrong ones are black.
 
     Args:
         loops: The drawable ones.
         highest: Score of the last colour.
     """
-    scores = np.array([loop.score for loop in loops], dtype=np.float64)
-    return np.repeat(colorize(scores, 0.0, highest, SCORE_MAP), LOOP_PIECES, axis=0)
+    drawn = list(loops)
+    scores = np.array([loop.score for loop in drawn], dtype=np.float64)
+    colors = colorize(scores, 0.0, highest, SCORE_MAP)
+    colors[[loop.wrong for loop in drawn]] = WRONG_LOOP
+    return np.repeat(colors, LOOP_PIECES, axis=0)
 
 
 def drawable(loops: Iterable[Loop], poses: Mapping[str, Pose]) -> tuple[Loop, ...]:

@@ -55,6 +55,7 @@ class World:
         options: How it is drawn.
         loops: Pairs to join.
         selected: Id of the submap to outline.
+        marked: Pair (query, database) whose loop stands out.
         highest_score: Of the last colour of the loops.
     """
 
@@ -65,6 +66,7 @@ class World:
     options: WorldOptions = field(default_factory=WorldOptions)
     loops: tuple[Loop, ...] = ()
     selected: str | None = None
+    marked: tuple[str, str] | None = None
     highest_score: float = 1.0
 
 
@@ -82,6 +84,7 @@ class WorldScene:
         }
         self._loops = _Loops(host, f"{WORLD}/loops")
         self._refused = Segments(host, f"{WORLD}/refused", REFUSED_LOOP, thickness=1.0)
+        self._marked = Segments(host, f"{WORLD}/marked", SELECTED, thickness=6.0)
         self._outline = Segments(host, f"{WORLD}/selected", SELECTED, thickness=4.0)
         self._origin = np.zeros(3)
         self._shown: World | None = None
@@ -228,6 +231,12 @@ class WorldScene:
         self._loops.show(
             arches(accepted, local, self._lift), lambda: arch_colors(accepted, world.highest_score)
         )
+        marked = [loop for loop in loops if loop.pair == world.marked]
+        if marked:
+            above = arches(marked, local, 1.1 * self._lift)
+            self._marked.show((above.tobytes(),), lambda: above)
+        else:
+            self._marked.hide()
         if refused:
             points = arches(refused, local, self._lift)
             self._refused.show((points.tobytes(),), lambda: points)

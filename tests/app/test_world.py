@@ -6,13 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.animation import Animation, ease, frames, play
-from app.world import between, keyframe, measure, pose_sources, poses_of, statistics_rows
+from app.world import measure, pose_sources, poses_of, statistics_rows
 from gpgrad_core.progress import Cancelled
 from gpgrad_core.types import Dataset, Pose, Submap
 from tests.app.synthetic import make_dataset
 
 DATASET = make_dataset()
-angles = st.floats(-3.0, 3.0)
 
 
 def posed(x: float, yaw: float = 0.0) -> Pose:
@@ -63,24 +62,6 @@ def test_figures_are_those_of_a_known_cloud() -> None:
     assert rows["density"] == "100 points/m²"
     assert rows["odometry off by"] == "0.30 m"
     assert "corrected" not in rows
-
-
-@given(a=angles, b=angles, share=st.floats(0.0, 1.0))
-def test_between_is_a_pose_on_the_short_way(a: float, b: float, share: float) -> None:
-    middle = between(posed(0.0, a), posed(2.0, b), share)
-    assert np.linalg.norm(middle.quaternion) == pytest.approx(1.0)
-    assert middle.translation[0] == pytest.approx(2 * share)
-
-    def turn(start: float, end: float) -> float:
-        return abs(float(np.angle(np.exp(1j * (end - start)))))
-
-    assert turn(a, middle.planar.yaw) == pytest.approx(share * turn(a, b), abs=1e-6)
-
-
-def test_keyframes_pass_through_every_moment() -> None:
-    moments = [{"a": posed(float(x))} for x in (0, 4, 5)]
-    xs = [keyframe(moments, share)["a"].translation[0] for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
-    assert xs == pytest.approx([0.0, 2.0, 4.0, 4.5, 5.0])
 
 
 def test_an_animation_ends_on_its_last_moment() -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, sync_playwright
 
-from app.session import VIEW_WIDTH
+from app.stage import VIEW_WIDTH
 
 # Software rendering that works without a graphics card, and no request of the browser's own.
 FLAGS = [

@@ -7,7 +7,7 @@ import viser
 from app.views.overview import MAX_CELLS, Sight, pick, quick_sight, submap_color, world_scale
 from app.views.trajectory import LOOP_PIECES, Loop, arches, drawable, way
 from app.views.world import World, WorldScene
-from app.world import PoseSource, WorldColor, WorldOptions, keyframe, poses_of
+from app.world import PoseSource, WorldColor, WorldOptions, poses_of
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Pose
@@ -30,7 +30,7 @@ def raised(position: Any, *, y: float = 0.0, z: float = 0.0) -> Any:
 def world(color: WorldColor = "submap", selected: str | None = None, **options: Any) -> World:
     ways: dict[PoseSource, Any] = {"odometry": POSES}
     chosen = WorldOptions(color=color, **options)
-    return World(DATASET, SIGHTS, POSES, ways, chosen, LOOPS, selected, 6.0)
+    return World(DATASET, SIGHTS, POSES, ways, chosen, LOOPS, selected, None, 6.0)
 
 
 def test_all_submaps_lie_at_their_poses(server: viser.ViserServer) -> None:
@@ -56,8 +56,11 @@ def test_moving_sends_poses_and_no_points(server: viser.ViserServer) -> None:
     moved = {
         name: Pose(raised(pose.translation, y=3.0), pose.quaternion) for name, pose in POSES.items()
     }
+    halfway = {
+        name: Pose(raised(pose.translation, y=1.5), pose.quaternion) for name, pose in POSES.items()
+    }
     before = np.array(node(server, "/world/submaps/1").position)
-    move(keyframe((POSES, moved), 0.5))
+    move(halfway)
     np.testing.assert_allclose(
         np.array(node(server, "/world/submaps/1").position) - before, [0.0, 1.5, 0.0], atol=1e-9
     )
