@@ -255,12 +255,11 @@ def _add_tile(
     origin = (float(grid.x[columns.start] - low[0]), float(grid.y[rows.start] - low[1]))
     shape = (rows.stop - rows.start, columns.stop - columns.start)
     fields = posterior.sample(Grid(origin, grid.resolution, shape))
-    elevation, variance, slope, _ = fields
     weight = np.outer(
         _fading(grid.y[rows], low[1], store.side, blend),
         _fading(grid.x[columns], low[0], store.side, blend),
     )
-    layers = (elevation, variance, slope[..., 0], slope[..., 1])
+    layers = (fields.elevation, fields.variance, fields.slope[..., 0], fields.slope[..., 1])
     for name, layer in zip(LAYERS, layers, strict=True):
         sums[name][rows, columns] += (weight * layer).astype(np.float32)
     sums["weight"][rows, columns] += weight.astype(np.float32)

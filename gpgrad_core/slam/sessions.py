@@ -190,9 +190,8 @@ class _Chains:
             offset_variance += float(np.trace(one.covariance[:2, :2]))
             offset_variance += float(one.covariance[5, 5]) * span**2
             yaw_variance += float(one.covariance[5, 5])
-        return np.hypot(left.x, left.y) <= AGREEMENT * np.sqrt(offset_variance) and abs(
-            left.yaw
-        ) <= AGREEMENT * np.sqrt(yaw_variance)
+        near = np.hypot(left.x, left.y) <= AGREEMENT * np.sqrt(offset_variance)
+        return bool(near and abs(left.yaw) <= AGREEMENT * np.sqrt(yaw_variance))
 
     def _between(self, a: str, b: str) -> Pose:
         return self._poses[a].inverse() @ self._poses[b]
