@@ -189,7 +189,8 @@ def _to_disk(path: Path) -> None:
     """Wait until a file, or the names in a folder, would outlive a power cut."""
     if path.is_dir() and os.name == "nt":
         return  # Windows opens no folders
-    descriptor = os.open(path, os.O_RDONLY)
+    # … and waits only for files that are open for writing.
+    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(descriptor)
     finally:

@@ -18,7 +18,7 @@ PRIOR_WEIGHT = 4.0
 RANGE_BINS = 8
 """Into which columns are parted by range, to learn the scatter usual there."""
 LEAST_NOISE = 0.001
-"""Standard deviation of a mean [m]: however many points, their poses were not better known."""
+"""Standard deviation of a mean [m], on ground that does not scatter at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,11 @@ class Voxels:
 
         The scatter is that of the whole column over a voxel's base: a voxel by itself would cut
         off what lies above and below it. Where a column holds few points, the scatter usual at
-        its range counts besides. A mean of n points has it divided by √n.
+        its range counts besides.
+
+        A mean is believed as one point is, and not √n times as much: most of its points' errors,
+        those of the pose above all, are the same. Of the voxels in a column, those with more
+        points count for more.
         """
         _, first, column = np.unique(self.keys >> BITS, return_index=True, return_inverse=True)
         z = self.points[:, 2]
@@ -95,7 +99,9 @@ class Voxels:
         squares, freedom = np.maximum(squares, 0.0), number - 1
         usual = _usual(squares, freedom, np.add.reduceat(self.sums[:, 5], first) / number)
         variance = (squares + PRIOR_WEIGHT * usual) / (freedom + PRIOR_WEIGHT)
-        return np.maximum(np.sqrt(variance[column] / self.counts), LEAST_NOISE)
+        of_a_voxel = number / np.diff([*first, len(z)])
+        share = self.counts / of_a_voxel[column]
+        return np.maximum(np.sqrt(variance[column] / share), LEAST_NOISE)
 
 
 def reach(size: float) -> float:

@@ -8,53 +8,41 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from app.cli import run
-from gpgrad_core.datasets import SimulationParams
-from gpgrad_core.scans import BuildParams, build_dataset, simulate_recording
+from tests.core.scans.drive import make_drive, write_drive
 from tests.core.scans.test_build import contents
+from tests.end_to_end.conftest import patch
 from tests.end_to_end.process import ROOT, environment
 
-PARAMS = SimulationParams(
-    num_submaps=6, spacing=3.0, extent=24.0, max_range=4.0, route="winding", lateral_offset=0.0
-)
+LONG = make_drive(num_scans=120, points_a_scan=1500)
 FLAGS = ("--max-length", "3", "--max-range", "4")
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A drive out and back over a field of rocks."""
-    folder = tmp_path_factory.mktemp("recording") / "drive"
-    simulate_recording(folder, 36, PARAMS, points_a_scan=4000)
-    return folder
+    """A drive of 60 m."""
+    return write_drive(tmp_path_factory.mktemp("recording") / "drive", LONG)
 
 
-def stop(how: signal.Signals, after: int, recording: Path, out: Path) -> tuple[int, str]:
-    """Build, and end the process by a signal once so many submaps are noted down.
-
-    Returns:
-        Its exit code, and what it said on standard error.
-    """
+def kill(after: int, recording: Path, out: Path) -> None:
+    """Build, and kill the process once so many submaps are noted down."""
     journal = out.with_name(f"{out.name}.partial") / "build.jsonl"
     for _ in range(5):
         process = subprocess.Popen(
             [sys.executable, "-m", "app", "build", str(recording), "--out", str(out), *FLAGS],
-            stderr=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
-            text=True,
             env=environment(),
             cwd=ROOT,
         )
-        try:
-            while process.poll() is None and count_lines(journal) <= after:
-                time.sleep(0.002)
-            process.send_signal(how)
-            _, said = process.communicate(timeout=60)
-        finally:
-            process.kill()
-        if not out.exists():
-            return process.returncode, said
+        while process.poll() is None and count_lines(journal) <= after:
+            time.sleep(0.002)
+        process.send_signal(signal.SIGKILL)
+        if process.wait() == -signal.SIGKILL:
+            return
         shutil.rmtree(out)  # it was quicker than the signal
     raise AssertionError("the build was never caught at work")
 
@@ -66,26 +54,34 @@ def count_lines(journal: Path) -> int:
 def test_killed_and_gone_on_with(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    params = BuildParams(max_length=3.0, max_range=4.0)
-    build_dataset(recording, tmp_path / "whole" / "data", params)
-    out = tmp_path / "data"
-    code, _ = stop(signal.SIGKILL, 1, recording, out)
-    assert code == -signal.SIGKILL
-    code, said = stop(signal.SIGINT, 3, recording, out)
-    assert (code, said) == (130, "gpgrad: interrupted; the same command goes on from here\n")
+    whole, out = tmp_path / "whole" / "data", tmp_path / "data"
+    assert run(["build", str(recording), "--out", str(whole), *FLAGS]) == 0
+    kill(2, recording, out)
+    assert not out.exists()
     assert run(["build", str(recording), "--out", str(out), *FLAGS]) == 0
-    said = capsys.readouterr().out
-    assert "submaps of 36 scans, " in said
-    assert "of them from before: " in said
-    assert contents(out) == contents(tmp_path / "whole" / "data")
+    assert "of them from before: " in capsys.readouterr().out
+    assert contents(out) == contents(whole)
     assert {entry.name for entry in tmp_path.iterdir()} == {"data", "whole"}
 
-    # What comes next: the way back is recognised.
-    closures = tmp_path / "closures.json"
-    assert run(["detect", str(out), "--out", str(closures), "--map.resolution", "0.05"]) == 0
-    pairs = json.loads(closures.read_text())["pairs"]
-    accepted = {(int(p["query"]), int(p["database"])) for p in pairs if p["accepted"]}
-    assert any(query - database > 2 for query, database in accepted), accepted
+
+def test_interrupted(
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Ctrl-C comes as an exception, at any place: here while the first submap is written."""
+
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    out = tmp_path / "data"
+    with monkeypatch.context() as patched:
+        patched.setattr("gpgrad_core.scans.build.write_ply", interrupt)
+        assert run(["build", str(recording), "--out", str(out)]) == 130
+    said = capsys.readouterr().err
+    assert said == "gpgrad: interrupted; the same command goes on from here\n"
+    assert {entry.name for entry in tmp_path.iterdir()} == {"data.partial"}
 
 
 def test_a_refusal_leaves_nothing(
@@ -96,3 +92,23 @@ def test_a_refusal_leaves_nothing(
     assert run(["build", str(recording), "--out", str(out), *flags]) == 2
     assert "needs poses with covariances" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_what_was_built_closes_its_loop(tmp_path: Path) -> None:
+    """Out, and back the other way over the same ground; the sensor is level and sees all around."""
+    stops = [(0.0, 0.0), (4.0, 0.0), (8.0, 0.2), (4.3, 0.4)]
+    scans = tmp_path / "drive"
+    scans.mkdir()
+    rows: list[str] = []
+    for k, (x, y) in enumerate(stops):
+        yaw = 0.0 if k < 3 else 3.0
+        np.save(scans / f"{k}.npy", patch(x, y, yaw, seed=k))
+        rows.append(f"{k} {x} {y} 0 0 0 {np.sin(yaw / 2):.9f} {np.cos(yaw / 2):.9f}")
+    (scans / "poses.txt").write_text("\n".join(rows))
+    out, closures = tmp_path / "data", tmp_path / "closures.json"
+    flags = ("--max-length", "3.5", "--map.resolution", "0.06")
+    assert run(["build", str(scans), "--out", str(out), *flags[:2]]) == 0
+    assert run(["detect", str(out), "--out", str(closures), *flags[2:]]) == 0
+    pairs = json.loads(closures.read_text())["pairs"]
+    accepted = {(int(p["query"]), int(p["database"])) for p in pairs if p["accepted"]}
+    assert (3, 1) in accepted

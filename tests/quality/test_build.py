@@ -8,10 +8,15 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from gpgrad_core.datasets import SimulationParams, load_dataset
-from gpgrad_core.scans import simulate_recording
+from gpgrad_core.evaluation.calibration import judge_errors
+from gpgrad_core.gradient_map import MapParams, infer_gradient_map
+from gpgrad_core.scans import build_dataset, simulate_recording
+from gpgrad_core.types import Submap
 from tests.core.scans.test_build import contents
 from tests.end_to_end.process import ROOT, environment
 from tests.end_to_end.test_build import count_lines
@@ -69,6 +74,34 @@ def test_five_thousand_scans(recording: Path, tmp_path: Path) -> None:
     assert process.wait() == 0
     assert contents(out) == whole
     say("the result is the same to the byte")
+
+
+def test_the_noise_of_a_mean_is_honest(recording: Path, tmp_path: Path) -> None:
+    """Points held out lie where the map of the others expects them, with the noise of the file."""
+    build_dataset(recording, tmp_path / "data")
+    submaps = load_dataset(tmp_path / "data").submaps[::6]
+    params = MapParams(noise_model="file", resolution=0.06)
+    errors: list[np.ndarray] = []
+    stds: list[np.ndarray] = []
+    for submap in submaps:
+        assert submap.noise_std is not None
+        held_out = np.random.default_rng(0).random(len(submap.points)) < 0.1
+        seen = Submap.from_points(
+            submap.points[~held_out], submap.id, noise_std=submap.noise_std[~held_out]
+        )
+        made = infer_gradient_map(seen, params)
+        points = submap.points[held_out]
+        column, row = made.grid.to_pixel(points[:, :2]).T
+        told, variance = (
+            map_coordinates(image, [row, column], order=1, mode="nearest")
+            for image in (made.elevation, made.variance)
+        )
+        errors.append(points[:, 2] - told)
+        stds.append(np.sqrt(variance + submap.noise_std[held_out] ** 2))
+    judged = judge_errors("file", np.concatenate(errors), np.concatenate(stds), params)
+    say(f"{judged.within_68:.1%} within 68.3 %, {judged.within_95:.1%} within 95 %")
+    assert 0.6 < judged.within_68 < 0.78
+    assert judged.within_95 > 0.93
 
 
 def say(line: str) -> None:

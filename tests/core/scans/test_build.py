@@ -18,11 +18,19 @@ from tests.core.scans.drive import Drive, ground, make_drive, tum, write_drive
 
 DRIVE = make_drive()
 SHORT = BuildParams(max_length=3.0, min_points=20)
+SMALL = make_drive(num_scans=12, points_a_scan=60)
+SHORTER = BuildParams(max_length=1.5, min_points=20)
+"""Four submaps of three scans."""
 
 
 @pytest.fixture
 def drive(tmp_path: Path) -> Path:
     return write_drive(tmp_path / "drive", DRIVE)
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    return write_drive(tmp_path / "drive", SMALL)
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -173,17 +181,17 @@ class Stopper:
             raise Cancelled
 
 
-def test_stopped_anywhere_it_goes_on_to_the_same(drive: Path, tmp_path: Path) -> None:
-    build_dataset(drive, tmp_path / "whole", SHORT)
+def test_stopped_anywhere_it_goes_on_to_the_same(small: Path, tmp_path: Path) -> None:
+    build_dataset(small, tmp_path / "whole", SHORTER)
     whole = contents(tmp_path / "whole")
     out = tmp_path / "data"
-    for after in (2, 9, 13):
+    for after in (1, 4, 6):
         with pytest.raises(Cancelled):
-            build_dataset(drive, out, SHORT, progress=Stopper(after))
+            build_dataset(small, out, SHORTER, progress=Stopper(after))
         assert not out.exists()
         # What is half done is no dataset to anyone.
         assert_refused(lambda: load_dataset(tmp_path / "data.partial"), "holds no clouds")
-    report = build_dataset(drive, out, SHORT)
+    report = build_dataset(small, out, SHORTER)
     assert report.num_resumed == 3
     found = contents(out)
     # The names of the two datasets differ, and what holds them; nothing else.
@@ -191,14 +199,14 @@ def test_stopped_anywhere_it_goes_on_to_the_same(drive: Path, tmp_path: Path) ->
     assert found == whole
 
 
-def test_what_a_power_cut_may_leave(drive: Path, tmp_path: Path) -> None:
-    build_dataset(drive, tmp_path / "a" / "data", SHORT)
+def test_what_a_power_cut_may_leave(small: Path, tmp_path: Path) -> None:
+    build_dataset(small, tmp_path / "a" / "data", SHORTER)
     whole = contents(tmp_path / "a" / "data")
     out, folder = tmp_path / "data", tmp_path / "data.partial"
 
     def begin() -> None:
         with pytest.raises(Cancelled):
-            build_dataset(drive, out, SHORT, progress=Stopper(20))
+            build_dataset(small, out, SHORTER, progress=Stopper(10))
 
     def lines() -> list[str]:
         return (folder / JOURNAL).read_text().splitlines(keepends=True)
@@ -215,37 +223,37 @@ def test_what_a_power_cut_may_leave(drive: Path, tmp_path: Path) -> None:
         begin()
         assert len(lines()) == 4
         damage()
-        report = build_dataset(drive, out, SHORT)
+        report = build_dataset(small, out, SHORTER)
         assert report.num_resumed == number
         assert contents(out) == whole
         out.rename(tmp_path / f"done{len(list(tmp_path.iterdir()))}")
 
 
-def test_killed_while_it_took_its_name(drive: Path, tmp_path: Path) -> None:
-    build_dataset(drive, tmp_path / "data", SHORT)
+def test_killed_while_it_took_its_name(small: Path, tmp_path: Path) -> None:
+    build_dataset(small, tmp_path / "data", SHORTER)
     whole = contents(tmp_path / "data")
     (tmp_path / "data").rename(tmp_path / "data.partial")
-    assert build_dataset(drive, tmp_path / "data", SHORT).num_resumed == 4
+    assert build_dataset(small, tmp_path / "data", SHORTER).num_resumed == 4
     assert contents(tmp_path / "data") == whole
 
 
-def test_other_inputs_or_parameters_are_told(drive: Path, tmp_path: Path) -> None:
+def test_other_inputs_or_parameters_are_told(small: Path, tmp_path: Path) -> None:
     out = tmp_path / "data"
     with pytest.raises(Cancelled):
-        build_dataset(drive, out, SHORT, progress=Stopper(9))
+        build_dataset(small, out, SHORTER, progress=Stopper(4))
     other = BuildParams(max_length=4.0, min_points=20)
     assert_refused(
-        lambda: build_dataset(drive, out, other),
-        "data.partial: holds a build that was begun with max_length = 3.0, not 4.0",
+        lambda: build_dataset(small, out, other),
+        "data.partial: holds a build that was begun with max_length = 1.5, not 4.0",
         "--restart",
     )
-    np.save(drive / f"{DRIVE.stamps[0]:.6f}.npy", DRIVE.scans[0][:50])
-    assert_refused(lambda: build_dataset(drive, out, SHORT), "begun with another identity")
-    assert build_dataset(drive, out, SHORT, restart=True).num_resumed == 0
+    np.save(small / f"{SMALL.stamps[0]:.6f}.npy", SMALL.scans[0][:50])
+    assert_refused(lambda: build_dataset(small, out, SHORTER), "begun with another identity")
+    assert build_dataset(small, out, SHORTER, restart=True).num_resumed == 0
 
     (tmp_path / "b.partial").mkdir()
     (tmp_path / "b.partial" / "mine.txt").touch()
-    assert_refused(lambda: build_dataset(drive, tmp_path / "b"), "is in the way")
+    assert_refused(lambda: build_dataset(small, tmp_path / "b"), "is in the way")
     assert (tmp_path / "b.partial" / "mine.txt").exists()
 
 
@@ -281,7 +289,7 @@ def test_a_simulated_recording_shows_its_ground(tmp_path: Path) -> None:
         crater_density=0.0,
         route="winding",
     )
-    simulate_recording(tmp_path / "rec", 32, params, points_a_scan=1000)
+    simulate_recording(tmp_path / "rec", 16, params, points_a_scan=1000)
     true = RecordingSources(poses=tmp_path / "rec" / "poses_gt.txt")
     build_dataset(tmp_path / "rec", tmp_path / "data", BuildParams(max_length=1.0), sources=true)
     heights: dict[tuple[int, int], list[float]] = {}
