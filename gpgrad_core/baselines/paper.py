@@ -14,9 +14,11 @@ from gpgrad_core.detectors.interpolation import interpolate
 from gpgrad_core.features import DetectorParams
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.matching import MatchParams, match_features
-from gpgrad_core.pipeline import MapDetector, PipelineParams, View
+from gpgrad_core.memo import Memo
+from gpgrad_core.pipeline import PipelineParams, extract_kept, infer_map
+from gpgrad_core.progress import Progress, silent
 from gpgrad_core.se2 import SE2, fit_se2
-from gpgrad_core.types import GradientMap, Matches, Registration
+from gpgrad_core.types import Features, GradientMap, Matches, Registration, Submap
 
 LENGTH_SCALE = 0.316
 """√0.1 m: Eq. (6) prints 2 l_k where others have 2 l², and l_k is about 0.1 (Sec. VI-B)."""
@@ -64,13 +66,40 @@ def paper_params(params: PipelineParams) -> PipelineParams:
 
 
 @dataclass(frozen=True, eq=False)
-class PaperDetector(MapDetector):
+class PaperView:
+    """All that the paper's comparison needs of one submap."""
+
+    gradient_map: GradientMap
+    features: Features
+
+
+@dataclass(frozen=True, eq=False)
+class PaperDetector:
     """The paper as a `LoopDetector`: the pipeline's maps and keypoints, its own Algorithm 1.
 
-    Its ``params`` are those of `paper_params`.
+    Attributes:
+        params: Those of `paper_params`.
+        memo: Keeps what was made of each submap; empty at first in another process.
     """
 
-    def compare(self, query: View, database: View) -> Registration:
+    params: PipelineParams
+    memo: Memo
+
+    def __call__(self, query: Submap, database: Submap) -> Registration:
+        """Register the query to the database."""
+        return self.compare(self.extract(self.infer(query)), self.extract(self.infer(database)))
+
+    def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
+        """Make the map."""
+        return infer_map(submap, self.params, self.memo, progress)
+
+    def extract(self, made: GradientMap, progress: Progress = silent) -> PaperView:
+        """Draw the keypoints."""
+        features = extract_kept(made, self.params, self.memo)
+        progress(1.0)
+        return PaperView(made, features)
+
+    def compare(self, query: PaperView, database: PaperView) -> Registration:
         """Register the query to the database; the score is n."""
         matches = self.memo(match_features, query.features, database.features, self.params.matching)
         params = self.params.registration

@@ -96,7 +96,10 @@ class _Problem:
         every = max(1, len(rows) // num_cells)
         rows, columns = rows[::every], columns[::every]
         self._query, self._database = query, database
-        self._positions = database.grid.to_position(np.column_stack([columns, rows]).astype(float))
+        positions = database.grid.to_position(np.column_stack([columns, rows]).astype(float))
+        # About their middle half the digits are fine, however far the frame's origin lies.
+        self._middle = positions.mean(axis=0) if len(positions) else np.zeros(2)
+        self._positions = (positions - self._middle).astype(np.float32)
         self._elevation = database.elevation[rows, columns]
         self._slope = database.slope[rows, columns]
         self._terrain = database.terrain[rows, columns]
@@ -112,7 +115,7 @@ class _Problem:
 
         Cell by cell in float32, which noise of centimetres allows and which takes half the time.
         """
-        arm = (self._positions - motions[:, None, :2]).astype(np.float32)
+        arm = self._arm(motions)
         sampled = self._sample(self._image, motions, arm)
         common = sampled[..., 3] > 0.999
         count = np.count_nonzero(common, axis=1)
@@ -155,8 +158,7 @@ class _Problem:
     def likeness(self, motions: Float[Array, "m 3"]) -> Float[Array, "m"]:
         """Correlate the terrain under each motion; see `Alignments`."""
         image = np.dstack([self._query.terrain, self._image[..., 3]])
-        arm = (self._positions - motions[:, None, :2]).astype(np.float32)
-        sampled = self._sample(image, motions, arm)
+        sampled = self._sample(image, motions, self._arm(motions))
         common = (sampled[..., 1] > 0.999).astype(np.float32)
         theirs, ours = sampled[..., 0] * common, self._terrain * common
         energy = np.sum(theirs**2, axis=1) * np.sum(ours**2, axis=1)
@@ -164,6 +166,10 @@ class _Problem:
         correlation = product / np.sqrt(np.maximum(energy, 1e-20))
         squared = np.clip(correlation, 0.0, 0.9999) ** 2
         return -np.log1p(-squared) * np.sqrt(common.sum(axis=1))
+
+    def _arm(self, motions: Float[Array, "m 3"]) -> Float[Image, "m cells 2"]:
+        """From where each motion puts the query's origin to the database's cells [m]."""
+        return self._positions - (motions[:, None, :2] - self._middle).astype(np.float32)
 
     def _sample(
         self,

@@ -1,8 +1,10 @@
 """Both maps under one motion: common area, correlation of the slopes, the paper's h."""
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from numpy.typing import NDArray
 
 from gpgrad_core.registration.relief import MAX_STD_RATIO
@@ -15,40 +17,54 @@ CHECKED_CELLS = 6000
 """Cells of a map that the dense check looks at; slopes are smooth over many cells."""
 
 
+@dataclass(frozen=True, eq=False)
+class ThinMap:
+    """Every so manyth cell of a map: slopes are smooth over many cells.
+
+    Attributes:
+        grid: Of the cells kept.
+        image: Slope along x and y [m/m], variance of the elevation [m²], and 1 where trusted.
+        map_cells: Cells of the map that each stands for.
+    """
+
+    grid: Grid
+    image: Float32[NDArray[np.float32], "rows columns 4"]
+    map_cells: int
+
+
+def thin_out(gradient_map: GradientMap) -> ThinMap:
+    """Keep about `CHECKED_CELLS` of a map's cells."""
+    grid = gradient_map.grid
+    stride = max(1, round(np.sqrt(grid.num_cells / CHECKED_CELLS)))
+    thin = (slice(None, None, stride), slice(None, None, stride))
+    fields = gradient_map.slope[thin], gradient_map.variance[thin]
+    # One image of four channels: one remapping a motion.
+    image = np.dstack([*fields, gradient_map.trusted(MAX_STD_RATIO)[thin]]).astype(np.float32)
+    shape = (image.shape[0], image.shape[1])
+    return ThinMap(Grid(grid.origin, stride * grid.resolution, shape), image, stride**2)
+
+
 class DenseCheck:
-    """Compares two maps under a motion, on thinned grids: slopes are smooth over many cells."""
+    """Compares two maps under a motion."""
 
-    def __init__(self, query: GradientMap, database: GradientMap) -> None:
-        """Thin both maps."""
-        stride = _stride(database)
-        thin = (slice(None, None, stride), slice(None, None, stride))
-        trusted = database.trusted(MAX_STD_RATIO)[thin]
-        y, x = np.meshgrid(database.grid.y[thin[0]], database.grid.x[thin[1]], indexing="ij")
+    def __init__(self, query: ThinMap, database: ThinMap) -> None:
+        """Lay out the database's trusted cells."""
+        self._query, self._database = query, database
+        trusted = database.image[..., 3] > 0
+        y, x = np.meshgrid(database.grid.y, database.grid.x, indexing="ij")
         self._positions = np.column_stack([x[trusted], y[trusted]])
-        self._slope = database.slope[thin][trusted]
-        self._variance = database.variance[thin][trusted]
-        self._cell_area = (stride * database.grid.resolution) ** 2
-        self._map_cells = stride**2
-
-        stride = _stride(query)
-        thin = (slice(None, None, stride), slice(None, None, stride))
-        # One image of four channels: one remapping a motion.
-        self._query_image = np.dstack(
-            [query.slope[thin], query.variance[thin], query.trusted(MAX_STD_RATIO)[thin]]
-        ).astype(np.float32)
-        self._query_grid = Grid(
-            query.grid.origin, stride * query.grid.resolution, self._query_image.shape[:2]
-        )
+        self._slope = database.image[trusted, :2].astype(np.float64)
+        self._variance = database.image[trusted, 2].astype(np.float64)
 
     def _overlap(
         self, T_database_query: SE2
     ) -> tuple[BoolArray, Float[Array, "common 2"], Float[Array, "common"]]:
         """Which cells both maps know; the query's slope there (turned) and its variance."""
         there = T_database_query.inverse().apply(self._positions)
-        pixels = self._query_grid.to_pixel(there).astype(np.float32)
+        pixels = self._query.grid.to_pixel(there).astype(np.float32)
         sampled = (
             cv2.remap(
-                self._query_image,
+                self._query.image,
                 pixels[:, :1],
                 pixels[:, 1:],
                 cv2.INTER_LINEAR,
@@ -64,7 +80,7 @@ class DenseCheck:
     def compare(self, T_database_query: SE2) -> tuple[float, float]:
         """Overlap area [m²], and correlation of the slope vectors over it."""
         common, query, _ = self._overlap(T_database_query)
-        area = len(query) * self._cell_area
+        area = len(query) * self._database.grid.resolution**2
         if len(query) < 2:
             return area, 0.0
         database = self._slope[common]
@@ -81,8 +97,6 @@ class DenseCheck:
         """
         common, query, variance = self._overlap(T_database_query)
         difference = np.hypot(*query.T) - np.hypot(*self._slope[common].T)
-        return float(self._map_cells * np.sum(difference**2 / (variance * self._variance[common])))
-
-
-def _stride(gradient_map: GradientMap) -> int:
-    return max(1, round(np.sqrt(gradient_map.grid.num_cells / CHECKED_CELLS)))
+        return float(
+            self._database.map_cells * np.sum(difference**2 / (variance * self._variance[common]))
+        )

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.registration.alignment import Alignments, align
-from gpgrad_core.registration.dense_check import DenseCheck
+from gpgrad_core.registration.dense_check import DenseCheck, ThinMap, thin_out
 from gpgrad_core.registration.evidence import closure_score, weigh
 from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.ransac import find_motions, one_to_one
@@ -17,10 +17,12 @@ from gpgrad_core.registration.search import Spectra, make_spectra, search_motion
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array, GradientMap, Matches, Registration
 
-TRIED_CELLS, TRIED_ITERATIONS = 600, 8
+SIFTED_CELLS, SIFTED_ITERATIONS = 250, 4
 """What all hypotheses are aligned with, roughly."""
-WEIGHED = 10
-"""How many of them, the most alike, are weighed octave by octave."""
+TRIED = 8
+"""How many of them, the most alike, go on and are weighed octave by octave."""
+TRIED_CELLS, TRIED_ITERATIONS = 600, 5
+"""What these are aligned with."""
 PLACED_CELLS, PLACED_ITERATIONS = 3000, 6
 """What the best of these is then aligned with."""
 
@@ -32,12 +34,15 @@ class Prepared:
     relief: Relief
     sharp: Relief
     spectra: Spectra
+    thin: ThinMap
 
 
 def prepare(gradient_map: GradientMap) -> Prepared:
     """Make a map ready to be registered."""
     relief = make_relief(gradient_map)
-    return Prepared(relief, sharp_relief(gradient_map), make_spectra(relief))
+    return Prepared(
+        relief, sharp_relief(gradient_map), make_spectra(relief), thin_out(gradient_map)
+    )
 
 
 def register(
@@ -46,7 +51,6 @@ def register(
     matches: Matches,
     params: RegistrationParams | None = None,
     progress: Progress = silent,
-    prepared: tuple[Prepared, Prepared] | None = None,
 ) -> Registration:
     """Register the query map to the database map, Algorithm 1.
 
@@ -60,22 +64,33 @@ def register(
         matches: The set of associations A.
         params: Of RANSAC and the search.
         progress: Called as it gets on; may raise Cancelled.
-        prepared: Query and database as `prepare` makes them, where they are at hand.
 
     Returns:
         The best motion; `T_database_query` is None where there is none.
     """
+    return register_prepared(prepare(query), prepare(database), matches, params, progress)
+
+
+def register_prepared(
+    query: Prepared,
+    database: Prepared,
+    matches: Matches,
+    params: RegistrationParams | None = None,
+    progress: Progress = silent,
+) -> Registration:
+    """Register as `register` does, with what `prepare` makes of each map at hand."""
     params = params or RegistrationParams()
-    of_query, of_database = prepared or (prepare(query), prepare(database))
-    maps = of_query.relief, of_database.relief
+    maps = query.relief, database.relief
     starts = find_motions(matches, params)
-    starts += search_motions(*maps, (of_query.spectra, of_database.spectra), params.searched)
+    starts += search_motions(*maps, (query.spectra, database.spectra), params.searched)
     progress(0.3)
     best: _Candidate | None = None
     if starts:
-        tried = align(*maps, starts, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
+        sifted = align(*maps, starts, num_cells=SIFTED_CELLS, iterations=SIFTED_ITERATIONS)
+        promising = [sifted.motion(k) for k in _distinct(sifted, maps[1].length_scale)[:TRIED]]
+        tried = align(*maps, promising, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
         progress(0.6)
-        chosen = _distinct(tried, maps[1].length_scale)[:WEIGHED]
+        chosen = _distinct(tried, maps[1].length_scale)
         for k, row in enumerate(chosen):
             candidate = _judge(tried, row, maps, matches, params)
             if best is None or candidate.score > best.score:
@@ -83,7 +98,7 @@ def register(
             progress(0.6 + 0.4 * (k + 1) / len(chosen))
     if best is None:
         return _nothing(len(matches), progress)
-    return _finish(query, database, matches, best, (of_query, of_database), params)
+    return _finish(query, database, matches, best, params)
 
 
 def refine(
@@ -92,7 +107,6 @@ def refine(
     matches: Matches,
     start: SE2,
     params: RegistrationParams | None = None,
-    prepared: tuple[Prepared, Prepared] | None = None,
 ) -> Registration:
     """Register from a motion that is nearly right, such as one that a person has set by hand.
 
@@ -102,35 +116,32 @@ def refine(
         matches: Associations; those that agree are counted, none is needed.
         start: ``T_database_query``, up to a few length-scales off.
         params: Of the inliers.
-        prepared: Query and database as `prepare` makes them, where they are at hand.
 
     Returns:
         The motion nearby under which the ground agrees best; `start` where too little of it is
         common. The score judges it as `register`'s does.
     """
     params = params or RegistrationParams()
-    both = prepared or (prepare(query), prepare(database))
-    maps = both[0].relief, both[1].relief
+    of_query, of_database = prepare(query), prepare(database)
+    maps = of_query.relief, of_database.relief
     tried = align(*maps, [start], num_cells=PLACED_CELLS, iterations=TRIED_ITERATIONS)
     rough = _judge(tried, 0, maps, matches, params)
-    return _finish(query, database, matches, rough, both, params)
+    return _finish(of_query, of_database, matches, rough, params)
 
 
 def _finish(
-    query: GradientMap,
-    database: GradientMap,
+    query: Prepared,
+    database: Prepared,
     matches: Matches,
     rough: "_Candidate",
-    prepared: tuple[Prepared, Prepared],
     params: RegistrationParams,
 ) -> Registration:
     """Place the best motion to a few centimetres, on the unsmoothed maps."""
-    of_query, of_database = prepared
-    maps = of_query.relief, of_database.relief
-    sharp = of_query.sharp, of_database.sharp
+    maps = query.relief, database.relief
+    sharp = query.sharp, database.sharp
     placed = align(*sharp, [rough.motion], num_cells=PLACED_CELLS, iterations=PLACED_ITERATIONS)
     best = _judge(placed, 0, maps, matches, params)
-    check = DenseCheck(query, database)
+    check = DenseCheck(query.thin, database.thin)
     area, correlation = check.compare(best.motion)
     return Registration(
         best.motion,

@@ -67,7 +67,10 @@ def test_all_parameters_go_there_and_back() -> None:
         ("map = 3", "map must be a table, [map], got 3"),
         ("[map]\nlength_scale = '0.3'", "map.length_scale must be a number, got '0.3'"),
         ("[map]\nlength_scale = true", "map.length_scale must be a number, got True"),
-        ("[map]\nmax_points = 3.5", "map.max_points must be a whole number or \"automatic\", got 3.5"),
+        (
+            "[map]\nmax_points = 3.5",
+            'map.max_points must be a whole number or "automatic", got 3.5',
+        ),
         ("[matching]\nmutual = 1", "matching.mutual must be true or false, got 1"),
         ("[map]\nlength_scale = 0.3\n[features.detector]\nname = 'brisk'", "'surf' or 'slope'"),
         ("[map]\nlength_scale = -1", "map.length_scale must be from 0.01 to 100 m, got -1.0"),

@@ -4,7 +4,6 @@ Outside the default run: it takes a minute or two, and needs the real datasets.
 """
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 from math import degrees
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import pytest
 from gpgrad_core.datasets import load_dataset
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, RuleVerdict, evaluate
 from gpgrad_core.gp.threads import num_workers
+from gpgrad_core.parallel import worker_processes
 from gpgrad_core.pipeline import detect_loop_closures
 
 LEAST_AVERAGE_PRECISION = {"marsyard2021": 0.95, "sthelens": 0.90, "apollo15": 0.97}
@@ -24,7 +24,7 @@ MOST_SECONDS = 60.0
 def test_pairs_rank_as_well_as_promised(name: str, real_data: Path) -> None:
     dataset = load_dataset(real_data / name)
     start = time.perf_counter()
-    with ThreadPoolExecutor(num_workers()) as executor:
+    with worker_processes(num_workers()) as executor:
         result = detect_loop_closures(dataset, executor=executor)
     seconds = time.perf_counter() - start
     strict = evaluate(dataset, {"gradient": result}, EvaluationParams(min_overlap=0.3))
