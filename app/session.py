@@ -199,7 +199,7 @@ class Session:
             Presets(self._host, state, self._places.presets, on_params=self._take_params)
         )
         left = gui.add_panel()
-        with left.add_tab("Submaps and view"):
+        with left.add_tab("View"):
             self._summary = DatasetSummary(self._host)
             self._summary.show(state.dataset)
             self._pair_panel = PairPanel(

@@ -5,14 +5,44 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
+import numpy as np
 import viser
 import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
+
+
+class FakePage(viser.ClientHandle):
+    """A page that remembers the files it was sent, and draws a red picture."""
+
+    def __init__(self, *, draws: bool = True) -> None:
+        self.files: dict[str, bytes] = {}
+        self.draws = draws
+        camera: Any = SimpleNamespace(
+            image_height=30,
+            image_width=40,
+            position=np.array([1.0, -2.0, 3.5]),
+            look_at=np.zeros(3),
+        )
+        self.camera = camera
+
+    def send_file_download(self, filename: str, content: bytes, *_: Any, **how: Any) -> None:
+        assert how["save_immediately"]
+        self.files[filename] = content
+
+    def get_render(self, **wanted: Any) -> np.ndarray:  # type: ignore[override]
+        assert wanted["timeout"] > 0
+        if not self.draws:
+            raise TimeoutError
+        picture = np.zeros((wanted["height"], wanted["width"], 4), np.uint8)
+        picture[..., 0] = picture[..., 3] = 255
+        return picture
+
 
 CAMERA = {
     "type": "ViewerCameraMessage",

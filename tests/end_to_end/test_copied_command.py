@@ -1,0 +1,66 @@
+"""The command that the viewer gives, run as a process, finds what the viewer shows."""
+
+import json
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from app.command_line import detect_command
+from app.settings import with_path
+from app.state import open_dataset, with_pair
+from gpgrad_core.datasets import load_dataset
+from gpgrad_core.memo import Memo
+from gpgrad_core.parameters import preferred_parameters
+from gpgrad_core.pipeline import PipelineParams, register_pair
+from tests.end_to_end.process import Run
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_it_gives_the_same_numbers(
+    gpgrad: Run, traverse: Path, tmp_path: Path, turned: bool
+) -> None:
+    dataset = load_dataset(traverse)
+    params = preferred_parameters(dataset, PipelineParams())
+    for path, value in (
+        ("map.noise_std", 0.02),
+        ("map.max_points", 2500),
+        ("matching.mutual", False),
+        ("registration.inlier_radius", 0.1 + 0.1),
+        ("registration.seed", 7),
+    ):
+        params = with_path(params, path, value)
+    pair = ("000", "003") if turned else ("003", "000")
+    state = with_pair(
+        replace(open_dataset(dataset, params), source=str(traverse)),
+        query_id=pair[0],
+        database_id=pair[1],
+    )
+    shown = register_pair(state.query, state.database, params, Memo()).closure
+    program, *words = shlex.split(detect_command(state))
+    assert program == "gpgrad"
+    words[words.index("closures.json")] = str(tmp_path / "closures.json")
+    finished = gpgrad(*words)
+    assert finished.code == 0, finished.err
+    (found,) = json.loads((tmp_path / "closures.json").read_text())["pairs"]
+    registration = shown.registration
+    assert (found["query"], found["database"]) == pair
+    assert found["num_inliers"] == registration.num_inliers > 0
+    assert found["accepted"] is shown.accepted
+    assert found["reason"] == shown.reason
+    motion = registration.T_database_query
+    assert motion is not None
+    for told, exact in (
+        (found["score"], registration.score),
+        (found["T_database_query"]["x"], motion.x),
+        (found["T_database_query"]["y"], motion.y),
+        (found["T_database_query"]["yaw"], motion.yaw),
+    ):
+        assert told == float(f"{exact:.9g}")  # all digits that the file has
+
+
+def test_a_pair_that_is_none_is_refused(gpgrad: Run, traverse: Path, tmp_path: Path) -> None:
+    out = tmp_path / "closures.json"
+    refused = gpgrad("detect", traverse, "--out", out, "--pair", "003", "003")
+    assert "003 beside itself" in refused.refusal
