@@ -21,7 +21,7 @@ Cancelling at every tick of a slider would starve the picture: each run would be
 moment before it is done.
 """
 
-LONGEST_BLIND = 0.5
+LONGEST_BLIND = 0.25
 """Superseded runs may leave the picture unchanged for this long; then one is let finish [s].
 
 Patience alone shows nothing during a long drag over work that takes longer than patience.

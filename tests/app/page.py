@@ -143,6 +143,8 @@ class ProtocolPage:
             self.widgets[message["uuid"]] = message
         elif kind == "SceneNodeUpdateMessage" and message["name"] in self.nodes:
             self.nodes[message["name"]].update(message["updates"])
+            for name in message["updates"]:
+                self.received.append((time.monotonic(), f"{message['name']}.{name}"))
         elif kind == "RemoveSceneNodeMessage":
             self.nodes.pop(message["name"], None)
         elif "props" in message and "name" in message:

@@ -1,0 +1,194 @@
+"""Eight pages on one session, one dragging; and a drag of 200 events in 2 s. By hand, with -s.
+
+    pytest tests/quality/test_many_clients.py -n 0 -s
+
+Pages speak the viewer's protocol without a browser, so that what is measured is the server.
+"""
+
+import resource
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+import pytest
+
+from app.server import Sessions, Viewer
+from app.session import MAIN_PARAMETERS
+from app.settings import get_path
+from gpgrad_core.datasets import demo_path, load_dataset
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.pipeline import PipelineParams
+from tests.app.page import ProtocolPage
+
+PAGES = 8
+EVENTS = 200
+SECONDS = 2.0
+PARAMS = PipelineParams(map=MapParams(max_points=5000, resolution=0.06))
+
+SURFACE = ("/pair/query/surface.points", "/query/surface.points")
+
+Serve = Callable[[Sessions], Viewer]
+Visit = Callable[[Viewer], ProtocolPage]
+
+
+@pytest.fixture
+def serve() -> Iterator[Serve]:
+    viewers: list[Viewer] = []
+
+    def start(sessions: Sessions) -> Viewer:
+        dataset = load_dataset(demo_path())
+        viewers.append(Viewer(dataset, PARAMS, port=0, source=str(demo_path()), sessions=sessions))
+        return viewers[-1]
+
+    yield start
+    for viewer in viewers:
+        viewer.close()
+
+
+@pytest.fixture
+def visit() -> Iterator[Visit]:
+    pages: list[ProtocolPage] = []
+
+    def enter(viewer: Viewer) -> ProtocolPage:
+        pages.append(ProtocolPage(viewer.url))
+        pages[-1].wait(lambda: "Up to date" in pages[-1].html(), "a picture", timeout=60)
+        return pages[-1]
+
+    yield enter
+    for page in pages:
+        with suppress(OSError):
+            page.close()
+
+
+def drag(viewer: Viewer, page: ProtocolPage, label: str, values: list[float]) -> None:
+    """Send one event after the other, in `SECONDS` together, and wait until all were taken."""
+    start = time.monotonic()
+    for number, value in enumerate(values):
+        page.set(label, value)
+        time.sleep(max(0.0, start + SECONDS * (number + 1) / len(values) - time.monotonic()))
+    (session, *_) = viewer.sessions
+    path = next(path for path, name in MAIN_PARAMETERS.items() if name == label)
+    page.wait(lambda: get_path(session.state.params, path) == values[-1], "the last value")
+
+
+def settle(viewer: Viewer, pages: list[ProtocolPage]) -> None:
+    """Wait until all that was sent has been computed, and has arrived."""
+    time.sleep(1.0)  # the undo's step is told when the slider has rested
+    assert viewer.wait_idle(120)
+    counts: list[int] = []
+    while counts != (counts := [len(page.received) for page in pages]):
+        time.sleep(0.3)
+
+
+def pictures(page: ProtocolPage, since: float) -> list[float]:
+    """Say when the page was told of another surface of the query."""
+    return [when for when, what in page.received if what in SURFACE and when > since]
+
+
+def resident_megabytes() -> float:
+    """Peak memory of this process [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def test_eight_pages_end_in_the_same_state(serve: Serve, visit: Visit) -> None:
+    viewer = serve("shared")
+    before = resident_megabytes()
+    pages = [visit(viewer) for _ in range(PAGES)]
+    entered = resident_megabytes()
+    values = [round(0.2 + 0.2 * number / EVENTS, 2) for number in range(EVENTS)]
+    start = time.monotonic()
+    drag(viewer, pages[0], "Length-scale", values)
+    settle(viewer, pages)
+    (session,) = viewer.sessions
+    assert session.state.params.map.length_scale == values[-1]
+    first = pages[0].seen()
+    for number, page in enumerate(pages[1:], start=1):
+        other = page.seen()
+        assert set(other) == set(first)
+        different = [name for name in first if first[name] != other[name]]
+        assert not different, f"page {number} sees another {different[0]}"
+    shown = [pictures(page, start) for page in pages]
+    assert all(len(times) >= 5 for times in shown)
+    # The pages' delay behind the first: how far the eighth lags.
+    lag = [abs(a - b) for times in shown[1:] for a, b in zip(shown[0], times, strict=False)]
+    late = visit(viewer)
+    settle(viewer, [*pages, late])
+    told = late.seen()
+    assert all(told[name] == value for name, value in pages[0].seen().items())
+    for page in pages[1:5]:
+        page.close()  # in the middle of the next drag, as far as they know
+    drag(viewer, pages[0], "Minimum score", [float(number % 10) for number in range(50)])
+    settle(viewer, [pages[0], pages[7]])
+    assert pages[0].seen() == pages[7].seen()
+    print(  # noqa: T201
+        f"\n{PAGES} pages, {EVENTS} events in {SECONDS:.0f} s: {len(shown[0])} pictures; pages "
+        f"see one within {1000 * statistics.median(lag):.0f} ms of each other (median), "
+        f"{1000 * max(lag):.0f} ms (most). Server's peak memory {before:.0f} MB before, "
+        f"{entered:.0f} MB with all pages, {resident_megabytes():.0f} MB after."
+    )
+
+
+@pytest.mark.parametrize(
+    ("label", "values"),
+    [
+        ("Length-scale", [round(0.2 + 0.3 * number / EVENTS, 2) for number in range(EVENTS)]),
+        ("Variance mask", [round(0.1 + 0.8 * number / EVENTS, 2) for number in range(EVENTS)]),
+        ("Minimum score", [round(12.0 * number / EVENTS, 1) for number in range(EVENTS)]),
+    ],
+)
+def test_a_drag_of_200_events_in_2_s(
+    serve: Serve,
+    visit: Visit,
+    label: str,
+    values: list[float],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    viewer = serve("shared")
+    page = visit(viewer)
+    (session,) = viewer.sessions
+    order: list[object] = []
+    show = session._on_result
+
+    def spy(state: object, picture: object, seconds: float) -> None:
+        order.append(state)
+        show(state, picture, seconds)  # type: ignore[arg-type]
+
+    asked: list[object] = []
+    change = session._set
+
+    def record(state: object) -> None:
+        asked.append(state)
+        change(state)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(session._runner, "_on_result", spy)
+    monkeypatch.setattr(session, "_set", record)
+    start = time.monotonic()
+    drag(viewer, page, label, values)
+    settle(viewer, [page])
+    shown = [next(k for k, one in enumerate(asked) if one is state) for state in order]
+    assert len(asked) >= len(set(values)) - 1  # the first may be where the slider is already
+    assert shown == sorted(shown)  # none after a newer one
+    assert shown[-1] == len(asked) - 1
+    assert page.find(label)["value"] == values[-1]
+    during = [state for state in order if state is not asked[-1]]
+    assert len(during) >= 5
+    took = time.monotonic() - start
+    print(f"\n{label}: {len(order)} pictures of {EVENTS} events, {took:.1f} s in all")  # noqa: T201
+
+
+def test_separate_sessions_share_what_they_computed(serve: Serve, visit: Visit) -> None:
+    viewer = serve("separate")
+    first = visit(viewer)
+    first.set("Length-scale", 0.4)
+    settle(viewer, [first])
+    held = viewer._memo.num_bytes
+    start = time.monotonic()
+    second = visit(viewer)
+    second.set("Length-scale", 0.4)
+    second.wait(
+        lambda: viewer.sessions[1].state.params.map.length_scale == 0.4, "the slider's value"
+    )
+    settle(viewer, [second])
+    assert viewer._memo.num_bytes == held  # nothing was made anew
+    print(f"\nwhat another page has computed is there in {time.monotonic() - start:.1f} s")  # noqa: T201
