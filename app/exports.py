@@ -17,6 +17,7 @@ from app.panels.exports import ExportPanel
 from app.part import Part
 from app.runner import Runner
 from app.state import ViewState
+from gpgrad_core.datasets.poses import write_poses
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.threads import num_workers
 from gpgrad_core.memo import Memo
@@ -28,14 +29,16 @@ from gpgrad_core.outputs import (
 )
 from gpgrad_core.pipeline import DetectionResult, detect_loop_closures, infer_map
 from gpgrad_core.progress import Progress
-from gpgrad_core.slam import build_pose_graph, write_graph
+from gpgrad_core.slam import build_pose_graph, optimise_pose_graph, write_graph
+from gpgrad_core.slam.g2o import vertex_numbers
 
 CLOSURES = {
     "JSON": "closures.json",
     "CSV": "closures.csv",
     "g2o": "graph.g2o",
+    "TUM, corrected poses": "poses_corrected.txt",
 }
-"""File name by the format of loop closures."""
+"""File name by what is wanted of the loop closures."""
 
 MAPS = {"NPZ": ".npz", "GeoTIFF": ".tif", "PLY mesh": ".ply", "PNG": ".png"}
 """Ending by the format of a map."""
@@ -166,6 +169,10 @@ class Exports(Part):
         match path.suffix:
             case ".g2o":
                 write_graph(path, build_pose_graph(dataset, result.closures))
+            case ".txt":
+                graph = build_pose_graph(dataset, result.closures)
+                solved, numbers = optimise_pose_graph(graph), vertex_numbers(graph)
+                write_poses(path, {numbers[name]: pose for name, pose in solved.poses.items()})
             case ".csv":
                 write_closure_table(path, report_closures(dataset, result, params))
             case _:

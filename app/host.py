@@ -17,3 +17,13 @@ def pages(host: Host) -> Mapping[int, viser.ClientHandle]:
     if isinstance(host, viser.ViserServer):
         return host.get_clients()
     return {host.client_id: host}
+
+
+def set_theme(host: Host, *, dark: bool) -> None:
+    """Make the pages light or dark, without what is viser's own.
+
+    Args:
+        host: Whose pages.
+        dark: Light words on a dark page.
+    """
+    host.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)

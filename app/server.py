@@ -10,6 +10,7 @@ from typing import Literal, TypeAlias
 
 import viser
 
+from app.host import set_theme
 from app.opening import Opened
 from app.places import ANYWHERE, Places
 from app.saved import Saved
@@ -68,7 +69,7 @@ class Viewer:
         # viser prints a box with its addresses; the command line says ours.
         with contextlib.redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(host=host, port=port, verbose=False)
-        self._server.gui.configure_theme(show_logo=False, show_share_button=False)
+        set_theme(self._server, dark=False)
         self._shared: Session | None = None
         self._separate: dict[int, Session] = {}
         if sessions == "shared":

@@ -19,7 +19,7 @@ from app import state as states
 from app.all_pairs import AllPairs
 from app.exports import Exports
 from app.fit import Fit, with_fitted
-from app.host import Host
+from app.host import Host, set_theme
 from app.inspection import Inspection
 from app.nudge import Nudge
 from app.opening import Opened, Opening
@@ -109,6 +109,8 @@ class Session:
             places: Where may be read from and written to.
         """
         self._state = begin(opened, ViewOptions())
+        if self._state.options.dark:
+            set_theme(host, dark=True)
         self._lock = threading.Lock()
         self._memo = memo
         self._turns = turns
@@ -315,6 +317,8 @@ class Session:
 
     def _set(self, state: ViewState) -> None:
         """Make a snapshot the present one, and let all who follow know; the lock is held."""
+        if state.options.dark != self._state.options.dark:
+            set_theme(self._host, dark=state.options.dark)
         self._state = state
         self._runner.submit(state)
         for part in self._parts:

@@ -46,6 +46,7 @@ class ViewOptions:
         inlier_lines: Join the associations that agree with the registration.
         outlier_lines: Join those that do not.
         point_size: Side of a drawn cloud point [m].
+        dark: Light words on a dark page.
     """
 
     layer: Layer = "elevation"
@@ -61,6 +62,7 @@ class ViewOptions:
     inlier_lines: bool = True
     outlier_lines: bool = False
     point_size: Annotated[float, Bounds(0.005, 0.2, 0.005, "m")] = 0.03
+    dark: bool = False
 
     def __post_init__(self) -> None:
         """Check the bounds."""

@@ -2,9 +2,14 @@
 
 from html import escape
 
-GOOD = "#1a8f3c"
-BAD = "#c23b36"
-BUSY = "#b06a00"
+# Of words, which must be readable on a light and on a dark page.
+GOOD = "light-dark(#1a7f37, #5bd37c)"
+BAD = "light-dark(#c23b36, #ff8a80)"
+BUSY = "light-dark(#9a5b00, #f0b24a)"
+# Of the ground that white words stand on.
+GOOD_GROUND = "#1a8f3c"
+BAD_GROUND = "#c23b36"
+BUSY_GROUND = "#8a5200"
 FAINT = "opacity:.7"
 
 
@@ -14,10 +19,10 @@ def paragraph(text: str, style: str = "") -> str:
     return f'<div style="{look}">{escape(text)}</div>'
 
 
-def badge(text: str, color: str, test_id: str) -> str:
-    """Write a short headline on a coloured ground."""
+def badge(text: str, ground: str, test_id: str) -> str:
+    """Write a short headline in white on a coloured ground."""
     return (
-        f'<div data-testid="{test_id}" style="background:{color};color:#fff;border-radius:.4em;'
+        f'<div data-testid="{test_id}" style="background:{ground};color:#fff;border-radius:.4em;'
         f'padding:.35em .7em;font-weight:600;font-size:1em">{escape(text)}</div>'
     )
 

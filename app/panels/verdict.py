@@ -4,7 +4,7 @@ from html import escape
 from math import degrees
 
 from app.host import Host
-from app.panels.text import BAD, BUSY, GOOD, badge, table
+from app.panels.text import BAD_GROUND, BUSY_GROUND, GOOD_GROUND, badge, table
 from app.state import ViewState
 from gpgrad_core.pipeline import PairResult
 
@@ -28,7 +28,9 @@ class VerdictCard:
         Args:
             why: Written above it; empty while a new one is coming.
         """
-        above = f'<div style="padding:0 .75em">{badge(why, BUSY, "stale")}</div>' if why else ""
+        above = (
+            f'<div style="padding:0 .75em">{badge(why, BUSY_GROUND, "stale")}</div>' if why else ""
+        )
         self._handle.content = f'{above}<div style="opacity:.4">{self._card}</div>'
 
 
@@ -52,9 +54,9 @@ def verdict_html(state: ViewState, result: PairResult) -> str:
     else:
         rows.append(("motion", "none found"))
     headline = (
-        badge("Loop closure", GOOD, "verdict")
+        badge("Loop closure", GOOD_GROUND, "verdict")
         if closure.accepted
-        else badge("No loop closure", BAD, "verdict")
+        else badge("No loop closure", BAD_GROUND, "verdict")
     )
     pair = f"query {closure.query_id} → database {closure.database_id}"
     if closure.query_id == closure.database_id:

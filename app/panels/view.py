@@ -176,6 +176,10 @@ class ViewPanel:
                     hint="Of the point clouds.",
                 ),
             )
+            self._bind(
+                "dark",
+                gui.add_checkbox("Dark", options.dark, hint="Light words on a dark page."),
+            )
 
         self._show_what_applies()
 

@@ -37,7 +37,7 @@ from gpgrad_core.types import Dataset, GradientMap, Registration, Submap
 
 PAIR = "/pair"
 """Above all nodes of the pair, so that they come and go together."""
-BAR: Rgb = (60, 60, 60)
+BAR: Rgb = (120, 120, 120)  # seen on a light and on a dark page
 MAX_SURFELS = 200_000
 """Of one surface; a finer map is drawn at every second cell, or third, …"""
 MAX_CLOUD_POINTS = 200_000
