@@ -21,7 +21,7 @@ from app.views.placement import Camera
 from app.views.scene import PairScene
 from gpgrad_core.memo import Memo
 
-VIEW_WIDTH = 280
+VIEW_WIDTH = 320
 
 
 @dataclass(frozen=True)
