@@ -139,4 +139,6 @@ class Viewer:
     def _count(self) -> None:
         assert self._shared is not None
         with self._lock:  # so that the last to count is the last to tell
+            if self._closed.is_set():
+                return  # there is nobody left to tell
             self._shared.show_presence(len(self._server.get_clients()))

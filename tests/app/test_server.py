@@ -77,7 +77,7 @@ def test_in_a_shared_session_all_see_the_same(serve: Serve, visit: Visit) -> Non
     for page in (first, second):
         page.wait(lambda page=page: "of 20 needed" in page.html(), "the verdict")
         page.wait(lambda page=page: "Up to date" in page.html(), "the status")
-    assert second.find("Minimum inliers")["value"] == 20
+    second.wait(lambda: second.find("Minimum inliers")["value"] == 20, "the other's slider")
     late = visit(viewer)
     late.wait(lambda: "of 20 needed" in late.html(), "the present state")
     assert late.find("Minimum inliers")["value"] == 20
