@@ -79,8 +79,8 @@ def test_in_a_shared_session_all_see_the_same(serve: Serve, visit: Visit) -> Non
         page.wait(lambda page=page: "Up to date" in page.html(), "the status")
     second.wait(lambda: second.find("Minimum inliers")["value"] == 20, "the other's slider")
     late = visit(viewer)
-    late.wait(lambda: "of 20 needed" in late.html(), "the present state")
-    assert late.find("Minimum inliers")["value"] == 20
+    late.wait(lambda: "of 20 needed" in late.html(), "the present verdict")
+    late.wait(lambda: late.find("Minimum inliers")["value"] == 20, "the present value")
     for page in (first, late):
         page.close()
     second.wait(lambda: "pages are open" not in second.html(), "to be alone")
