@@ -58,6 +58,13 @@ def add_shortcuts(commands: Commands, actions: Actions) -> None:
         registered = options.layout == "registered"
         actions.set_options(changed(options, layout="side by side" if registered else "registered"))
 
+    def both(page: viser.ClientHandle) -> None:
+        del page
+        options = actions.options()
+        # Out of the difference too: it shows neither of the two.
+        layer = "elevation" if options.layer == "difference" else options.layer
+        actions.set_options(changed(options, layout="registered", compare="both", layer=layer))
+
     commands.add("View", "Both submaps in view", actions.look_at_both, key="R")
     commands.add("View", "View from above", actions.look_from_above, key="T")
     commands.add("View", "Side by side or registered", other_layout, key="L")
@@ -71,7 +78,7 @@ def add_shortcuts(commands: Commands, actions: Actions) -> None:
         compare="both",
         layer="difference",
     )
-    choose("Compare", "Both at once", "Z", layout="registered", compare="both")
+    commands.add("Compare", "Both at once", both, key="Z")
     commands.add("Match", "Next match", lambda page: actions.step_match(1), key="N")  # noqa: ARG005
     commands.add(
         "Match",

@@ -80,7 +80,7 @@ def colorize(
     """Colour values by their place between low and high; those beyond take the end colours."""
     span = max(high - low, 1e-12)
     places = np.clip((values - low) * (255.0 / span), 0.0, 255.0)
-    return lookup_table(name)[places.astype(np.uint8)]
+    return lookup_table(name).take(places.astype(np.uint8), axis=0)
 
 
 def hillshade(
@@ -93,18 +93,20 @@ def hillshade(
         yaw: Of the submap's frame in the scene [rad]: the light stays with the scene, so that
             two submaps laid onto each other are lit alike.
     """
-    c, s = np.cos(yaw), np.sin(yaw)
-    light_x, light_y = c * LIGHT[0] + s * LIGHT[1], c * LIGHT[1] - s * LIGHT[0]
-    normal_dot_light = (LIGHT[2] - slope[:, 0] * light_x - slope[:, 1] * light_y) / np.sqrt(
+    c, s = float(np.cos(yaw)), float(np.sin(yaw))
+    x, y, z = (float(part) for part in LIGHT)
+    light_x, light_y = c * x + s * y, c * y - s * x
+    normal_dot_light = (z - slope[:, 0] * light_x - slope[:, 1] * light_y) / np.sqrt(
         1.0 + slope[:, 0] ** 2 + slope[:, 1] ** 2
     )
-    lit = np.clip(normal_dot_light / LIGHT[2], 0.0, 1.4)
+    lit = np.clip(normal_dot_light / z, 0.0, 1.4)
     return AMBIENT + (1.0 - AMBIENT) * lit
 
 
 def shade(colors: Colors, brightness: Float[NDArray[np.floating], "n"]) -> Colors:
     """Darken or brighten colours."""
-    return np.clip(colors * brightness[:, None], 0, 255).astype(np.uint8)
+    lit = np.multiply(colors, brightness[:, None], dtype=np.float32)
+    return np.minimum(lit, 255.0, out=lit).astype(np.uint8)
 
 
 def faint(color: Rgb) -> Rgb:

@@ -12,8 +12,8 @@ from app.views.placement import Placement
 from app.views.readout import Reading, label_text
 from gpgrad_core.pipeline import PairResult
 
-END_SIZE, PROBE_SIZE = 2.2, 1.6
-"""Of the marks, in keypoints."""
+END_SIZE, PROBE_SIZE, MATCH_LIFT = 2.2, 1.6, 1.5
+"""Of the marks, and how high an association is lifted out of the ground, in keypoints."""
 
 
 class Marks:
@@ -51,7 +51,7 @@ class Marks:
         if not 1 <= number <= len(result.matches):
             self.hide_match()
             return
-        arc = match_arc(result, at_query, at_database, number - 1, size / 2)
+        arc = match_arc(result, at_query, at_database, number - 1, MATCH_LIFT * size)
         place = (result, number, at_query, at_database)
         self._line.show(place, lambda: arc)
         ends = np.stack([arc[0, 0], arc[-1, 1]])

@@ -68,28 +68,35 @@ def make_surfels(
     grid = gradient_map.grid
     cells = (slice(None, None, stride), slice(None, None, stride))
     elevation = gradient_map.elevation[cells]
-    trusted = gradient_map.trusted(max_std_ratio)[cells].ravel()
-    x, y = np.meshgrid(grid.x[::stride], grid.y[::stride])
-    positions = np.stack([x, y, elevation], axis=-1, dtype=np.float32, casting="same_kind")
-    positions = positions.reshape(-1, 3)
-    kept = trusted if untrusted == "hidden" else np.ones(len(positions), dtype=bool)
+    trusted = gradient_map.trusted(max_std_ratio)[cells]
     # Where nothing was seen for kilometres numbers may overflow; the browser must not see them.
-    kept = kept & np.isfinite(positions[:, 2])
+    drawn = np.isfinite(elevation)
+    if untrusted == "hidden":
+        drawn &= trusted
     if seen is not None:
-        kept = kept & seen[cells].ravel()
+        drawn &= seen[cells]
+    # Few and short passes over the cells: this is all that a mask or a colour costs.
+    kept = np.flatnonzero(drawn)
+    positions = np.empty((*elevation.shape, 3), dtype=np.float32)
+    positions[..., 0] = grid.x[::stride]
+    positions[..., 1] = grid.y[::stride, None]
+    positions[..., 2] = elevation
     if tint is None:
         field = layer_values(gradient_map, layer) if values is None else values
-        shown = field[cells].ravel()[kept]
-        unknown = ~np.isfinite(shown)
-        colors = colorize(
-            np.where(unknown, 0.0, shown) + offset, scale.low, scale.high, scale.color_map
-        )
-        colors[unknown] = UNTRUSTED_GREY
+        shown = field[cells].ravel().take(kept)
+        unknown = np.isnan(shown)
+        if unknown.any():
+            shown[unknown] = 0.0
+        colors = colorize(shown + offset, scale.low, scale.high, scale.color_map)
+        if unknown.any():
+            colors[unknown] = UNTRUSTED_GREY
     else:
-        colors = np.tile(np.array(tint, dtype=np.uint8), (int(kept.sum()), 1))
+        colors = np.tile(np.array(tint, dtype=np.uint8), (len(kept), 1))
     if untrusted == "grey":
-        colors[~trusted[kept]] = UNTRUSTED_GREY
+        colors[~trusted.ravel().take(kept)] = UNTRUSTED_GREY
     if hillshaded and (tint is not None or layer in SHADED_LAYERS):
-        slope = gradient_map.slope[cells].reshape(-1, 2)[kept]
+        slope = gradient_map.slope[cells].reshape(-1, 2).astype(np.float32).take(kept, axis=0)
         colors = shade(colors, hillshade(slope, yaw))
-    return Surfels(positions[kept], colors, OVERLAP * stride * grid.resolution)
+    return Surfels(
+        positions.reshape(-1, 3).take(kept, axis=0), colors, OVERLAP * stride * grid.resolution
+    )

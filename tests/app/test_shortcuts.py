@@ -71,6 +71,9 @@ def test_keys_change_what_is_shown_and_the_widgets_follow(
         press(server, str(number))
         assert session.state.options.layer == layer
     assert find(server, "Layer").value == "height difference"
+    press(server, "Z")
+    assert find(server, "Layer").value == "elevation"
+    press(server, "L")
     press(server, "L")
     assert session.state.options.layout == find(server, "Layout").value == "registered"
     press(server, "L")

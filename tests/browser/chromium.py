@@ -229,6 +229,29 @@ class ViewerPage:
         name.locator("xpath=ancestor::*[.//input][1]//input").first.fill(text)
         self.page.wait_for_timeout(2 * BETWEEN_INPUTS_MS)
 
+    def tab(self, name: str) -> None:
+        """Bring a tab of a panel to the front."""
+        self.page.get_by_role("tab", name=name, exact=True).click()
+        self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
+
+    def key(self, name: str) -> None:
+        """Press a key while no box is being typed in."""
+        self.page.evaluate("document.activeElement && document.activeElement.blur()")
+        self.page.keyboard.press(name)
+        self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
+
+    def shift_click(self, x: float, y: float) -> None:
+        """Click a place of the window with Shift held."""
+        self.page.keyboard.down("Shift")
+        self.page.mouse.click(x, y)
+        self.page.keyboard.up("Shift")
+        self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
+
+    def say(self, test_id: str) -> str:
+        """Read a part of a panel; empty where it is not."""
+        script = "id => document.querySelector(`[data-testid=\"${id}\"]`)?.innerText ?? ''"
+        return str(self.page.evaluate(script, test_id))
+
     def _dismiss_notice(self) -> None:
         # The client warns that this machine has no graphics card; it lies over the picture.
         notice = self.page.locator(".mantine-Notification-root")

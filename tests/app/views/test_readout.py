@@ -22,7 +22,6 @@ def plane(slope_x: float, slope_y: float) -> GradientMap:
         1.0 + slope_x * x + slope_y * y,
         np.full(shape, 0.02**2),
         np.broadcast_to([slope_x, slope_y], (*shape, 2)).copy(),
-        np.full((*shape, 2), 1e-3),
         signal_std=0.1,
         length_scale=0.3,
     )
