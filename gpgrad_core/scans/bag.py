@@ -82,6 +82,10 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     stamps = np.array(contents.stamps)
     tree = contents.frames.tree()
     body, span, notes = _body(contents, tree, stamps, sources, params, path)
+    if contents.unstamped:
+        number = contents.unstamped
+        have = "message has" if number == 1 else "messages have"
+        notes += (f"{number:,} {have} no time: taken as when it was recorded",)
     mount, mount_notes = _mount(contents, tree, stamps, sources, params, path)
     both = body.known & mount.known
     notes += mount_notes + place(stamps, Located(body.poses, both), span, str(path), params)
@@ -118,6 +122,7 @@ class _Contents:
     rows: list[list[float]] = field(default_factory=list[list[float]])
     covariances: list[Array] = field(default_factory=list[Array])
     frames: FrameRows = field(default_factory=FrameRows)
+    unstamped: int = 0  # messages that do not say when they were measured
 
 
 def _gather(reader: Any, cloud_topic: str, pose_topic: str | None, path: Path) -> _Contents:
@@ -130,10 +135,11 @@ def _gather(reader: Any, cloud_topic: str, pose_topic: str | None, path: Path) -
         where = f"{path}, {connection.topic}"
         if connection.topic == cloud_topic:
             contents.frame = plain(message.header.frame_id)
-            contents.stamps.append(seconds(message.header))
+            contents.stamps.append(_stamp(contents, message, logged))
             contents.logged.append(int(logged))
         elif connection.topic == pose_topic:
-            _add_pose(contents, message, connection.msgtype, where)
+            stamp = _stamp(contents, message, logged)
+            _add_pose(contents, message, connection.msgtype, stamp, where)
         else:
             static = connection.topic.endswith("tf_static")
             contents.frames.add(message, static=static, where=where)
@@ -142,10 +148,18 @@ def _gather(reader: Any, cloud_topic: str, pose_topic: str | None, path: Path) -
     return contents
 
 
-def _add_pose(contents: _Contents, message: Any, kind: str, where: str) -> None:
+def _stamp(contents: _Contents, message: Any, logged: int) -> float:
+    """Give the time of a message [s]; where it was not filled in, when it was recorded."""
+    stamp = seconds(message.header)
+    if stamp > 0:
+        return stamp
+    contents.unstamped += 1
+    return 1e-9 * logged
+
+
+def _add_pose(contents: _Contents, message: Any, kind: str, stamp: float, where: str) -> None:
     pose = message.pose.pose if kind in (ODOMETRY, WITH_COVARIANCE) else message.pose
     position, turn = pose.position, pose.orientation
-    stamp = seconds(message.header)
     values = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
     make_pose([float(value) for value in values], f"{where}, at {stamp:.3f} s")
     contents.rows.append([stamp, *values])

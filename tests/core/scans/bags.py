@@ -64,7 +64,15 @@ class BagWriter:
         logged = round((stamp + 0.02) * 1e9)
         self.writer.write(self.connections[topic], logged, serialize(message, kind))
 
-    def cloud(self, topic: str, stamp: float, frame: str, points: np.ndarray) -> None:
+    def cloud(
+        self,
+        topic: str,
+        stamp: float,
+        frame: str,
+        points: np.ndarray,
+        *,
+        stamped: bool = True,
+    ) -> None:
         """Write points as a LiDAR's driver does: further fields between and behind them."""
         layout = np.dtype(
             {
@@ -83,7 +91,7 @@ class BagWriter:
             for name, offset in (("x", 0), ("y", 4), ("intensity", 8), ("z", 12))
         ]
         message = self.type(CLOUD)(
-            header=self.header(stamp, frame),
+            header=self.header(stamp if stamped else 0.0, frame),
             height=1,
             width=len(points),
             fields=fields,

@@ -92,6 +92,18 @@ def test_scans_without_a_pose_are_counted(tmp_path: Path) -> None:
     assert len(open_recording(path, params=BuildParams(max_time_difference=2.0))) == 6
 
 
+def test_messages_without_a_time_have_that_of_the_recorder(tmp_path: Path) -> None:
+    path = tmp_path / "a.bag"
+    with BagWriter(path, ros1=True) as bag:
+        for k, stamp in enumerate(FEW.stamps):
+            bag.stamped("/pose", stamp, FEW.sensor, k)
+            bag.cloud("/points", stamp, "lidar", FEW.scans[k], stamped=k > 0)
+    recording = open_recording(path)
+    assert recording.stamps is not None
+    np.testing.assert_allclose(recording.stamps[0], FEW.stamps[0] + 0.02, atol=1e-6)
+    assert "1 message has no time" in "".join(recording.notes)
+
+
 def test_what_is_missing_or_ambiguous(tmp_path: Path) -> None:
     two = tmp_path / "two.bag"
     with BagWriter(two, ros1=True) as bag:
