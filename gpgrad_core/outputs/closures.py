@@ -9,12 +9,13 @@ from typing import Any, cast
 
 import cv2
 import numpy as np
+from jaxtyping import Float
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset, LoopClosure, Registration
+from gpgrad_core.types import Array, Dataset, LoopClosure, Registration
 from gpgrad_core.version import VERSION
 
 
@@ -183,7 +184,7 @@ def _closure(pair: PairRecord) -> LoopClosure:
 
 def _record(closure: LoopClosure) -> PairRecord:
     registration = closure.registration
-    motion, covariance = registration.T_database_query, registration.covariance
+    motion, covariance = registration.T_database_query, _usable(registration.covariance)
     return PairRecord(
         query=closure.query_id,
         database=closure.database_id,
@@ -220,6 +221,14 @@ def _read_pair(pair: Mapping[str, Any]) -> PairRecord:
     )
 
 
+def _usable(covariance: Float[Array, "3 3"] | None) -> Float[Array, "3 3"] | None:
+    """Make a covariance symmetric to the last digit; None where it holds nothing."""
+    if covariance is None or not np.isfinite(covariance).all():
+        return None
+    symmetric = 0.5 * (covariance + covariance.T)
+    return symmetric if np.linalg.eigvalsh(symmetric)[0] > 0 else None
+
+
 def _read_covariance(rows: object) -> tuple[tuple[float, ...], ...] | None:
     """Check a covariance of any tool's: what is not one makes a graph that cannot be solved."""
     if rows is None:
@@ -227,8 +236,12 @@ def _read_covariance(rows: object) -> tuple[tuple[float, ...], ...] | None:
     matrix = np.asarray(rows, dtype=np.float64)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise TypeError("a covariance must be three rows of three numbers")
-    if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] <= 0:
-        raise TypeError("a covariance must be symmetric and positive definite")
+    # Sums in half precision leave the halves of a matrix alike to six digits.
+    if np.abs(matrix - matrix.T).max() > 1e-5 * np.abs(matrix).max():
+        raise TypeError("a covariance must be symmetric")
+    matrix = 0.5 * (matrix + matrix.T)
+    if np.linalg.eigvalsh(matrix)[0] <= 0:
+        raise TypeError("a covariance must be positive definite")
     return tuple(tuple(row) for row in matrix.tolist())
 
 

@@ -85,8 +85,8 @@ class MergedMap:
 
     Attributes:
         grid: In the world; cell centres are whole multiples of the resolution.
-        layers: ``elevation`` [m], ``variance`` [m²], ``slope_x``, ``slope_y`` [m/m], as a
-            `GradientMap` has them; NaN where nobody has been.
+        layers: ``elevation`` [m], ``variance`` [m²], ``slope_x``, ``slope_y``, ``gradient`` [m/m],
+            as a `GradientMap` has them; NaN where nobody has been.
         notes: What had to be left out, a line each.
     """
 
@@ -201,7 +201,8 @@ def merge_maps(
         report(1.0)
     _settle(sums, params.max_std_ratio * gathered.signal_std)
     progress(1.0)
-    return MergedMap(grid, {name: sums[name] for name in LAYERS}, tuple(notes))
+    layers = {name: sums[name] for name in LAYERS} | {"gradient": sums["weight"]}
+    return MergedMap(grid, layers, tuple(notes))
 
 
 def _grid(gathered: Gathered, resolution: float) -> Grid:
@@ -294,7 +295,10 @@ def _smooth(share: Float[Array, "n"]) -> Float[Array, "n"]:
 
 
 def _settle(sums: Mapping[str, Floats], most_std: float) -> None:
-    """Turn weighted sums into means, some rows at a time, and empty what nobody has seen."""
+    """Turn weighted sums into means, some rows at a time, and empty what nobody has seen.
+
+    The weights, no longer needed, make room for the gradient.
+    """
     weight = sums["weight"]
     for start in range(0, len(weight), ROWS_AT_ONCE):
         rows = slice(start, start + ROWS_AT_ONCE)
@@ -305,3 +309,4 @@ def _settle(sums: Mapping[str, Floats], most_std: float) -> None:
         for name in LAYERS:
             means[name][empty] = np.nan
             sums[name][rows] = means[name]
+        weight[rows] = np.hypot(means["slope_x"], means["slope_y"])

@@ -96,6 +96,23 @@ def test_what_was_aligned_keeps_its_height_and_covariance(
     np.testing.assert_allclose(back.registration.covariance, covariance)
 
 
+def test_a_covariance_of_half_precision_is_made_symmetric_and_a_degenerate_one_left_out(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    skewed = np.array([[2.0, 0.10727, -0.26], [0.107271, 0.14, -0.0072], [-0.26, -0.0072, 0.04]])
+    for covariance, kept in ((skewed, True), (np.zeros((3, 3)), False)):
+        found = result.closures[1]
+        found = replace(found, registration=replace(found.registration, covariance=covariance))
+        report = report_closures(dataset, replace(result, closures=(found,)), PipelineParams())
+        write_closures(tmp_path / "a.json", report)
+        (back,) = restore_closures(read_closures(tmp_path / "a.json"))
+        assert (back.registration.covariance is not None) == kept
+        if back.registration.covariance is not None:
+            matrix = back.registration.covariance
+            np.testing.assert_array_equal(matrix, matrix.T)
+            np.testing.assert_allclose(matrix, skewed, rtol=1e-4)
+
+
 @pytest.mark.parametrize("wrong", [[[1, 0], [0, 1]], [[1, 0, 0], [0, 1, 0], [0, 0, -1]], [1, 2, 3]])
 def test_a_covariance_that_is_none_is_refused(
     wrong: object, dataset: Dataset, result: DetectionResult, tmp_path: Path

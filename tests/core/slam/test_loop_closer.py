@@ -48,7 +48,7 @@ class Oracle:
 
 @pytest.mark.parametrize("in_memory", [10**9, 30_000])
 def test_the_same_as_all_at_once(in_memory: int) -> None:
-    traverse = simulate(24, row=6, wrong=0.1)
+    traverse = simulate(15, row=5, wrong=0.1)
     together = detect_loop_closures(traverse.dataset, detector=Oracle.of(traverse))
     batch = optimise_pose_graph(build_pose_graph(traverse.dataset, together.closures))
     with LoopCloser(detector=Oracle.of(traverse), views_in_memory=in_memory) as closer:

@@ -1,0 +1,224 @@
+"""What `gpgrad slam` leaves is read by others: evo, Open3D, rasterio, NumPy."""
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import open3d
+import pytest
+import rasterio
+from evo.tools import file_interface
+
+from gpgrad_core.datasets import load_dataset, outline_dataset, write_dataset
+from gpgrad_core.errors import InputError
+from gpgrad_core.gradient_map import TerrainParams
+from gpgrad_core.se2 import SE2
+from gpgrad_core.slam import (
+    Judged,
+    MergeParams,
+    Solution,
+    join_datasets,
+    judge_solution,
+    read_graph,
+    solve_sessions,
+    write_merged,
+    write_solution,
+)
+from gpgrad_core.types import Dataset, LoopClosure, Pose, Submap
+from tests.core.ground import Ground
+from tests.core.slam.traverses import closure
+
+GROUND = Ground.random(11, shortest=1.0, std=0.2)
+PLACES = [
+    SE2(0, 0, 0),
+    SE2(1.5, 0, 0.3),
+    SE2(3.0, 0.2, 2.0),
+    SE2(1.6, 0.3, 3.0),
+    SE2(0.1, 0.1, 3.1),
+]
+TERRAIN = TerrainParams(length_scale=0.2, noise_std=0.02)
+
+
+def drifting(truth: list[Pose]) -> list[Pose]:
+    """Odometry that turns and slips a little at each step."""
+    slip = Pose.from_planar(SE2(0.15, 0.05, 0.04), 0.03)
+    poses = [truth[0]]
+    for before, after in pairwise(truth):
+        poses.append(poses[-1] @ before.inverse() @ after @ slip)
+    return poses
+
+
+def traverse() -> Dataset:
+    rng = np.random.default_rng(0)
+    truth = [
+        Pose.from_planar(place, float(GROUND.height(place.translation[None])[0]))
+        for place in PLACES
+    ]
+    submaps = []
+    for k, (true, odometry) in enumerate(zip(truth, drifting(truth), strict=True)):
+        xy = rng.uniform(-1.2, 1.2, (1200, 2)) + true.translation[:2]
+        z = GROUND.height(xy) + 0.01 * rng.standard_normal(len(xy))
+        points = true.inverse().apply(np.column_stack([xy, z]))
+        submap = Submap.from_points(points, f"{2 * k:03d}", pose_true=true, pose_odometry=odometry)
+        submaps.append(submap)
+    return Dataset("walk", tuple(submaps))
+
+
+def found(dataset: Dataset) -> list[LoopClosure]:
+    """The true motions between submaps that lie on one another."""
+    closures = []
+    for query, database in ((3, 1), (4, 0), (3, 0), (4, 1)):
+        b, a = dataset.submaps[query], dataset.submaps[database]
+        assert a.pose_true is not None
+        assert b.pose_true is not None
+        between = a.pose_true.inverse() @ b.pose_true
+        closures.append(closure(b.id, a.id, between.planar, float(between.translation[2])))
+    return closures
+
+
+@pytest.fixture(scope="module")
+def solution(tmp_path_factory: pytest.TempPathFactory) -> Solution:
+    folder = tmp_path_factory.mktemp("data") / "walk"
+    write_dataset(traverse(), folder)
+    return solve_sessions(join_datasets([outline_dataset(folder)]), found(load_dataset(folder)))
+
+
+@pytest.fixture(scope="module")
+def judged(solution: Solution) -> Judged:
+    return judge_solution(solution)
+
+
+@pytest.fixture(scope="module")
+def written(solution: Solution, judged: Judged, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("out") / "map"
+    write_solution(folder, solution, judged)
+    params = MergeParams(resolution=0.1, voxel=0.1)
+    assert not write_merged(folder, solution, TERRAIN, params)
+    return folder
+
+
+def test_nothing_else_is_left(written: Path) -> None:
+    assert {path.name for path in written.iterdir()} == {
+        *("poses_corrected.txt", "graph.g2o", "report.json", "trajectory.png", "errors.png"),
+        *("cloud.ply", "map.npz", "map.tif"),
+    }
+
+
+def test_the_map_is_better_than_odometry(judged: Judged) -> None:
+    before, after = judged.trajectories["walk"]
+    assert after.absolute < 0.5 * before.absolute
+    first, last = judged.overlaps
+    assert first.median is not None
+    assert last.median is not None
+    assert last.median < 0.6 * first.median
+
+
+def test_evo_reads_the_poses(written: Path, solution: Solution) -> None:
+    read = file_interface.read_tum_trajectory_file(str(written / "poses_corrected.txt"))
+    np.testing.assert_array_equal(read.timestamps, [0, 2, 4, 6, 8])  # the submaps' numbers
+    poses = list(solution.result.poses.values())
+    np.testing.assert_allclose(read.positions_xyz, [p.translation for p in poses], atol=1e-6)
+    np.testing.assert_allclose(
+        read.orientations_quat_wxyz[:, [1, 2, 3, 0]], [p.quaternion for p in poses], atol=1e-8
+    )
+
+
+def test_the_graph_reads_back_in(written: Path, solution: Solution) -> None:
+    graph = read_graph(written / "graph.g2o")
+    assert list(graph.poses) == ["0", "2", "4", "6", "8"]
+    assert len(graph.edges) == len(solution.result.edges) - len(solution.result.refused)
+
+
+def test_open3d_reads_the_cloud(written: Path) -> None:
+    points = np.asarray(open3d.io.read_point_cloud(str(written / "cloud.ply")).points)
+    assert len(points) > 500
+    assert len(np.unique(np.floor(points / 0.1), axis=0)) == len(points)
+    assert np.median(np.abs(points[:, 2] - GROUND.height(points[:, :2]))) < 0.05
+
+
+def test_rasterio_reads_the_map_where_it_lies(written: Path) -> None:
+    with np.load(written / "map.npz") as arrays, rasterio.open(written / "map.tif") as raster:
+        elevation, origin = arrays["elevation"], arrays["origin"]
+        assert set(arrays) == {
+            *("elevation", "variance", "slope_x", "slope_y", "gradient", "origin", "resolution")
+        }
+        np.testing.assert_allclose(
+            arrays["gradient"], np.hypot(arrays["slope_x"], arrays["slope_y"]), rtol=1e-6
+        )
+        assert raster.descriptions == ("elevation", "variance", "slope_x", "slope_y", "gradient")
+        assert raster.units == ("m", "m2", "m/m", "m/m", "m/m")
+        assert np.isnan(raster.nodata)
+        assert raster.res == pytest.approx((0.1, 0.1))
+        band = raster.read(1)
+        np.testing.assert_array_equal(band[::-1], elevation.astype(np.float32))
+        row, column = np.argwhere(np.isfinite(band))[100]
+        x, y = raster.xy(row, column)
+        cell = np.round((np.array([x, y]) - origin) / 0.1).astype(int)
+        assert elevation[cell[1], cell[0]] == band[row, column]
+        assert abs(GROUND.height(np.array([[x, y]]))[0] - band[row, column]) < 0.15
+
+
+def test_the_report_tells_of_every_edge(written: Path, solution: Solution) -> None:
+    report = json.loads((written / "report.json").read_text())
+    assert report["dataset"] == "walk"
+    assert len(report["edges"]) == len(solution.result.edges) == 4 + 4
+    for edge in report["edges"]:
+        assert edge["weight"] in (0.0, 1.0)
+        assert edge["chi_square"] >= 0
+    error = report["trajectory_error"]["walk"]
+    assert error["after"]["absolute"] < error["before"]["absolute"]
+    assert report["sessions"]["walk"]["poses"] == "poses_corrected.txt"
+
+
+def test_a_wrong_closure_is_told_of_and_left_out_of_the_graph(
+    solution: Solution, tmp_path: Path
+) -> None:
+    wrong = closure("006", "002", SE2(3.0, -3.0, 1.0), 0.5)
+    dataset = traverse()
+    right = [one for one in found(dataset) if (one.query_id, one.database_id) != ("006", "002")]
+    mixed = solve_sessions(solution.sessions, [*right, wrong])
+    write_solution(tmp_path, mixed, judge_solution(mixed))
+    report = json.loads((tmp_path / "report.json").read_text())
+    refused = [(e["end"], e["start"]) for e in report["edges"] if e["weight"] == 0]
+    assert refused == [("006", "002")]
+    assert len(read_graph(tmp_path / "graph.g2o").loops) == 3
+
+
+def test_two_sessions_have_a_file_each(tmp_path: Path) -> None:
+    dataset = traverse()
+    frame = Pose.from_planar(SE2(40.0, 7.0, 1.0), 3.0)
+    parts = {"a": dataset.submaps[:3], "b": dataset.submaps[3:]}
+    for name, part in parts.items():
+        moved = [
+            replace(
+                s,
+                pose_odometry=s.pose_odometry
+                and (frame @ s.pose_odometry if name == "b" else s.pose_odometry),
+            )
+            for s in part
+        ]
+        write_dataset(Dataset(name, tuple(moved)), tmp_path / name)
+    names = {s.id: f"{name}:{s.id}" for name, part in parts.items() for s in part}
+    closures = [
+        replace(c, query_id=names[c.query_id], database_id=names[c.database_id])
+        for c in found(dataset)
+    ]
+    sessions = join_datasets([outline_dataset(tmp_path / name) for name in parts])
+    both = solve_sessions(sessions, closures)
+    write_solution(tmp_path / "out", both, judge_solution(both))
+    first = (tmp_path / "out" / "poses_corrected_a.txt").read_text().splitlines()
+    second = (tmp_path / "out" / "poses_corrected_b.txt").read_text().splitlines()
+    assert [line.split()[0] for line in first[1:]] == ["0", "2", "4"]
+    assert [line.split()[0] for line in second[1:]] == ["6", "8"]
+    for name, pose in both.result.poses.items():
+        true = dataset.submap(name.split(":")[1]).pose_true
+        assert true is not None
+        assert np.linalg.norm(pose.translation - true.translation) < 0.4
+
+
+def test_a_file_in_the_way_is_refused(solution: Solution, judged: Judged, tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(InputError, match="taken: is a file"):
+        write_solution(tmp_path / "taken", solution, judged)

@@ -1,0 +1,92 @@
+"""`gpgrad slam`, as a process."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.cli import run
+from gpgrad_core.outputs import read_closures
+from tests.end_to_end.process import Run
+
+
+def test_a_traverse_is_corrected_and_merged(gpgrad: Run, traverse: Path, tmp_path: Path) -> None:
+    out = tmp_path / "map"
+    finished = gpgrad("slam", traverse, "--out", out, "--merged.resolution", "0.1")
+    assert finished.code == 0, finished.err
+    assert "4 submaps, 1 loop closure used, 0 refused as wrong" in finished.out
+    (found,) = read_closures(out / "closures.json").accepted
+    assert (found.query, found.database) == ("003", "000")
+    assert found.covariance is not None
+    poses = np.loadtxt(out / "poses_corrected.txt")
+    assert poses[:, 0].tolist() == [0, 1, 2, 3]
+    # The closure says what odometry, which is right here, says too.
+    np.testing.assert_allclose(poses[3, 1:3], [0.5, 0.4], atol=0.1)
+    report = json.loads((out / "report.json").read_text())
+    assert report["trajectory_error"] == {}  # there is no truth
+    assert (out / "cloud.ply").stat().st_size > 10_000
+    assert {path.suffix for path in out.iterdir()} >= {".png", ".tif", ".npz", ".g2o", ".txt"}
+
+
+def test_closures_found_before_are_taken_and_no_map_is_made(
+    gpgrad: Run, traverse: Path, tmp_path: Path
+) -> None:
+    closures = tmp_path / "mine.json"
+    record = {
+        "query": "003",
+        "database": "000",
+        "num_inliers": 20,
+        "score": 5.0,
+        "dissimilarity": 1.0,
+        "overlap_area": 20.0,
+        "accepted": True,
+        "reason": "by hand",
+        "T_database_query": {"x": 0.5, "y": 0.4, "yaw": 3.0},
+    }
+    content = {
+        "dataset": "x",
+        "method": "mine",
+        "seed": 0,
+        "params": {},
+        "versions": {},
+        "seconds": {},
+        "submaps": [],
+        "pairs": [record],
+    }
+    closures.write_text(json.dumps(content))
+    out = tmp_path / "map"
+    finished = gpgrad("slam", traverse, "--out", out, "--closures", closures, "--no-merge")
+    assert finished.code == 0, finished.err
+    assert "1 loop closure used" in finished.out
+    assert not (out / "cloud.ply").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--closures", "none.json"), "none.json"),
+        (("--search-radius", "-1"), "--search-radius must be above 0 m"),
+        (("--graph.odometry-drift", "7"), "odometry_drift must be from 0 to 1"),
+        (("--merged.voxel", "0"), "voxel must be from 0.001"),
+    ],
+)
+def test_wrong_usage_is_one_line(
+    traverse: Path,
+    tmp_path: Path,
+    arguments: tuple[str, ...],
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["slam", str(traverse), "--out", str(tmp_path / "map"), *arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert not (tmp_path / "map").exists()
+
+
+def test_without_odometry_it_says_so_at_once(
+    traverse: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["slam", str(traverse / "submaps"), "--out", str(tmp_path / "map")]) == 2
+    said = capsys.readouterr().err
+    assert "a pose graph needs odometry, and submap 000 has none" in said

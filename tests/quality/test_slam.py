@@ -1,0 +1,248 @@
+"""How good maps become on real terrain, and how large they may be.
+
+``pytest tests/quality/test_slam.py -n 0 -s``. Outside the default run: it takes minutes, and needs
+the real datasets.
+"""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gpgrad_core.datasets import Outline, load_dataset, outline_dataset
+from gpgrad_core.gp.threads import num_workers
+from gpgrad_core.outputs import read_closures, report_closures, restore_closures, write_closures
+from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
+from gpgrad_core.se2 import SE2
+from gpgrad_core.slam import (
+    LoopCloser,
+    build_pose_graph,
+    join_datasets,
+    judge_solution,
+    odometry_poses,
+    optimise_pose_graph,
+    solve_sessions,
+    trajectory_error,
+    true_poses,
+)
+from gpgrad_core.types import Dataset, LoopClosure, Pose, Submap
+from tests.core.ground import Ground
+from tests.core.slam.traverses import simulate
+from tests.end_to_end.process import ROOT, environment
+
+SETS = ("marsyard2021", "sthelens", "apollo15")
+Found = Callable[[str], tuple[LoopClosure, ...]]
+
+
+@pytest.fixture(scope="module")
+def found(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Found:
+    """Closures of a set; detected once, and kept as users keep them."""
+    folder = tmp_path_factory.mktemp("closures")
+
+    def detect(name: str) -> tuple[LoopClosure, ...]:
+        path = folder / f"{name}.json"
+        if not path.exists():
+            dataset = load_dataset(real_data / name)
+            with ThreadPoolExecutor(num_workers()) as executor:
+                result = detect_loop_closures(dataset, executor=executor)
+            write_closures(path, report_closures(dataset, result, PipelineParams()))
+        return restore_closures(read_closures(path))
+
+    return detect
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_the_drift_is_gone(name: str, real_data: Path, found: Found) -> None:
+    solution = solve_sessions(join_datasets([outline_dataset(real_data / name)]), found(name))
+    judged = judge_solution(solution)
+    before, after = judged.trajectories[name]
+    first, last = judged.overlaps
+    assert first.median is not None
+    assert last.median is not None
+    assert last.high is not None
+    say(
+        f"{name}: {len(solution.result.loops)} closures, {len(solution.result.refused)} refused; "
+        f"error {told(before.absolute, after.absolute)}, as it is "
+        f"{told(before.absolute_unaligned, after.absolute_unaligned)}, a step "
+        f"{told(before.relative, after.relative)}; heights differ by "
+        f"{told(first.median, last.median)} (95 %: {100 * last.high:.1f} cm)"
+    )
+    assert after.absolute <= 0.25 * before.absolute
+    assert after.absolute_unaligned <= 0.25 * before.absolute_unaligned
+    assert last.median <= 0.05
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_one_wrong_closure_in_five_does_no_harm(name: str, real_data: Path, found: Found) -> None:
+    dataset = load_dataset(real_data / name)
+    true, right = true_poses(dataset), [one for one in found(name) if one.accepted]
+
+    def error(closures: list[LoopClosure]) -> tuple[float, int]:
+        result = optimise_pose_graph(build_pose_graph(dataset, closures))
+        return trajectory_error(true, result.poses).absolute, len(result.refused)
+
+    clean, _ = error(right)
+    lines: list[float] = []
+    for seed in range(10):
+        wrong = make_up(dataset, right, round(len(right) / 4), np.random.default_rng(seed))
+        mixed, refused = error([*right, *wrong])
+        lines.append(mixed / clean)
+        say(
+            f"{name}, seed {seed}: {len(wrong)} wrong, {refused} refused: {mixed / clean:.3f} times"
+        )
+    assert max(lines) <= 1.3
+
+
+def make_up(
+    dataset: Dataset, right: list[LoopClosure], count: int, rng: np.random.Generator
+) -> list[LoopClosure]:
+    """Wrong closures between random submaps, as sure of themselves as the right ones are."""
+    taken = {(one.query_id, one.database_id) for one in right}
+    wrong: list[LoopClosure] = []
+    while len(wrong) < count:
+        a, b = sorted(int(k) for k in rng.choice(len(dataset.submaps), 2, replace=False))
+        pair = dataset.submaps[b].id, dataset.submaps[a].id
+        if pair in taken:
+            continue
+        taken.add(pair)
+        model = right[int(rng.integers(len(right)))].registration
+        motion = SE2(*map(float, [*rng.uniform(-6, 6, 2), rng.uniform(-pi, pi)]))
+        registration = replace(model, T_database_query=motion, z_offset=float(rng.normal(0, 0.3)))
+        wrong.append(LoopClosure(*pair, registration, accepted=True, reason="made up"))
+    return wrong
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_a_thousand_submaps_are_solved_in_seconds(share: float) -> None:
+    traverse = simulate(1000, row=25, wrong=share)
+    graph = build_pose_graph(traverse.dataset, traverse.closures)
+    start, busy = time.perf_counter(), time.process_time()
+    result = optimise_pose_graph(graph)
+    seconds, busy = time.perf_counter() - start, time.process_time() - busy
+    true = traverse.true_poses
+    before, after = (trajectory_error(true, p).absolute for p in (graph.poses, result.poses))
+    say(
+        f"1,000 submaps, {len(graph.loops)} closures, {len(traverse.wrong)} of them wrong: "
+        f"{seconds:.1f} s ({busy:.1f} s of processor), {len(result.refused)} refused, "
+        f"{before:.2f} m -> {after:.2f} m"
+    )
+    assert busy < (5.0 if share == 0 else 10.0)  # wrong closures make matrices less sparse
+    assert after < 0.05 * before
+
+
+def test_online_is_what_all_at_once_is(real_data: Path) -> None:
+    whole = load_dataset(real_data / "sthelens")
+    dataset = replace(whole, submaps=whole.submaps[:8] + whole.submaps[-4:])
+    with ThreadPoolExecutor(num_workers()) as executor:
+        together: DetectionResult = detect_loop_closures(dataset, executor=executor)
+        with LoopCloser(executor=executor, views_in_memory=100_000_000) as closer:
+            for submap in dataset.submaps:
+                closer.add(submap)
+            online, closures = closer.result, closer.closures
+    batch = optimise_pose_graph(build_pose_graph(dataset, together.closures))
+    accepted = sum(one.accepted for one in closures)
+    say(f"sthelens, 12 submaps one by one: {accepted} closures, as all at once")
+    for ours, theirs in zip(closures, together.closures, strict=True):
+        assert (ours.query_id, ours.database_id) == (theirs.query_id, theirs.database_id)
+        assert ours.registration.T_database_query == theirs.registration.T_database_query
+        assert ours.registration.score == theirs.registration.score
+    assert accepted
+    np.testing.assert_array_equal(online.history, batch.history)
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_two_halves_with_no_common_frame_come_into_one_map(
+    name: str, real_data: Path, found: Found
+) -> None:
+    outline = outline_dataset(real_data / name)
+    submaps, middle = outline.dataset.submaps, len(outline.clouds) // 2
+    frame = Pose.from_planar(SE2(500.0, -80.0, 2.5), 40.0)
+    parts = {"a": submaps[:middle], "b": submaps[middle:]}
+    moved = [
+        replace(s, pose_odometry=s.pose_odometry and frame @ s.pose_odometry) for s in parts["b"]
+    ]
+    sessions = join_datasets(
+        [
+            Outline(Dataset("a", parts["a"]), outline.clouds[:middle]),
+            Outline(Dataset("b", tuple(moved)), outline.clouds[middle:]),
+        ]
+    )
+    names = {s.id: f"{part}:{s.id}" for part, ones in parts.items() for s in ones}
+    closures = [
+        replace(c, query_id=names[c.query_id], database_id=names[c.database_id])
+        for c in found(name)
+    ]
+    solution = solve_sessions(sessions, closures)
+    true = {names[key]: pose for key, pose in true_poses(outline.dataset).items()}
+    error = trajectory_error(true, solution.result.poses).absolute
+    alone = trajectory_error(true_poses(outline.dataset), odometry_poses(outline.dataset)).absolute
+    (support,) = [count for count in solution.placed.support.values() if count]
+    say(f"{name} in two halves: {error:.3f} m, joined by {support} closures that agree")
+    assert error <= 0.25 * alone
+
+
+def test_memory_does_not_grow_with_the_submaps(tmp_path: Path) -> None:
+    """As many submaps again, as many bytes of clouds again: the same memory but for a few."""
+    peaks = [peak_memory(tmp_path, count) for count in (60, 240)]
+    clouds = 240 * 30_000 * 24 / 1e6
+    say(
+        f"peak memory: 60 submaps {peaks[0]:.0f} MB, 240 submaps {peaks[1]:.0f} MB "
+        f"({clouds:.0f} MB of points)"
+    )
+    assert peaks[1] < peaks[0] + 0.2 * clouds
+
+
+def peak_memory(folder: Path, count: int) -> float:
+    """Of `gpgrad slam` on so many submaps with their closures [MB]."""
+    ground, rng = Ground.random(5, std=0.3), np.random.default_rng(0)
+    traverse = simulate(count, row=15)
+    directory = folder / f"{count}"
+    (directory / "submaps").mkdir(parents=True)
+    submaps: list[Submap] = []
+    for submap in traverse.dataset.submaps:
+        assert submap.pose_true is not None
+        xy = rng.uniform(-3, 3, (30_000, 2)) + submap.pose_true.translation[:2]
+        points = submap.pose_true.inverse().apply(np.column_stack([xy, ground.height(xy)]))
+        np.save(directory / "submaps" / f"{submap.id}.npy", points)
+        submaps.append(submap)
+    poses = {k: s.pose_odometry for k, s in enumerate(submaps)}
+    rows = [
+        f"{k} {' '.join(map(str, p.translation))} {' '.join(map(str, p.quaternion))}"
+        for k, p in poses.items()
+        if p is not None
+    ]
+    (directory / "poses_odom.txt").write_text("\n".join(rows) + "\n")
+    result = DetectionResult(traverse.closures, {})
+    write_closures(
+        directory / "c.json", report_closures(traverse.dataset, result, PipelineParams())
+    )
+    code = (
+        "import resource, sys; from app.cli import run; code = run(sys.argv[1:]); "
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss); sys.exit(code)"
+    )
+    arguments = ["slam", directory, "--out", directory / "out", "--closures", directory / "c.json"]
+    finished = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments), "--merged.resolution", "0.1"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment(),
+        cwd=ROOT,
+    )
+    assert finished.returncode == 0, finished.stderr
+    return int(finished.stdout.splitlines()[-1]) / 1e3
+
+
+def told(before: float, after: float) -> str:
+    return f"{before:.3f} m -> {after:.3f} m ({after / before:.1%})"
+
+
+def say(line: str) -> None:
+    print(f"\n{line}", end="")  # noqa: T201
