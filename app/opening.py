@@ -15,6 +15,7 @@ from app.recent import recent_datasets, remember_dataset
 from app.runner import Runner
 from app.saved import Saved
 from app.unpacking import MOST_GROWTH, check_cloud, unpack
+from app.upload_limit import limit_uploads
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.parameters import preferred_parameters
@@ -96,6 +97,7 @@ class Opening(Part):
             on_upload=None if places.uploads is None else self._upload,
             upload_hint=f"Up to {places.max_upload / 1e6:,.0f} MB.",
         )
+        limit_uploads(host, places.max_upload, self._refuse)
         self._panel.show(source)
         self._show_recent()
         self._loader: Runner[Request, Opened] = Runner(
@@ -136,12 +138,15 @@ class Opening(Part):
     def _submit(self, path: Path) -> None:
         self._loader.submit(Request(path=path))
 
+    def _refuse(self, name: str, size: int) -> None:
+        self._panel.error(
+            f"{name}: has {size / 1e6:,.0f} MB; up to {self._places.max_upload / 1e6:,.0f} MB "
+            "can be uploaded"
+        )
+
     def _upload(self, name: str, content: bytes) -> None:
         if len(content) > self._places.max_upload:
-            self._panel.error(
-                f"{name}: has {len(content) / 1e6:,.0f} MB; up to "
-                f"{self._places.max_upload / 1e6:,.0f} MB can be uploaded"
-            )
+            self._refuse(name, len(content))
             return
         self._loader.submit(Request(upload=(name, content)))
 
