@@ -15,10 +15,9 @@ from app.runner import Runner
 from app.state import ViewState
 from app.views.placement import Extent, Placement, height_offset, place
 from app.views.scene import PAIR, PairScene
-from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.progress import Progress
-from gpgrad_core.registration import prepare, refine
+from gpgrad_core.registration import refine
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Registration
 
@@ -39,7 +38,6 @@ class Nudge(Part):
     def __init__(
         self,
         host: Host,
-        memo: Memo,
         scene: PairScene,
         *,
         on_registered: Callable[[], None],
@@ -51,7 +49,6 @@ class Nudge(Part):
 
         Args:
             host: Whose GUI and scene it joins.
-            memo: Shared with the pair that is shown.
             scene: Of the pair.
             on_registered: Called when the pair is to be shown registered.
             on_layout: Called when it is to be shown again as the session says.
@@ -59,7 +56,6 @@ class Nudge(Part):
             message_of: Says what went wrong in one line.
         """
         self._host = host
-        self._memo = memo
         self._scene = scene
         self._on_registered = on_registered
         self._on_layout = on_layout
@@ -145,6 +141,7 @@ class Nudge(Part):
             f"{PAIR}/nudge",
             scale=GIZMO_SHARE * width,
             active_axes=(True, True, False),
+            line_width=4.0,
             depth_test=False,
         )
 
@@ -185,7 +182,8 @@ class Nudge(Part):
             places = place(query, Extent.of(state.database), "registered", motion, dz)
             self._scene.placing(state, result)(*places)
             if with_gizmo and self._gizmo is not None:
-                self._gizmo.position = tuple(places[0].apply(query.center[None])[0])
+                above = np.array([[*query.center[:2], query.high[2]]])
+                self._gizmo.position = tuple(places[0].apply(above)[0])
                 self._gizmo.wxyz = Placement(yaw=motion.yaw).wxyz
 
     def _back(self) -> None:
@@ -200,18 +198,13 @@ class Nudge(Part):
 
     def _align(self, job: _Job, progress: Progress) -> Registration:
         result = job.result
-        prepared = (
-            self._memo(prepare, result.query_map),
-            self._memo(prepare, result.database_map),
-        )
-        progress(0.5)
+        progress(0.0)
         return refine(
             result.query_map,
             result.database_map,
             result.matches,
             job.start,
             job.state.params.registration,
-            prepared,
         )
 
     def _on_refined(self, job: _Job, registration: Registration, seconds: float) -> None:

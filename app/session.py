@@ -250,7 +250,6 @@ class Session:
         with left.add_tab("Nudge"):
             nudge = Nudge(
                 self._host,
-                self._memo,
                 self._scene,
                 on_registered=self._register,
                 on_layout=self._change,

@@ -25,7 +25,7 @@ WRONG_LOOP: Rgb = (0, 0, 0)
 SCORE_MAP: ColorMap = "viridis"
 LOOP_PIECES = 12
 """Straight pieces of the arch of one loop."""
-LOOP_RISE = 0.25
+LOOP_RISE = 0.45
 """Height of the arch over its feet, as a share of its span."""
 
 

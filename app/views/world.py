@@ -83,7 +83,7 @@ class WorldScene:
             for source, color in TRAJECTORY_COLORS.items()
         }
         self._loops = _Loops(host, f"{WORLD}/loops")
-        self._refused = Segments(host, f"{WORLD}/refused", REFUSED_LOOP, thickness=1.0)
+        self._refused = Segments(host, f"{WORLD}/refused", REFUSED_LOOP, thickness=1.5)
         self._marked = Segments(host, f"{WORLD}/marked", SELECTED, thickness=6.0)
         self._outline = Segments(host, f"{WORLD}/selected", SELECTED, thickness=4.0)
         self._origin = np.zeros(3)
@@ -332,7 +332,7 @@ class _Loops:
         colors = np.repeat(table[places.ravel()][:, None], 2, axis=1)
         if self._handle is None:
             self._handle = self._host.scene.add_line_segments(
-                self._name, points, colors, thickness=3.0, thickness_units="screen"
+                self._name, points, colors, thickness=4.0, thickness_units="screen"
             )
         else:
             self._handle.points = points
