@@ -145,19 +145,21 @@ def residuals(result: PairResult) -> Float[Array, "m"] | None:
 def step_match(result: PairResult, number: int, step: int, *, inliers: bool, outliers: bool) -> int:
     """Give the number, from 1, of the next association of the kinds asked for, round the end.
 
+    Where there is none of these kinds, as of inliers where nothing fits, any will do.
+
     Args:
         result: The pair.
         number: Where to start; 0 is before the first.
         step: 1 for the next, -1 for the previous.
-        inliers: Stop at inliers. If neither kind is asked for, both are.
+        inliers: Stop at inliers.
         outliers: Stop at outliers.
 
     Returns:
         0 if there is none.
     """
     agree = result.registration.inliers
-    wanted = agree & inliers | ~agree & outliers if inliers or outliers else agree | ~agree
-    numbers = np.flatnonzero(wanted) + 1
+    wanted = agree & inliers | ~agree & outliers
+    numbers = np.flatnonzero(wanted if wanted.any() else agree | ~agree) + 1
     if len(numbers) == 0:
         return 0
     beyond = numbers[numbers > number] if step > 0 else numbers[numbers < number][::-1]

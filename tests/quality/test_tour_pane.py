@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 SIZE = (1400, 860)
 NUMBER = r"[-+]?\d+(?:\.\d+)?"
-READ_PLACES = ((0.2, 0.45), (0.3, 0.55), (0.38, 0.5), (0.62, 0.5), (0.7, 0.45), (0.76, 0.58))
+READ_PLACES = ((0.25, 0.45), (0.38, 0.5), (0.62, 0.5), (0.74, 0.56))
 """Where surfaces are clicked on, as shares of the picture."""
 
 Open = Callable[..., "ViewerPage"]
@@ -132,7 +132,7 @@ def test_registered_maps_are_compared(tour: Tour) -> None:
     assert tour.pane().std() > 20
     tour.picture("height_difference_flat")
     tour.act(lambda: page.key("z"), "both_flat")
-    page.tab("Submaps and view")
+    page.tab("View")
     page.wait(lambda: page.legend().startswith("Elevation"), "the elevation")
 
     page.key("b")
@@ -160,7 +160,7 @@ def test_values_are_read_and_their_colours_are_the_legends(tour: Tour) -> None:
     command(page, "Hillshade")
     page.settle()
     for layout in ("side_by_side", "registered"):
-        page.tab("Submaps and view")
+        page.tab("View")
         low, high = legend_ends(page.legend())
         bar = legend_bar(page)
         page.tab("Inspect")
@@ -170,7 +170,7 @@ def test_values_are_read_and_their_colours_are_the_legends(tour: Tour) -> None:
             for place in READ_PLACES
             if (reading := read_at(tour, tour.at(*place))) is not None
         ]
-        assert len(read) >= (4 if layout == "side_by_side" else 2)
+        assert len(read) >= (4 if layout == "side_by_side" else 1)
         for color, words in read:
             distances = np.abs(bar - color).max(axis=1)
             assert distances.min() <= 3, (color, words)  # a colour of the legend, exactly
@@ -181,10 +181,11 @@ def test_values_are_read_and_their_colours_are_the_legends(tour: Tour) -> None:
         tour.picture(f"{layout}_read")
         if layout == "side_by_side":
             page.key("u")
-            page.tab("Submaps and view")
+            page.tab("View")
             tour.act(lambda: page.choose("Layout", "registered"), "registered")
             tour.act(lambda: page.choose("Compare", "database only"), "database_only")
     # What is pinned follows the sliders.
+    assert read_at(tour, tour.at(0.45, 0.5)) is not None
     before = page.say("reading")
     page.drag("Length-scale", 40)
     page.wait(lambda: page.say("reading") != before, "the values of another map")
@@ -232,6 +233,7 @@ def test_commands_are_found_and_listed(tour: Tour) -> None:
     page.page.goto(page.page.url + "&darkMode")
     page.page.get_by_test_id("verdict").wait_for(timeout=60_000)
     page.wait(lambda: not page.is_blank(), "a dark picture")
+    page.settle()
     page.tab("Inspect")
     page.key("n")
     page.wait(lambda: page.say("match") != "", "a match")

@@ -1,7 +1,14 @@
 import numpy as np
 
 from app.state import open_dataset
-from app.views.associations import ARC_PIECES, keypoint_dots, match_lines, on_surface, outline
+from app.views.associations import (
+    ARC_PIECES,
+    keypoint_dots,
+    match_lines,
+    on_surface,
+    outline,
+    step_match,
+)
 from app.views.colors import INLIER, OUTLIER, UNMATCHED
 from app.views.placement import Extent, Placement, place
 from gpgrad_core.pipeline import PipelineParams
@@ -63,3 +70,22 @@ def test_an_outline_is_closed() -> None:
     lines = outline(Placement().apply(BOXES[0].corners))
     assert lines.shape == (4, 2, 3)
     np.testing.assert_array_equal(lines[:, 1], np.roll(lines[:, 0], -1, axis=0))
+
+
+def test_steps_stop_at_the_kinds_that_are_shown_and_go_round() -> None:
+    result = make_result(STATE, num_inliers=3, num_outliers=2)
+
+    def walk(step: int, **kinds: bool) -> list[int]:
+        number, way = 0, list[int]()
+        for _ in range(4):
+            number = step_match(result, number, step, **kinds)
+            way.append(number)
+        return way
+
+    assert walk(1, inliers=True, outliers=False) == [1, 2, 3, 1]
+    assert walk(-1, inliers=False, outliers=True) == [5, 4, 5, 4]
+    assert walk(1, inliers=False, outliers=False) == [1, 2, 3, 4]
+    nothing_fits = make_result(STATE, num_inliers=0, num_outliers=2)
+    assert step_match(nothing_fits, 0, 1, inliers=True, outliers=False) == 1
+    empty = make_result(STATE, num_inliers=0, num_outliers=0)
+    assert step_match(empty, 0, 1, inliers=True, outliers=True) == 0
