@@ -186,7 +186,7 @@ def nudge(tour: Tour) -> None:
     tour.rest()
     assert "Accepted by hand" in tour.text("nudge-message")
     page.tick("Move the query")
-    tour.tab("Submaps and view")
+    tour.tab("View")
     tour.shot("nudged_away")
 
 
