@@ -9,6 +9,7 @@ from gpgrad_core.slam.optimise import (
     EdgeFit,
     OptimisedGraph,
     SolverParams,
+    check_solver,
     optimise_pose_graph,
 )
 from gpgrad_core.slam.report import (
@@ -40,6 +41,7 @@ __all__ = [
     "Step",
     "TrajectoryError",
     "build_pose_graph",
+    "check_solver",
     "gather",
     "join_datasets",
     "judge_solution",

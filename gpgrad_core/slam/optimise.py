@@ -1,6 +1,7 @@
 """Solves a pose graph by graduated non-convexity around GTSAM, so that wrong closures lose."""
 
 from dataclasses import dataclass
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -173,17 +174,26 @@ def optimise_pose_graph(
     )
 
 
+def check_solver() -> ModuleType:
+    """Load GTSAM, before the long work that ends in a graph.
+
+    Raises:
+        InputError: If it is not installed: it has no wheels for Windows.
+    """
+    try:
+        import gtsam  # noqa: PLC0415 - heavy, and for this verb only
+    except ImportError as error:
+        raise InputError(
+            "pose graphs need GTSAM, which is not installed: pip install 'gtsam>=4.3'"
+        ) from error
+    return gtsam
+
+
 class _Problem:
     """The graph in GTSAM's terms."""
 
     def __init__(self, graph: PoseGraph) -> None:
-        try:
-            import gtsam  # noqa: PLC0415 - heavy, and for this verb only
-        except ImportError as error:
-            raise InputError(
-                "pose graphs need GTSAM, which is not installed: pip install 'gtsam>=4.3'"
-            ) from error
-        self._gtsam = gtsam
+        self._gtsam = gtsam = check_solver()
         self._edges = graph.edges
         self._keys = {name: key for key, name in enumerate(graph.poses)}
         self._measured = [self._pose(edge.T_start_end) for edge in graph.edges]

@@ -30,7 +30,7 @@ def test_a_traverse_is_corrected_and_merged(gpgrad: Run, traverse: Path, tmp_pat
 
 
 def test_closures_found_before_are_taken_and_no_map_is_made(
-    gpgrad: Run, traverse: Path, tmp_path: Path
+    traverse: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     closures = tmp_path / "mine.json"
     record = {
@@ -56,9 +56,9 @@ def test_closures_found_before_are_taken_and_no_map_is_made(
     }
     closures.write_text(json.dumps(content))
     out = tmp_path / "map"
-    finished = gpgrad("slam", traverse, "--out", out, "--closures", closures, "--no-merge")
-    assert finished.code == 0, finished.err
-    assert "1 loop closure used" in finished.out
+    arguments = ["slam", traverse, "--out", out, "--closures", closures, "--no-merge"]
+    assert run([str(argument) for argument in arguments]) == 0
+    assert "1 loop closure used" in capsys.readouterr().out
     assert not (out / "cloud.ply").exists()
 
 

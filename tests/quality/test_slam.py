@@ -190,13 +190,16 @@ def test_two_halves_with_no_common_frame_come_into_one_map(
 
 def test_memory_does_not_grow_with_the_submaps(tmp_path: Path) -> None:
     """As many submaps again, as many bytes of clouds again: the same memory but for a few."""
-    peaks = [peak_memory(tmp_path, count) for count in (60, 240)]
-    clouds = 240 * 30_000 * 24 / 1e6
+    peaks = [peak_memory(tmp_path, count) for count in (40, 160)]
+    clouds = 160 * 30_000 * 24 / 1e6
     say(
-        f"peak memory: 60 submaps {peaks[0]:.0f} MB, 240 submaps {peaks[1]:.0f} MB "
+        f"peak memory: 40 submaps {peaks[0]:.0f} MB, 160 submaps {peaks[1]:.0f} MB "
         f"({clouds:.0f} MB of points)"
     )
     assert peaks[1] < peaks[0] + 0.2 * clouds
+
+
+COARSE = ("--map.length-scale", "0.6", "--merged.resolution", "0.2", "--merged.voxel", "0.2")
 
 
 def peak_memory(folder: Path, count: int) -> float:
@@ -229,7 +232,7 @@ def peak_memory(folder: Path, count: int) -> float:
     )
     arguments = ["slam", directory, "--out", directory / "out", "--closures", directory / "c.json"]
     finished = subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments), "--merged.resolution", "0.1"],
+        [sys.executable, "-c", code, *map(str, arguments), *COARSE],
         capture_output=True,
         text=True,
         check=False,
