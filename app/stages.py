@@ -18,6 +18,7 @@ STAGE_OF = {
     "match_features": "matching",
     "prepare": "registration",
     "register": "registration",
+    "register_prepared": "registration",
 }
 """The stage that each function which the pipeline asks its memo for belongs to."""
 
