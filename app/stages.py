@@ -17,7 +17,6 @@ STAGE_OF = {
     "select_trusted": "features",
     "match_features": "matching",
     "prepare": "registration",
-    "register": "registration",
     "register_prepared": "registration",
 }
 """The stage that each function which the pipeline asks its memo for belongs to."""
