@@ -122,6 +122,8 @@ class Session:
         self._places = places
         self._timed = TimedMemo(memo)
         self._began = time.monotonic()
+        self._fraction = 0.0
+        self._patience = threading.Timer(LONG, lambda: None)
         self._build_panels()
         self._params.set_default(opened.params)
         self._start_camera(opened)
@@ -156,6 +158,7 @@ class Session:
     def close(self) -> None:
         """Stop working; what was shown stays until its page goes."""
         self._runner.close()
+        self._patience.cancel()
         for part in self._parts:
             part.close()
         self._scene.close()
@@ -397,6 +400,7 @@ class Session:
     def _compute(self, state: ViewState, progress: Progress) -> Picture:
         def report(fraction: float) -> None:
             progress(fraction)
+            self._fraction = fraction
             if time.monotonic() - self._began > LONG:
                 self._status.progress(fraction)
 
@@ -412,8 +416,14 @@ class Session:
     def _on_start(self, state: ViewState) -> None:
         del state
         self._began = time.monotonic()
+        self._fraction = 0.0
         self._timed = TimedMemo(self._memo)
         self._status.computing()
+        # Stages that report nothing for a while must not keep the way to stop them out of sight.
+        self._patience.cancel()
+        self._patience = threading.Timer(LONG, lambda: self._status.progress(self._fraction))
+        self._patience.daemon = True
+        self._patience.start()
 
     def _on_result(self, state: ViewState, picture: Picture, seconds: float) -> None:
         self._show_legend(picture.shown)

@@ -1,5 +1,6 @@
 """One line that says whether the picture is what the sliders say, and a place for errors."""
 
+import threading
 from collections.abc import Callable, Mapping
 from html import escape
 
@@ -22,6 +23,8 @@ class StatusLine:
             host: Whose GUI it joins.
             on_cancel: Called when what is being computed is no longer wanted.
         """
+        self._lock = threading.Lock()
+        self._busy = False
         self._handle = host.gui.add_html(status_html("Starting …", BUSY))
         self._bar = host.gui.add_progress_bar(0.0, visible=False, animated=True)
         self._cancel = host.gui.add_button("Cancel computing", visible=False, color="red")
@@ -33,12 +36,19 @@ class StatusLine:
 
     def computing(self, what: str = "Computing …") -> None:
         """Say that the picture is about to change."""
+        with self._lock:
+            self._busy = True
         self._handle.content = status_html(what, BUSY)
 
     def progress(self, fraction: float) -> None:
-        """Show how far it is, and a way to stop it: it takes longer than one likes to wait."""
-        self._bar.value = 100 * min(max(fraction, 0.0), 1.0)
-        self._set_long(True)
+        """Show how far it is, and a way to stop it: it takes longer than one likes to wait.
+
+        Where nothing is being computed any more, nothing is shown.
+        """
+        with self._lock:
+            if self._busy:
+                self._bar.value = 100 * min(max(fraction, 0.0), 1.0)
+                self._bar.visible = self._cancel.visible = True
 
     def preview(self, seconds: float, *, coarse: bool) -> None:
         """Say that surfaces came, and that what is found on them is being made.
@@ -61,32 +71,34 @@ class StatusLine:
             details: Counts of what is drawn.
             stages: Seconds of these by stage.
         """
-        self._set_long(False)
+        self._rest()
         self._handle.content = status_html(
             f"Up to date · {1000 * seconds:.0f} ms · {details}", GOOD, below=stages_text(stages)
         )
 
     def stale(self, seconds: float) -> None:
         """Say that a picture came, and that a newer one is being made."""
-        self._set_long(False)
+        self._rest()
         self._handle.content = status_html(
             f"Computing … (shown: a moment ago, {1000 * seconds:.0f} ms)", BUSY
         )
 
     def cancelled(self) -> None:
         """Say that the picture is not what the sliders say, because the user wanted it so."""
-        self._set_long(False)
+        self._rest()
         self._handle.content = status_html(
             "Cancelled: move a slider to compute again.", BAD, title="The picture is out of date"
         )
 
     def error(self, message: str) -> None:
         """Say what went wrong; the last good picture stays."""
-        self._set_long(False)
+        self._rest()
         self._handle.content = status_html(message, BAD, title="The picture is out of date")
 
-    def _set_long(self, long: bool) -> None:
-        self._bar.visible = self._cancel.visible = long
+    def _rest(self) -> None:
+        with self._lock:
+            self._busy = False
+            self._bar.visible = self._cancel.visible = False
 
 
 def stages_text(stages: Mapping[str, float] | None) -> str:

@@ -129,7 +129,9 @@ def test_long_work_has_a_bar_and_can_be_cancelled(server: viser.ViserServer) -> 
     asked: list[str] = []
     status = StatusLine(server, on_cancel=lambda: asked.append("cancel"))
     button = find(server, "Cancel computing")
-    assert not button.visible
+    status.progress(0.2)
+    assert not button.visible  # nothing is being computed
+    status.computing()
     status.progress(0.4)
     assert button.visible
     user_presses(button)
