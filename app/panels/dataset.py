@@ -90,7 +90,7 @@ class DatasetPanel:
             "on the machine that runs the viewer.",
         )
         self._buttons = gui.add_button_group(
-            "Open", ("Load", "Demo"), hint="Load the folder above, or the built-in demo."
+            "Open", ("Load", "Load demo"), hint="Load the folder above, or the built-in demo."
         )
         self._place = gui.add_html("", visible=on_enter is not None)
         self._entries: viser.GuiDropdownHandle[str] = gui.add_dropdown(
@@ -113,7 +113,7 @@ class DatasetPanel:
 
         @self._buttons.on_click
         async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            if event.target.value == "Demo":
+            if event.target.value == "Load demo":
                 on_demo()
             else:
                 on_load(self._path.value.strip())

@@ -126,7 +126,7 @@ def test_a_zipped_dataset_is_uploaded(
     assert len(opened[0].dataset.submaps) == 4
     assert Path(opened[0].source).is_relative_to(tmp_path / "uploads")
     assert recent_datasets(tmp_path / "config") == ()  # it will be gone
-    user_sets(find(server, "Open"), "Demo")
+    user_sets(find(server, "Open"), "Load demo")
     assert opening.wait_idle(20)
     assert not Path(opened[0].source).exists()  # it is no longer open
     upload(server, opening, "broken.zip", b"PK\x03\x04")

@@ -99,13 +99,14 @@ def test_reset_brings_everything_back(open_viewer: Open) -> None:
 
 def test_a_missing_folder_is_told_and_the_sliders_still_work(open_viewer: Open) -> None:
     page = open_viewer()
+    page.page.get_by_role("tab", name="Data").click()
     page.type_text("Folder", "/no/such/<b>folder</b>")
     page.press("Load")
     error = page.page.get_by_test_id("dataset-error")
     error.wait_for(timeout=30_000)
     assert "/no/such/<b>folder</b>: no such file or folder" in error.inner_text()
     expect_change(page, lambda: page.drag("Variance mask", -15))
-    page.press("Demo")
+    page.press("Load demo")
     error.wait_for(state="detached", timeout=30_000)
     page.settle()
     assert page.accepted()

@@ -158,7 +158,7 @@ def test_datasets_are_asked_for_in_every_way(server: viser.ViserServer) -> None:
     panel.show_folder(Choices("/data", ("etna/", "one.ply"), can_open=True))
     user_sets(find(server, "Folder"), "  /data/etna ")
     user_sets(find(server, "Open"), "Load")
-    user_sets(find(server, "Open"), "Demo")
+    user_sets(find(server, "Open"), "Load demo")
     user_sets(find(server, "Recent"), "/data/moon")
     user_sets(find(server, "Browse"), "etna/")
     user_sets(find(server, "Browse"), UP)
