@@ -17,9 +17,9 @@ Bookmark: TypeAlias = Literal["top", "oblique", "follow loop"]
 BOOKMARKS: tuple[Bookmark, ...] = get_args(Bookmark)
 NEARLY_DOWN = 0.002
 """Sine of the angle off the vertical from which the top view looks: north stays up."""
-FOLLOW_BACK = 0.16
+FOLLOW_BACK = 0.5
 """How far behind the robot the camera flies, as a share of the way's extent."""
-FOLLOW_UP = 0.14
+FOLLOW_UP = 0.35
 FOLLOW_AHEAD = 0.06
 """How far ahead it looks, as a share of the way's length."""
 
