@@ -278,7 +278,7 @@ class Evaluate:
         pairs = measure_pairs(dataset)
         for name, report in rivals.items():
             rank_pairs(report, dataset, pairs, name)  # a wrong file should not cost an hour
-        with _progress("evaluate") as progress, ThreadPoolExecutor(num_workers()) as executor:
+        with _progress("evaluate") as progress, worker_processes(num_workers()) as executor:
             found = run_methods(dataset, methods, params, executor=executor, progress=progress)
         evaluation = evaluate(
             dataset,
