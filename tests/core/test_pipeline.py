@@ -106,7 +106,7 @@ def test_the_same_again_runs_nothing_and_gives_the_same_objects(
     first = register_pair(query, database, PARAMS, memo)
     assert sorted(memo.since()) == sorted(
         2 * ["fit_terrain", "sample_map", "detect_features", "select_trusted", "prepare"]
-        + ["match_features", "register"]
+        + ["match_features", "register_prepared"]
     )
     second = register_pair(query, database, PARAMS, memo)
     assert memo.since() == []
@@ -117,7 +117,7 @@ def test_the_same_again_runs_nothing_and_gives_the_same_objects(
 
 MAP, FEATURES = PARAMS.map, PARAMS.features
 MATCHING, REGISTRATION, CLOSURE = PARAMS.matching, PARAMS.registration, PARAMS.closure
-MASKING = ["match_features", "register", "select_trusted"]
+MASKING = ["match_features", "register_prepared", "select_trusted"]
 SAMPLING = ["detect_features", *MASKING, "prepare", "sample_map"]
 
 
@@ -126,8 +126,8 @@ SAMPLING = ["detect_features", *MASKING, "prepare", "sample_map"]
     [
         (replace(PARAMS, closure=replace(CLOSURE, min_inliers=15)), []),
         (replace(PARAMS, closure=replace(CLOSURE, min_score=1.0)), []),
-        (replace(PARAMS, registration=replace(REGISTRATION, inlier_radius=0.2)), ["register"]),
-        (replace(PARAMS, matching=replace(MATCHING, ratio=0.9)), ["match_features", "register"]),
+        (replace(PARAMS, registration=replace(REGISTRATION, inlier_radius=0.2)), ["register_prepared"]),
+        (replace(PARAMS, matching=replace(MATCHING, ratio=0.9)), ["match_features", "register_prepared"]),
         (replace(PARAMS, features=replace(FEATURES, max_std_ratio=0.2)), MASKING),
         (replace(PARAMS, map=replace(MAP, resolution=0.1)), SAMPLING),
         (replace(PARAMS, map=replace(MAP, noise_std=0.1)), ["fit_terrain", *SAMPLING]),
