@@ -126,8 +126,14 @@ SAMPLING = ["detect_features", *MASKING, "prepare", "sample_map"]
     [
         (replace(PARAMS, closure=replace(CLOSURE, min_inliers=15)), []),
         (replace(PARAMS, closure=replace(CLOSURE, min_score=1.0)), []),
-        (replace(PARAMS, registration=replace(REGISTRATION, inlier_radius=0.2)), ["register_prepared"]),
-        (replace(PARAMS, matching=replace(MATCHING, ratio=0.9)), ["match_features", "register_prepared"]),
+        (
+            replace(PARAMS, registration=replace(REGISTRATION, inlier_radius=0.2)),
+            ["register_prepared"],
+        ),
+        (
+            replace(PARAMS, matching=replace(MATCHING, ratio=0.9)),
+            ["match_features", "register_prepared"],
+        ),
         (replace(PARAMS, features=replace(FEATURES, max_std_ratio=0.2)), MASKING),
         (replace(PARAMS, map=replace(MAP, resolution=0.1)), SAMPLING),
         (replace(PARAMS, map=replace(MAP, noise_std=0.1)), ["fit_terrain", *SAMPLING]),
