@@ -87,6 +87,7 @@ from gpgrad_core.slam import (
     Solution,
     SolverParams,
     build_pose_graph,
+    check_solver,
     join_datasets,
     judge_solution,
     odometry_poses,
@@ -506,7 +507,8 @@ class Slam:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
         sessions = join_datasets([outline_dataset(path) for path in self.datasets])
         dataset = sessions.outline.dataset
-        odometry_poses(dataset)  # what lacks it should not cost minutes
+        odometry_poses(dataset)  # what lacks it, or a solver, should not cost minutes
+        check_solver()
         for note in dataset.notes:
             _warn(note)
         params = _again(self, given, pipeline=_base(dataset, self.params)).pipeline
