@@ -10,7 +10,7 @@ from typing_extensions import Doc
 
 from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.binning import bin_points
+from gpgrad_core.gp.binning import thin_dense
 from gpgrad_core.gp.inference import Posterior, fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.noise import find_outliers, measure_noise
@@ -181,12 +181,7 @@ def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = sile
     mean = float(points[:, 2].mean())
     signal_std = signal_std_of(points, params)
     if len(points) >= BINNED_FROM:
-        # What the ground bends within a cell must stay far below the noise.
-        flat_enough = float(np.sqrt(np.median(noise_std) / (5 * signal_std)))
-        cell = params.length_scale * min(1 / 8, flat_enough)
-        binned, binned_noise = bin_points(points, cell, noise_std)
-        if len(binned) <= len(points) / 2:
-            points, noise_std = binned, binned_noise
+        points, noise_std = thin_dense(points, noise_std, params.length_scale, signal_std)
     kernel = SquaredExponential(signal_std, params.length_scale)
     return fit_gp(points, kernel, noise_std, mean=mean, progress=progress)
 

@@ -30,3 +30,26 @@ def bin_points(
     total = np.bincount(owner, precision)
     means = [np.bincount(owner, precision * points[:, k]) / total for k in range(3)]
     return np.column_stack(means), 1 / np.sqrt(total)
+
+
+def thin_dense(
+    points: Float[Array, "n 3"],
+    noise_std: Float[Array, "n"],
+    length_scale: float,
+    signal_std: float,
+) -> tuple[Float[Array, "b 3"], Float[Array, "b"]]:
+    """Bin a cloud to an eighth of a length-scale or less, where that at least halves it.
+
+    Args:
+        points: Positions [m].
+        noise_std: Of each point [m].
+        length_scale: Of the GP [m].
+        signal_std: Of the terrain [m].
+
+    Returns:
+        Means [m] and their noise [m]; or the points as they are.
+    """
+    # What the ground bends within a cell must stay far below the noise.
+    flat_enough = float(np.sqrt(np.median(noise_std) / (5 * signal_std)))
+    means, noise_of_mean = bin_points(points, length_scale * min(1 / 8, flat_enough), noise_std)
+    return (means, noise_of_mean) if len(means) <= len(points) / 2 else (points, noise_std)

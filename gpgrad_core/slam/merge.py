@@ -12,6 +12,7 @@ from typing_extensions import Doc
 
 from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.errors import InputError
+from gpgrad_core.gp.binning import thin_dense
 from gpgrad_core.gradient_map import (
     TerrainParams,
     fit_terrain,
@@ -194,15 +195,31 @@ def merge_maps(
         max_points=None,
     )
     notes: list[str] = []
-    tiles = list(gathered.store.neighbourhoods())
+    store = _thinned(gathered, terrain.length_scale, folder / "means")
+    tiles = list(store.neighbourhoods())
     for k, tile in enumerate(tiles):
         report = part(progress, 0.95 * k / len(tiles), 0.95 * (k + 1) / len(tiles))
-        notes += _add_tile(gathered.store, tile, grid, known, sums, report)
+        notes += _add_tile(store, tile, grid, known, sums, report)
         report(1.0)
     _settle(sums, params.max_std_ratio * gathered.signal_std)
     progress(1.0)
     layers = {name: sums[name] for name in LAYERS} | {"gradient": sums["weight"]}
     return MergedMap(grid, layers, tuple(notes))
+
+
+def _thinned(gathered: Gathered, length_scale: float, folder: Path) -> TileStore:
+    """Replace points by the means of small cells in all tiles that this at least halves.
+
+    So ground that many submaps saw takes no more memory than any other. Cells are laid out
+    before anything looks across a tile's edge: both sides of a seam see the same means.
+    """
+    folder.mkdir()
+    thinned = TileStore(folder, gathered.store.side, gathered.store.columns)
+    for tile in gathered.store.tiles:
+        rows = gathered.store.read(tile)
+        means, noise_std = thin_dense(rows[:, :3], rows[:, 3], length_scale, gathered.signal_std)
+        thinned.add(np.column_stack([means, noise_std]))
+    return thinned
 
 
 def _grid(gathered: Gathered, resolution: float) -> Grid:
