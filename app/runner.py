@@ -108,7 +108,9 @@ class Runner(Generic[Job, Result]):
     def cancel(self) -> None:
         """Stop what runs at its next progress call, and forget what waits; returns at once."""
         with self._changed:
-            self._dropped, self._waiting = self._waiting, []
+            if not self._running:  # else what runs tells of it
+                self._dropped = self._waiting
+            self._waiting = []
             self._cancelling = self._running
             self._changed.notify_all()
 
@@ -120,7 +122,9 @@ class Runner(Generic[Job, Result]):
     def wait_idle(self, timeout: float) -> bool:
         """Wait until nothing runs or waits; says whether that came true within the timeout [s]."""
         with self._changed:
-            return self._changed.wait_for(lambda: not self._running and not self._waiting, timeout)
+            return self._changed.wait_for(
+                lambda: not (self._running or self._waiting or self._dropped), timeout
+            )
 
     def close(self) -> None:
         """Stop: cancels what runs at its next progress call, and joins the thread."""
@@ -136,7 +140,9 @@ class Runner(Generic[Job, Result]):
             with self._changed:
                 self._running = False
                 self._changed.notify_all()
-                self._changed.wait_for(lambda: bool(self._waiting) or self._closing)
+                self._changed.wait_for(
+                    lambda: bool(self._waiting or self._dropped) or self._closing
+                )
             if self._closing:
                 return
             with self._turn():
@@ -166,11 +172,17 @@ class Runner(Generic[Job, Result]):
         """Take the newest job; tell of one that was cancelled before its turn."""
         with self._changed:
             dropped, self._dropped = self._dropped, []
-            if self._waiting and not self._closing:
-                self._running, self._cancelling = True, False
+            if self._closing:
+                return None
+            self._running, self._cancelling = True, False  # telling of a cancel is work too
+            if self._waiting:
                 return self._waiting.pop()
-        if dropped and self._on_cancel is not None and not self._closing:
-            self._on_cancel(dropped[0])
+        for job in dropped:
+            try:
+                if self._on_cancel is not None:
+                    self._on_cancel(job)
+            except Exception as error:
+                self._report(job, error)
         return None
 
     def _run(self, job: Job) -> None:

@@ -199,6 +199,23 @@ def test_cancelling_stops_what_runs_and_only_that() -> None:
     quick.close()
 
 
+def test_a_job_cancelled_before_the_worker_took_it_is_told_of() -> None:
+    told: list[int] = []
+    runner: Runner[int, int] = Runner(
+        lambda job, progress: job,  # noqa: ARG005
+        lambda job, result, seconds: None,  # noqa: ARG005
+        lambda job, error: None,  # noqa: ARG005
+        on_cancel=told.append,
+        turns=threading.Semaphore(0),  # its turn never comes
+    )
+    for job in range(200):  # at whatever moment the worker is
+        runner.submit(job)
+        runner.cancel()
+        assert runner.wait_idle(5)
+        assert told == list(range(job + 1))
+    runner.close()
+
+
 def test_an_error_is_a_value_and_the_worker_lives() -> None:
     record = Record()
 

@@ -150,18 +150,17 @@ class ViewerPage:
 
     def is_blank(self) -> bool:
         """Say whether the canvas has one colour nearly everywhere."""
-        picture = self.picture()
-        return float((np.abs(picture - picture[0, 0]).max(axis=-1) > 20).mean()) < 0.02
+        return is_blank(self.picture())
 
-    def settle(self) -> None:
-        """Wait until the status says up to date and the picture stands still."""
+    def settle(self) -> Pixels:
+        """Wait until the status says up to date and the picture stands still; give it."""
         self.wait(lambda: "Up to date" in self.status(), "an up-to-date picture")
         last = self.picture()
         for _ in range(100):
             self.page.wait_for_timeout(150)
             now = self.picture()
             if changed(last, now) == 0.0 and "Up to date" in self.status():
-                return
+                return now
             last = now
         raise AssertionError("the picture never stood still")
 
@@ -259,6 +258,11 @@ class ViewerPage:
         if notice.count():
             notice.first.locator("button").click()
             notice.first.wait_for(state="detached", timeout=1000 * PATIENCE)
+
+
+def is_blank(picture: Pixels) -> bool:
+    """Say whether a picture has one colour nearly everywhere."""
+    return float((np.abs(picture - picture[0, 0]).max(axis=-1) > 20).mean()) < 0.02
 
 
 def changed(before: Pixels, after: Pixels) -> float:

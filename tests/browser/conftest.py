@@ -36,9 +36,8 @@ def browser() -> Iterator[object]:
         yield launched
 
 
-@pytest.fixture
-def open_viewer(browser: object) -> Iterator[Callable[..., object]]:
-    """Serve the demo and open a page on it; both end with the test, which must be clean."""
+def serve(browser: object) -> Iterator[Callable[..., object]]:
+    """Serve the demo and open pages on it; both end with the fixture, and must be clean."""
     from tests.browser.chromium import ViewerPage  # noqa: PLC0415
 
     viewers: list[Viewer] = []
@@ -59,3 +58,17 @@ def open_viewer(browser: object) -> Iterator[Callable[..., object]]:
     for page in pages:
         assert page.errors == []
         assert page.outside == []
+
+
+@pytest.fixture
+def open_viewer(browser: object) -> Iterator[Callable[..., object]]:
+    """Open a page of a viewer of its own."""
+    yield from serve(browser)
+
+
+@pytest.fixture(scope="module")
+def page(browser: object) -> Iterator[object]:
+    """One page for several tests, each of which leaves it as it was: opening takes seconds."""
+    opening = serve(browser)
+    yield next(opening)()
+    assert next(opening, None) is None

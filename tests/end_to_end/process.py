@@ -1,11 +1,16 @@
 """A way to run the command as its users do: as a process."""
 
+import contextlib
+import io
 import os
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
+from unittest.mock import patch
+
+from app.cli import run
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -55,3 +60,18 @@ def run_gpgrad(*arguments: str | Path) -> Finished:
         cwd=ROOT,
     )
     return Finished(finished.returncode, finished.stdout, finished.stderr)
+
+
+def run_here(*arguments: str | Path) -> Finished:
+    """Run ``gpgrad`` in this process: for what ends before any work, where starting is the cost."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+        patch.dict(os.environ, environment()),
+    ):
+        try:
+            code = run([str(argument) for argument in arguments])
+        except SystemExit as leaving:  # after help
+            code = int(leaving.code or 0)
+    return Finished(code, out.getvalue(), err.getvalue())

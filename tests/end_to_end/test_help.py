@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gpgrad_core.version import VERSION
-from tests.end_to_end.process import ROOT, Run, environment
+from tests.end_to_end.process import ROOT, Run, environment, run_here
 
 
 def test_version(gpgrad: Run) -> None:
@@ -27,8 +27,8 @@ def test_the_verbs_are_listed(gpgrad: Run) -> None:
 @pytest.mark.parametrize(
     "verb", ["view", "detect", "evaluate", "map", "fit", "build", "slam", "simulate"]
 )
-def test_every_flag_has_a_text_and_a_default(gpgrad: Run, verb: str) -> None:
-    finished = gpgrad(verb, "--help")
+def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
+    finished = run_here(verb, "--help")
     assert finished.code == 0
     assert finished.err == ""
     text = " ".join(re.sub(r"[│╭╮╰╯─]", " ", finished.out).split())
@@ -73,8 +73,12 @@ def test_every_flag_has_a_text_and_a_default(gpgrad: Run, verb: str) -> None:
         (("view", "--port", "abc"), "--port"),
     ],
 )
-def test_wrong_usage_is_one_line(gpgrad: Run, arguments: tuple[str, ...], said: str) -> None:
-    assert said in gpgrad(*arguments).refusal
+def test_wrong_usage_is_one_line(arguments: tuple[str, ...], said: str) -> None:
+    assert said in run_here(*arguments).refusal
+
+
+def test_wrong_usage_ends_the_process_with_2(gpgrad: Run) -> None:
+    assert "--out" in gpgrad("detect").refusal
 
 
 def test_help_comes_quickly_and_without_the_viewer() -> None:

@@ -83,9 +83,10 @@ def compare(
     grid: Grid,
     solver: Solver = "lattice",
     binned_to: float | None = None,
+    exact: Fields | None = None,
 ) -> Errors:
     """Compare both ways; bins go to the fast one only, for the oracle is to see all points."""
-    exact = Fields.dense(points, kernel, noise, grid)
+    exact = Fields.dense(points, kernel, noise, grid) if exact is None else exact
     if binned_to is None:
         posterior = fit_gp(points, kernel, noise, solver=solver)
     else:
