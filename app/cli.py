@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import math
 import re
 import socket
 import sys
@@ -73,7 +74,7 @@ from gpgrad_core.outputs import (
     write_fitted,
     write_map,
 )
-from gpgrad_core.parallel import worker_processes
+from gpgrad_core.parallel import workers
 from gpgrad_core.parameters import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
 from gpgrad_core.progress import Progress, part, silent
@@ -219,7 +220,8 @@ class Detect:
         params = method.adapt(asked)
         if self.g2o:
             odometry_poses(dataset)  # a graph without odometry should not cost minutes
-        with _progress("pairs") as progress, worker_processes(num_workers()) as executor:
+        num_pairs = math.comb(len(dataset.submaps), 2)
+        with _progress("pairs") as progress, workers(num_workers(), num_pairs) as executor:
             result = detect_loop_closures(
                 dataset,
                 params,
@@ -279,7 +281,8 @@ class Evaluate:
         pairs = measure_pairs(dataset)
         for name, report in rivals.items():
             rank_pairs(report, dataset, pairs, name)  # a wrong file should not cost an hour
-        with _progress("evaluate") as progress, worker_processes(num_workers()) as executor:
+        num_jobs = math.comb(len(dataset.submaps), 2) * len(methods)
+        with _progress("evaluate") as progress, workers(num_workers(), num_jobs) as executor:
             found = run_methods(dataset, methods, params, executor=executor, progress=progress)
         evaluation = evaluate(
             dataset,

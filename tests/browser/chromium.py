@@ -20,6 +20,7 @@ from app.stage import VIEW_WIDTH
 FLAGS = [
     "--no-sandbox",
     "--use-angle=swiftshader",
+    "--disable-gpu-compositing",  # the page around the canvas costs less without, in software
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
     "--disable-background-networking",

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.end_to_end.process import Run
+from tests.end_to_end.process import Run, run_here
 
 PLY = """ply
 format binary_little_endian 1.0
@@ -64,12 +64,10 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("make", BROKEN, ids=lambda make: make.__name__)
-def test_a_cloud_that_cannot_be_used(
-    gpgrad: Run, tmp_path: Path, make: Callable[[Path], None]
-) -> None:
+def test_a_cloud_that_cannot_be_used(tmp_path: Path, make: Callable[[Path], None]) -> None:
     cloud = tmp_path / "broken.ply"
     make(cloud)
-    line = gpgrad("map", cloud, "--out", tmp_path / "map.npz").refusal
+    line = run_here("map", cloud, "--out", tmp_path / "map.npz").refusal
     assert "broken" in line
     assert BROKEN[make] in line
     assert not (tmp_path / "map.npz").exists()
