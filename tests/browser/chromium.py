@@ -225,7 +225,7 @@ class ViewerPage:
 
     def type_text(self, label: str, text: str) -> None:
         """Type into a text box, in place of what is there."""
-        name = self.page.locator("label").filter(has_text=label).first
+        name = self.page.locator("label:visible").filter(has_text=label).first
         name.locator("xpath=ancestor::*[.//input][1]//input").first.fill(text)
         self.page.wait_for_timeout(2 * BETWEEN_INPUTS_MS)
 
