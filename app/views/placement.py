@@ -203,7 +203,7 @@ def glide(
     )
 
 
-def frame_camera(boxes: tuple[tuple[Extent, Placement], ...], aspect: float = 0.85) -> Camera:
+def frame_camera(boxes: tuple[tuple[Extent, Placement], ...], aspect: float = 0.72) -> Camera:
     """Place the camera so that the submaps fill the view.
 
     Args:
