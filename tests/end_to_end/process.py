@@ -3,12 +3,15 @@
 import contextlib
 import io
 import os
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 from unittest.mock import patch
+
+import pytest
 
 from app.cli import run
 
@@ -75,3 +78,36 @@ def run_here(*arguments: str | Path) -> Finished:
         except SystemExit as leaving:  # after help
             code = int(leaving.code or 0)
     return Finished(code, out.getvalue(), err.getvalue())
+
+
+def run_on_terminal(*arguments: str | Path, interrupt_at: bytes | None = None) -> tuple[int, str]:
+    """Run ``gpgrad`` on a terminal, where it draws a bar; give its code and what was seen.
+
+    Args:
+        arguments: Of the command.
+        interrupt_at: Press Ctrl-C once this was seen.
+    """
+    termios = pytest.importorskip("termios", reason="this system has no terminals to set up")
+    pty = pytest.importorskip("pty", reason="this system has no pseudo-terminals")
+    ours, theirs = pty.openpty()
+    termios.tcsetwinsize(ours, (24, 80))  # a new one is 0 wide: no room for a bar
+    with subprocess.Popen(
+        [sys.executable, "-m", "app", *map(str, arguments)],
+        stdout=subprocess.DEVNULL,
+        stderr=theirs,
+        env=environment(),
+        cwd=ROOT,
+    ) as process:
+        os.close(theirs)
+        seen, interrupted = b"", False
+        try:
+            while chunk := os.read(ours, 65536):
+                seen += chunk
+                if interrupt_at is not None and interrupt_at in seen and not interrupted:
+                    process.send_signal(signal.SIGINT)
+                    interrupted = True
+        except OSError:  # how Linux says that the other end was closed
+            pass
+        finally:
+            os.close(ours)
+        return process.wait(timeout=60), seen.decode(errors="replace")

@@ -1,16 +1,15 @@
 """`gpgrad detect`, as a process."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
+import math
 from pathlib import Path
 
 import pytest
 
+from gpgrad_core.datasets import demo_path
 from gpgrad_core.outputs import read_closures
-from tests.end_to_end.process import ROOT, Run, environment
+from gpgrad_core.parallel import WORTH_PROCESSES
+from tests.end_to_end.process import Run, run_on_terminal
 
 
 @pytest.fixture(scope="module")
@@ -100,32 +99,11 @@ def test_a_rival_finds_the_same_loop_and_is_named(
     assert (best.query, best.database) == ("003", "000")
 
 
-def test_an_interrupt_ends_all_workers_and_leaves_nothing(traverse: Path, tmp_path: Path) -> None:
-    termios = pytest.importorskip("termios", reason="this system has no terminals to draw a bar on")
-    pty = pytest.importorskip("pty", reason="this system has no pseudo-terminals")
-    ours, theirs = pty.openpty()
-    termios.tcsetwinsize(ours, (24, 80))  # a new one is 0 wide: no room for a bar
+def test_an_interrupt_ends_all_workers_and_leaves_nothing(tmp_path: Path) -> None:
     out = tmp_path / "closures.json"
-    with subprocess.Popen(
-        [sys.executable, "-m", "app", "detect", str(traverse), "--out", str(out)],
-        stdout=subprocess.DEVNULL,
-        stderr=theirs,
-        env=environment(),
-        cwd=ROOT,
-    ) as process:
-        os.close(theirs)
-        seen, interrupted = b"", False
-        try:
-            while chunk := os.read(ours, 65536):
-                seen += chunk
-                if b"pairs" in seen and not interrupted:  # the bar: it has begun to detect
-                    process.send_signal(signal.SIGINT)
-                    interrupted = True
-        except OSError:  # how Linux says that the other end was closed
-            pass
-        finally:
-            os.close(ours)
-        assert process.wait(timeout=60) == 130
-    assert b"gpgrad: interrupted" in seen
-    assert b"Traceback" not in seen
+    assert math.comb(10, 2) >= WORTH_PROCESSES  # the demo's pairs are compared in processes
+    code, seen = run_on_terminal("detect", demo_path(), "--out", out, interrupt_at=b"pairs")
+    assert code == 130
+    assert "gpgrad: interrupted" in seen
+    assert "Traceback" not in seen
     assert not out.exists()

@@ -1,16 +1,12 @@
 """`gpgrad evaluate`, as a process."""
 
 import json
-import os
 import shutil
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.end_to_end.process import ROOT, Run, environment
+from tests.end_to_end.process import Run, run_on_terminal
 
 
 @pytest.fixture(scope="module")
@@ -77,31 +73,9 @@ def test_missing_truth_says_which_file_is_needed(
 
 
 def test_an_interrupt_leaves_nothing(known: Path, tmp_path: Path) -> None:
-    termios = pytest.importorskip("termios", reason="this system has no terminals to draw a bar on")
-    pty = pytest.importorskip("pty", reason="this system has no pseudo-terminals")
-    ours, theirs = pty.openpty()
-    termios.tcsetwinsize(ours, (24, 80))  # a new one is 0 wide: no room for a bar
     out = tmp_path / "r"
-    with subprocess.Popen(
-        [sys.executable, "-m", "app", "evaluate", str(known), "--out", str(out)],
-        stdout=subprocess.DEVNULL,
-        stderr=theirs,
-        env=environment(),
-        cwd=ROOT,
-    ) as process:
-        os.close(theirs)
-        seen, interrupted = b"", False
-        try:
-            while chunk := os.read(ours, 65536):
-                seen += chunk
-                if b"evaluate" in seen and not interrupted:  # the bar: it has begun to detect
-                    process.send_signal(signal.SIGINT)
-                    interrupted = True
-        except OSError:  # how Linux says that the other end was closed
-            pass
-        finally:
-            os.close(ours)
-        assert process.wait(timeout=60) == 130
-    assert b"gpgrad: interrupted" in seen
-    assert b"Traceback" not in seen
+    code, seen = run_on_terminal("evaluate", known, "--out", out, interrupt_at=b"evaluate")
+    assert code == 130
+    assert "gpgrad: interrupted" in seen
+    assert "Traceback" not in seen
     assert not out.exists()
