@@ -1,6 +1,6 @@
 """What a change of view costs the server: two maps of 300 x 300, process time, medians.
 
-Run by hand on an idle machine: ``pytest tests/quality/test_view_cost.py -n 0 -s``.
+Run by hand on an idle machine: ``GPGRAD_SHAPE_CHECKS=0 pytest tests/quality/test_view_cost.py -n 0 -s``.
 """
 
 import contextlib
