@@ -3,7 +3,10 @@
 Importing this file switches the shape checks on; pytest does so before any test module.
 """
 
+import contextlib
+import io
 import os
+from collections.abc import Iterator
 
 # Two test processes share two processors; set before NumPy is loaded, which reads it then.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -39,3 +42,14 @@ def real_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real datasets at {folder}: set GPGRAD_DATA to a folder that holds them")
     return folder
+
+
+@pytest.fixture
+def server() -> Iterator[object]:
+    """A viewer's server on a free port, without a browser."""
+    import viser  # noqa: PLC0415 - for the tests of the app alone
+
+    with contextlib.redirect_stdout(io.StringIO()):
+        made = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        yield made
+        made.stop()

@@ -1,6 +1,6 @@
 """Eight pages on one session, one dragging; and a drag of 200 events in 2 s. By hand, with -s.
 
-    pytest tests/quality/test_many_clients.py -n 0 -s
+    GPGRAD_SHAPE_CHECKS=0 pytest tests/quality/test_many_clients.py -n 0 -s
 
 Pages speak the viewer's protocol without a browser, so that what is measured is the server.
 """

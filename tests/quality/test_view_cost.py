@@ -1,13 +1,12 @@
 """What a change of view costs the server: two maps of 300 x 300, process time, medians.
 
-Run by hand on an idle machine: ``GPGRAD_SHAPE_CHECKS=0 pytest tests/quality/test_view_cost.py -n 0 -s``.
+Run by hand on an idle machine, without the suite's shape checks:
+``GPGRAD_SHAPE_CHECKS=0 pytest tests/quality/test_view_cost.py -n 0 -s``.
 """
 
-import contextlib
-import io
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -37,14 +36,6 @@ def fine_result() -> PairResult:
     maps = make_map(STATE.query, RESOLUTION), make_map(STATE.database, RESOLUTION)
     assert all(295 <= side <= 305 for made in maps for side in made.grid.shape)
     return replace(coarse, query_map=maps[0], database_map=maps[1])
-
-
-@pytest.fixture
-def server() -> Iterator[viser.ViserServer]:
-    with contextlib.redirect_stdout(io.StringIO()):
-        made = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-        yield made
-        made.stop()
 
 
 def with_ratio(state: ViewState, k: int) -> ViewState:
