@@ -11,7 +11,6 @@ from scipy.optimize import Bounds, minimize
 
 from gpgrad_core.bounds import bounded_fields
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.likelihood import Hyperparameters, Patch, log_marginal_likelihood
 from gpgrad_core.gp.patches import Members, draw_patches
@@ -300,7 +299,7 @@ def _solvable(params: TerrainParams, areas: list[_Area]) -> TerrainParams:
     most = 0.0
     for area in areas:
         kernel = SquaredExponential(signal_std_of(area.points, params), params.length_scale)
-        mean = float(area.points[:, 2].mean())
-        most = max(most, information(Cloud.of(area.points, area.noise(params), mean), kernel))
+        noise_variance = np.square(area.noise(params))
+        most = max(most, information(area.points[:, :2], noise_variance, kernel))
     excess = most / MOST_INFORMATION_SOLVED
     return params if excess <= 1 else _with_noise_times(float(np.sqrt(excess)), params)

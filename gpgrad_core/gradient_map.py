@@ -10,6 +10,7 @@ from typing_extensions import Doc
 
 from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.errors import InputError
+from gpgrad_core.gp.accuracy import EXACT, Accuracy
 from gpgrad_core.gp.binning import thin_dense
 from gpgrad_core.gp.inference import Posterior, fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
@@ -167,11 +168,22 @@ def ordinary_noise(points_of: Submap, known_by: Submap, params: TerrainParams) -
             return params.noise_factor * points_of.noise_std
 
 
-def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = silent) -> Posterior:
+def fit_terrain(
+    submap: Submap,
+    params: TerrainParams,
+    progress: Progress = silent,
+    accuracy: Accuracy = EXACT,
+) -> Posterior:
     """Fit the GP of Eq. (1) to a submap's points.
 
     Large clouds, where it at least halves them, are binned to an eighth of a length-scale or
     less: means stand for their points with the noise of a mean.
+
+    Args:
+        submap: Gravity-aligned points [m].
+        params: Of the GP.
+        progress: Called now and then; may raise Cancelled.
+        accuracy: How exact it is to be.
 
     Raises:
         InputError: If the GP would be too large or cannot be solved.
@@ -183,7 +195,7 @@ def fit_terrain(submap: Submap, params: TerrainParams, progress: Progress = sile
     if len(points) >= BINNED_FROM:
         points, noise_std = thin_dense(points, noise_std, params.length_scale, signal_std)
     kernel = SquaredExponential(signal_std, params.length_scale)
-    return fit_gp(points, kernel, noise_std, mean=mean, progress=progress)
+    return fit_gp(points, kernel, noise_std, mean=mean, accuracy=accuracy, progress=progress)
 
 
 def kept_rows(submap: Submap, max_points: int | None) -> Int[NDArray[np.intp], "n"]:

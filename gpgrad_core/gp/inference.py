@@ -2,20 +2,19 @@
 
 from typing import Literal, TypeAlias
 
+import numpy as np
 from jaxtyping import Float
 
+from gpgrad_core.gp import lattice, tiles
+from gpgrad_core.gp.accuracy import EXACT, Accuracy
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import LatticePosterior, fit_lattice
-from gpgrad_core.gp.tiles import TilePosterior, fit_tiles, largest_tile
+from gpgrad_core.gp.spacing import check_solvable, information
+from gpgrad_core.gp.tiles import TilePosterior, fit_tiles
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.types import Array
 
 Solver = Literal["auto", "lattice", "tiles"]
-
-MOST_POINTS_A_TILE = 150
-"""Above this many points in its fullest tile, neighbours included, the lattice is faster
-(measured at 5,000 points in 10 m x 10 m: the tiles win up to a length-scale of 0.11 m)."""
-
 
 Posterior: TypeAlias = LatticePosterior | TilePosterior
 """A fitted GP: holds its `kernel`, and samples elevation, variance and slope on any grid."""
@@ -28,6 +27,7 @@ def fit_gp(
     *,
     mean: float | None = None,
     solver: Solver = "auto",
+    accuracy: Accuracy = EXACT,
     progress: Progress = silent,
 ) -> Posterior:
     """Fit the GP of Eq. (1) to points, exactly to the tolerances of either method.
@@ -38,16 +38,31 @@ def fit_gp(
         noise_std: Standard deviation of the heights, one for all or one a point [m].
         mean: Height that is taken off before and added after [m]; None: the points' mean.
         solver: ``lattice`` costs by the area in length-scales, ``tiles`` by the points in one;
-            ``auto`` takes the tiles where they are few.
+            ``auto`` takes the one that is estimated to be faster.
+        accuracy: How exact it is to be.
         progress: Called now and then; may raise Cancelled.
 
     Raises:
         InputError: If the GP would be too large or cannot be solved.
     """
     if solver == "auto":
-        solver = "tiles" if largest_tile(points, kernel) <= MOST_POINTS_A_TILE else "lattice"
+        solver = _faster(points, kernel, noise_std, accuracy)
     if solver == "tiles":
-        posterior = fit_tiles(points, kernel, noise_std, mean=mean, progress=progress)
-        if posterior is not None:
-            return posterior
-    return fit_lattice(points, kernel, noise_std, mean=mean, progress=progress)
+        found = fit_tiles(
+            points, kernel, noise_std, mean=mean, accuracy=accuracy, progress=progress
+        )
+        if found is not None:
+            return found
+    return fit_lattice(points, kernel, noise_std, mean=mean, accuracy=accuracy, progress=progress)
+
+
+def _faster(
+    points: Float[Array, "n 3"],
+    kernel: SquaredExponential,
+    noise_std: float | Float[Array, "n"],
+    accuracy: Accuracy,
+) -> Literal["lattice", "tiles"]:
+    xy, noise_variance = points[:, :2], np.broadcast_to(np.square(noise_std), len(points))
+    check_solvable(xy, kernel, information(xy, noise_variance, kernel))
+    by_lattice = lattice.estimate_seconds(xy, noise_variance, kernel, accuracy)
+    return "tiles" if tiles.estimate_seconds(xy, kernel, accuracy) < by_lattice else "lattice"

@@ -1,30 +1,29 @@
 """How fine a lattice must be to stand for the kernel, and what is too fine to be solved."""
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
 
 Array = NDArray[np.float64]
 
 SPACINGS = (0.4, 0.8)
 """Least and largest spacing, in length-scales; at the least the ripple is 8e-14."""
-MEAN_TOLERANCE = 0.005
-"""The heights are solved for until their residual is this, in units of the noise (rms)."""
 MOST_INFORMATION = 1e10
 """Beyond this, rounding errors of the solution are no longer far below the noise."""
 MOST_NODES = 16_000_000
 """Of the finest lattice; each array of as many takes 128 MB."""
 
 
-def information(cloud: Cloud, kernel: SquaredExponential) -> float:
+def information(
+    xy: Float[Array, "n 2"], noise_variance: Float[Array, "n"], kernel: SquaredExponential
+) -> float:
     """Largest precision that the data bring to one bump, relative to its prior: s² max G."""
-    low = cloud.xy.min(axis=0)
-    cells = np.floor((cloud.xy - low) / kernel.length_scale).astype(np.int64)
+    cells = np.floor((xy - xy.min(axis=0)) / kernel.length_scale).astype(np.int64)
     _, owner = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True)
-    densest = np.bincount(owner, weights=1 / cloud.noise_variance).max()
+    densest = np.bincount(owner, weights=1 / noise_variance).max()
     return max(float(kernel.signal_std**2 * densest * np.pi / 2), 1.0)
 
 
@@ -42,7 +41,7 @@ def gaussian_reach(information: float, error: float) -> float:
     return float(np.sqrt(np.log(information / error)))
 
 
-def check_solvable(cloud: Cloud, kernel: SquaredExponential, information: float) -> None:
+def check_solvable(xy: Float[Array, "n 2"], kernel: SquaredExponential, information: float) -> None:
     """Refuse what would run out of digits or of memory.
 
     Raises:
@@ -55,7 +54,7 @@ def check_solvable(cloud: Cloud, kernel: SquaredExponential, information: float)
             f"points in a length-scale of {kernel.length_scale:g} m: raise it "
             f"{np.ceil(np.sqrt(excess) * 10) / 10:g}-fold or more, or lower the length-scale"
         )
-    sides = cloud.xy.max(axis=0) - cloud.xy.min(axis=0)
+    sides = xy.max(axis=0) - xy.min(axis=0)
     nodes = float(np.prod(sides / (SPACINGS[0] * kernel.length_scale) + 1))
     if nodes > MOST_NODES:
         least = kernel.length_scale * np.sqrt(nodes / MOST_NODES)

@@ -46,9 +46,6 @@ from gpgrad_core.progress import Progress
 
 Array = NDArray[np.floating]
 
-RIPPLE = 0.03
-"""Ripple of the lattice kernel times information of the data that is let pass: the standard
-deviation is then within 2 % (measured: half of this), and the mean takes two or three steps."""
 DROPPED = 0.05
 """Largest entry left out of Q beside its band, relative to the prior precision."""
 CUT = 1e-3
@@ -156,6 +153,7 @@ class WeightSpace:
         self._windows = [
             _span(reached[rows].any(axis=0)) for rows in map(self._rows, range(self._num_blocks))
         ]
+        self._decays = (self._pair_decay(0), self._pair_decay(1))
         self._factor = self._factorise(advance)
 
     @property
@@ -183,6 +181,12 @@ class WeightSpace:
         rows = np.arange(self._band, dtype=np.float64)
         return rows[:, None] - rows + blocks_apart * self._band
 
+    def _pair_decay(self, blocks_apart: int) -> Float[Array, "r columns r columns"]:
+        """Decay between all nodes of a block and those of the same or the previous block."""
+        columns = np.arange(self._x.count, dtype=np.float64)
+        along_x = self._decay(columns[:, None] - columns)
+        return self._row_decay(blocks_apart)[:, None, :, None] * along_x[None, :, None, :]
+
     def _couple(self, i: int, j: int) -> Float[Array, "m_i m_j"]:
         """Entries of ``Q - I`` between the nodes of block i and those of block j."""
         a, b = self._windows[i], self._windows[j]
@@ -194,10 +198,8 @@ class WeightSpace:
             self._overlap.strides * 2,
             writeable=False,
         )
-        columns = np.arange(self._x.count, dtype=np.float64)
-        along_x = self._decay(columns[a, None] - columns[b])
-        pairs = midpoints * along_x[None, :, None, :]
-        pairs *= self._row_decay(i - j)[:, None, :, None]
+        pairs = np.empty(shape, self._dtype)  # in the order in which it is a matrix
+        np.multiply(midpoints, self._decays[i - j][:, a, :, b], out=pairs)
         return pairs.reshape(shape[0] * shape[1], shape[2] * shape[3])
 
     def _factorise(self, advance: Progress) -> Factor:

@@ -137,9 +137,13 @@ def test_moved_points_move_the_map_and_nothing_else(
     np.testing.assert_allclose(
         there.grid.origin, np.add(here.grid.origin, offset[:2]), rtol=0, atol=1e-9
     )
-    np.testing.assert_allclose(there.elevation[both] - offset[2], here.elevation[both], atol=1e-5)
+    # What the solver leaves of the heights, 1 % of their noise, is itself rounded differently.
+    rounding = 1e-3 * PARAMS.noise_std
+    np.testing.assert_allclose(
+        there.elevation[both] - offset[2], here.elevation[both], atol=rounding
+    )
     np.testing.assert_allclose(there.variance[both], here.variance[both], rtol=1e-5)
-    np.testing.assert_allclose(there.slope[both], here.slope[both], atol=1e-5)
+    np.testing.assert_allclose(there.slope[both], here.slope[both], atol=rounding)
 
 
 @settings(max_examples=5)
