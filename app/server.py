@@ -16,6 +16,8 @@ from app.places import ANYWHERE, Places
 from app.saved import Saved
 from app.session import Session
 from app.turns import Turns
+from gpgrad_core.gp.threads import num_workers
+from gpgrad_core.helper import Helper
 from gpgrad_core.memo import Memo
 from gpgrad_core.parameters import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
@@ -63,7 +65,8 @@ class Viewer:
         self._uploads = tempfile.TemporaryDirectory(prefix="gpgrad-uploads-")
         self._places = replace(places, uploads=Path(self._uploads.name))
         self._memo = Memo(MEMO_BYTES)
-        self._turns = Turns()
+        self._helper = Helper() if num_workers() > 1 else None
+        self._turns = Turns(helper=self._helper)
         self._lock = threading.Lock()
         self._closed = threading.Event()
         # viser prints a box with its addresses; the command line says ours.
@@ -112,6 +115,8 @@ class Viewer:
             session.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
+        if self._helper is not None:
+            self._helper.close()
         self._uploads.cleanup()
 
     # Called from the server's pool of threads, so in any order.

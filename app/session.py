@@ -49,7 +49,7 @@ from app.views.ground import HistogramOf
 from app.views.picking import Ray
 from app.views.placement import Camera
 from app.views.scene import PairScene, Shown
-from gpgrad_core.coarse import infer_quick_map
+from gpgrad_core.coarse import infer_quick_maps
 from gpgrad_core.errors import InputError
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PairResult, PipelineParams, register_pair
@@ -386,9 +386,13 @@ class Session:
             return None
         if state.options.layout == "registered" and not self._scene.knows_motion(state):
             return None  # it would jump as soon as the motion is known
-        query_map, database_map = (
-            infer_quick_map(submap, state.params.map, self._timed, progress)
-            for submap in (state.query, state.database)
+        query_map, database_map = infer_quick_maps(
+            state.query,
+            state.database,
+            state.params.map,
+            self._timed,
+            self._turns.helper,
+            progress,
         )
         coarse = any(
             made.grid.resolution != state.params.map.resolution
@@ -405,7 +409,12 @@ class Session:
                 self._status.progress(fraction)
 
         result = register_pair(
-            state.query, state.database, state.params, self._timed, progress=report
+            state.query,
+            state.database,
+            state.params,
+            self._timed,
+            report,
+            helper=self._turns.helper,
         )
         start = time.perf_counter()
         self._painted = state

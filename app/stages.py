@@ -13,6 +13,7 @@ STAGE_OF = {
     "fit_terrain": "map",
     "sample_map": "map",
     "thin_evenly": "map",
+    "fit_roughly": "map",
     "detect_features": "features",
     "select_trusted": "features",
     "match_features": "matching",
@@ -47,6 +48,10 @@ class TimedMemo(Memo):
         finally:
             name = getattr(function, "__name__", "other")
             self.add(STAGE_OF.get(name, name), time.perf_counter() - start)
+
+    def keep(self, result: R, function: Callable[..., R], *arguments: object) -> R:
+        """Hand the other memo a result that was computed elsewhere, beside what is counted."""
+        return self._memo.keep(result, function, *arguments)
 
     def add(self, stage: str, seconds: float) -> None:
         """Count seconds that were spent on a stage [s]."""

@@ -4,6 +4,7 @@ import threading
 from dataclasses import dataclass, field
 
 from gpgrad_core.gp.threads import num_workers
+from gpgrad_core.helper import Helper
 
 
 @dataclass(frozen=True, eq=False)
@@ -14,9 +15,11 @@ class Turns:
         pictures: For the pair that a session shows: as many as there are processors.
         long: For what takes a processor for longer than a picture, one at a time; apart from the
             pictures, so that sliders follow the hand meanwhile.
+        helper: Takes one of two submaps off a session's hands; None where there is one processor.
     """
 
     pictures: threading.Semaphore = field(
         default_factory=lambda: threading.Semaphore(max(1, num_workers()))
     )
     long: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(1))
+    helper: Helper | None = None

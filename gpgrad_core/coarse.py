@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from gpgrad_core.gp.accuracy import ROUGH
 from gpgrad_core.gp.binning import bin_points
+from gpgrad_core.gp.inference import Posterior
 from gpgrad_core.gradient_map import (
     MapParams,
     TerrainParams,
@@ -15,6 +17,7 @@ from gpgrad_core.gradient_map import (
     sample_map,
     signal_std_of,
 )
+from gpgrad_core.helper import Helper, beside
 from gpgrad_core.memo import Memo
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.types import GradientMap, Submap, read_only
@@ -62,8 +65,17 @@ def infer_coarse_map(
             noise_factor=1.0,
         )
         thinned = memo(thin_evenly, submap, params.terrain)
-        posterior = memo(fit_terrain, thinned, fewer, progress=progress)
+        posterior = memo(fit_roughly, thinned, fewer, progress=progress)
     return memo(sample_map, submap, posterior, resolution)
+
+
+def fit_roughly(submap: Submap, params: TerrainParams, progress: Progress = silent) -> Posterior:
+    """Fit the GP to points [m], not quite exactly.
+
+    Raises:
+        InputError: If the GP would be too large or cannot be solved.
+    """
+    return fit_terrain(submap, params, progress, ROUGH)
 
 
 def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
@@ -85,6 +97,27 @@ def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
     read_only(means)
     # Its own key in the memo, without hashing the points anew.
     return Submap(submap.id, means, f"{submap.fingerprint}-{hash(params)}", noise_std=of_cell)
+
+
+def infer_quick_maps(
+    query: Submap,
+    database: Submap,
+    params: MapParams,
+    memo: Memo,
+    helper: Helper | None = None,
+    progress: Progress = silent,
+) -> tuple[GradientMap, GradientMap]:
+    """Give `infer_quick_map` of two submaps, at once if there is a helper.
+
+    Raises:
+        InputError: If the GP would be too large or cannot be solved.
+    """
+    pair = (query, database)
+    if helper is None or any(memo.holds(fit_terrain, submap, params.terrain) for submap in pair):
+        made, other = (infer_quick_map(submap, params, memo, progress) for submap in pair)
+        return made, other
+    here, there = (query, params, memo), (database, params, Memo())
+    return beside(helper, infer_coarse_map, here, there, progress)
 
 
 def infer_quick_map(

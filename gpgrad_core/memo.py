@@ -65,8 +65,18 @@ class Memo:
             if kept is not None:
                 self._results.move_to_end(key)
                 return cast("R", kept[0])
-        result = function(*arguments, **unkeyed)
+        return self.keep(function(*arguments, **unkeyed), function, *arguments)
+
+    def keep(self, result: R, function: Callable[..., R], *arguments: object) -> R:
+        """Take a result that was computed elsewhere; gives the one that is kept from now on.
+
+        Args:
+            result: What the call would return.
+            function: A pure stage verb.
+            arguments: Its inputs and params.
+        """
         with self._lock:
+            key = self._key(function, arguments)
             if key in self._results:
                 return cast("R", self._results[key][0])
             size = array_bytes(result)

@@ -7,7 +7,10 @@ from typing import TypeAlias
 
 from gpgrad_core.all_pairs import compare_all
 from gpgrad_core.features import FeatureParams, detect_features, select_trusted
+from gpgrad_core.gp.inference import Posterior
+from gpgrad_core.gp.threads import at_most_workers, num_workers
 from gpgrad_core.gradient_map import MapParams, fit_terrain, map_grid, sample_map
+from gpgrad_core.helper import Helper, beside
 from gpgrad_core.loop_closure import ClosureParams, classify
 from gpgrad_core.matching import MatchParams, match_features
 from gpgrad_core.memo import Memo
@@ -89,12 +92,54 @@ def extract_kept(gradient_map: GradientMap, params: PipelineParams, memo: Memo) 
     return memo(select_trusted, detected, params.features)
 
 
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """All that is made of one submap before it meets the other."""
+
+    posterior: Posterior
+    gradient_map: GradientMap
+    detected: Features
+    prepared: Prepared
+
+
+def _infer_side(
+    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> _Side:
+    """Run the stages of one submap, on half of the processors."""
+    with at_most_workers(max(1, num_workers() // 2)):
+        gradient_map = infer_map(submap, params, memo, progress)
+        posterior = memo(fit_terrain, submap, params.map.terrain)
+        detected = memo(detect_features, gradient_map, params.features.detector)
+        return _Side(posterior, gradient_map, detected, memo(prepare, gradient_map))
+
+
+def _infer_both(
+    query: Submap,
+    database: Submap,
+    params: PipelineParams,
+    memo: Memo,
+    helper: Helper,
+    progress: Progress,
+) -> None:
+    """Run the stages of both submaps at once, into the memo."""
+    here, there = (query, params, memo), (database, params, Memo())
+    _, side = beside(helper, _infer_side, here, there, progress)
+    # What came from the other process is known from now on by how it was made.
+    posterior = memo.keep(side.posterior, fit_terrain, database, params.map.terrain)
+    gradient_map = memo.keep(
+        side.gradient_map, sample_map, database, posterior, params.map.resolution
+    )
+    memo.keep(side.detected, detect_features, gradient_map, params.features.detector)
+    memo.keep(side.prepared, prepare, gradient_map)
+
+
 def register_pair(
     query: Submap,
     database: Submap,
     params: PipelineParams,
     memo: Memo,
     progress: Progress = silent,
+    helper: Helper | None = None,
 ) -> PairResult:
     """Run every stage for one pair; what is in the memo is not run again.
 
@@ -104,10 +149,16 @@ def register_pair(
         params: Of all stages.
         memo: Shared by all calls that may ask for the same again.
         progress: Called with the fraction done; may raise Cancelled.
+        helper: Takes one of the submaps where both are new; the answer is the same.
 
     Raises:
         InputError: If a submap's map cannot be made.
     """
+    terrain = params.map.terrain
+    if helper is not None and not any(
+        memo.holds(fit_terrain, submap, terrain) for submap in (query, database)
+    ):
+        _infer_both(query, database, params, memo, helper, part(progress, 0.0, 0.8))
     query_features = infer_features(query, params, memo, part(progress, 0.0, 0.4))
     database_features = infer_features(database, params, memo, part(progress, 0.4, 0.8))
     query_map = infer_map(query, params, memo)

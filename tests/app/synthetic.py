@@ -187,6 +187,7 @@ class FakePipeline:
         params: PipelineParams,
         memo: object,  # noqa: ARG002
         progress: Progress = silent,
+        helper: object = None,  # noqa: ARG002
     ) -> PairResult:
         self.calls.append(params)
         progress(0.5)
