@@ -13,13 +13,33 @@ from gpgrad_core.types import Array
 
 FEWEST_CELLS = 30
 """Fewer common cells hold no motion."""
-TILT_STD = 0.005
-"""What two maps may be tilted against each other [rad]: how well an IMU knows gravity."""
-COVARIANCE_FACTOR = 6.0
+COVARIANCE_FACTOR = 3.0
 """Errors of accepted pairs have this many times the covariance of independent patches: submaps
-are warped by drift, and what one view hides is wrong in whole stretches. Measured on five sets."""
-ROBUSTNESS = 2.0
+are warped by drift, and what one view hides is wrong in whole stretches (measured on three sets:
+the errors' mean square is then 0.7 to 1.1 of what the covariance says)."""
+ROBUSTNESS = 1.0
 """Residuals count half from this many (robust) variances on."""
+
+
+@dataclass(frozen=True)
+class Warp:
+    """How far one map may be out of shape against the other; none of it is a part of the motion.
+
+    Attributes:
+        tilt_std: Of their tilt [rad]: how well gravity is known.
+        bend_std: Of the coefficients of x², xy and y² of their difference [1/m], by which a
+            submap bends as its odometry drifts; None: they are not bent.
+    """
+
+    tilt_std: float
+    bend_std: float | None = None
+
+
+LEVEL = Warp(0.005)
+"""Little freedom: what many wrong starts could not use to look right."""
+DRIFTED = Warp(0.03, 0.005)
+"""Enough for submaps as odometry makes them: a right motion is placed a quarter to a third
+better (measured on three sets), and beyond it nothing is gained."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +68,17 @@ class Alignments:
 
 
 def align(
-    query: Relief, database: Relief, starts: list[SE2], *, num_cells: int, iterations: int
+    query: Relief,
+    database: Relief,
+    starts: list[SE2],
+    *,
+    num_cells: int,
+    iterations: int,
+    warp: Warp = LEVEL,
 ) -> Alignments:
     """Improve motions by what the ground says, all at once.
 
-    Minimises the difference in elevation over the overlap, less an offset and a small tilt:
+    Minimises the difference in elevation over the overlap, less an offset and a small warp:
     what is left of it under the right motion is noise. Residuals weigh as Cauchy's, since
     rocks hide the ground behind them from one side only.
 
@@ -62,8 +88,9 @@ def align(
         starts: ``T_database_query``, up to a few length-scales off.
         num_cells: Cells of the database that are looked at, about, evenly chosen.
         iterations: Of Gauss-Newton.
+        warp: How far the maps may be out of shape.
     """
-    problem = _Problem(query, database, num_cells)
+    problem = _Problem(query, database, num_cells, warp)
     motions = np.array([[one.x, one.y, one.yaw] for one in starts])
     weight: Float[Image, "m cells"] | None = None
     for _ in range(iterations):
@@ -82,8 +109,8 @@ def align(
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    change: Float[Array, "m 6"]  # of x, y [m], yaw [rad], offset [m] and tilts [rad]
-    covariance: Float[Array, "m 6 6"]
+    change: Float[Array, "m p"]  # of x, y [m], yaw [rad], offset [m], tilts [rad], bends [1/m]
+    covariance: Float[Array, "m p p"]
     weight: Float[Image, "m cells"]
     held: Bool[NDArray[np.bool_], "m"]
 
@@ -91,11 +118,12 @@ class _Step:
 class _Problem:
     """The least-squares problems of one query and one database."""
 
-    def __init__(self, query: Relief, database: Relief, num_cells: int) -> None:
+    def __init__(self, query: Relief, database: Relief, num_cells: int, warp: Warp) -> None:
         rows, columns = np.nonzero(database.trusted)
         every = max(1, len(rows) // num_cells)
         rows, columns = rows[::every], columns[::every]
         self._query, self._database = query, database
+        self._warp = warp
         positions = database.grid.to_position(np.column_stack([columns, rows]).astype(float))
         # About their middle half the digits are fine, however far the frame's origin lies.
         self._middle = positions.mean(axis=0) if len(positions) else np.zeros(2)
@@ -128,21 +156,29 @@ class _Problem:
         slope_y = 0.5 * (s * sampled[..., 1] + c * sampled[..., 2] + self._slope[:, 1])
         x, y = arm[..., 0], arm[..., 1]
         per_cell = (1 / np.maximum(count, 1)[:, None]).astype(np.float32)
-        middle_x = np.sum(x * shown, axis=1, keepdims=True) * per_cell
-        middle_y = np.sum(y * shown, axis=1, keepdims=True) * per_cell
-        turning = slope_x * y - slope_y * x
-        ones = np.ones_like(x)
-        jacobian = np.stack([-slope_x, -slope_y, turning, ones, x - middle_x, y - middle_y], axis=1)
+
+        def centred(field: Float[Image, "m cells"]) -> Float[Image, "m cells"]:
+            return field - np.sum(field * shown, axis=1, keepdims=True) * per_cell
+
+        columns = [-slope_x, -slope_y, slope_x * y - slope_y * x, np.ones_like(x)]
+        tilts = [centred(x), centred(y)]
+        columns += tilts
+        if self._warp.bend_std is not None:
+            along, across = tilts
+            columns += [centred(along**2), centred(along * across), centred(across**2)]
+        jacobian = np.stack(columns, axis=1)
         residual = sampled[..., 0] - self._elevation
         weighted = jacobian * weight[:, None]
         normal = (weighted @ jacobian.transpose(0, 2, 1)).astype(np.float64)
         gradient = (weighted @ residual[..., None])[..., 0].astype(np.float64)
-        # The tilt is held by its prior, worth as much as the noise of one patch.
+        # The warp is held by its prior, worth as much as the noise of one patch.
         scale = _robust_variance(_centred(residual, weight), common, count)
-        diagonal = np.arange(6)
+        diagonal = np.arange(len(columns))
         normal[:, diagonal, diagonal] *= 1 + 1e-9
         normal[:, diagonal, diagonal] += 1e-9
-        normal[:, 4:, 4:] += (scale * self._cells_a_patch / TILT_STD**2)[:, None, None] * np.eye(2)
+        normal[:, diagonal, diagonal] += np.outer(
+            scale * self._cells_a_patch, self._precision(len(columns))
+        )
         inverse = np.linalg.inv(normal)
         change = -(inverse @ gradient[..., None])[..., 0]
         explained = (change[:, None].astype(np.float32) @ jacobian)[:, 0]
@@ -154,6 +190,14 @@ class _Problem:
             np.asarray(1 / (1 + left**2 / (ROBUSTNESS * variance[:, None])), np.float32),
             held,
         )
+
+    def _precision(self, num_columns: int) -> Float[Array, "p"]:
+        """Of the prior of each column of the Jacobian; the motion and the offset have none."""
+        precision = np.zeros(num_columns)
+        precision[4:6] = self._warp.tilt_std**-2
+        if self._warp.bend_std is not None:
+            precision[6:] = self._warp.bend_std**-2
+        return precision
 
     def likeness(self, motions: Float[Array, "m 3"]) -> Float[Array, "m"]:
         """Correlate the terrain under each motion; see `Alignments`."""

@@ -16,7 +16,7 @@ Image: TypeAlias = NDArray[np.float32]
 
 MAX_STD_RATIO = 0.3
 """Maps are compared where their standard deviation is at most this share of signal_std."""
-FINE_CELL, CELL, SHARP_CELL = 0.25, 0.75, 0.5
+FINE_CELL, CELL, SHARP_CELL = 0.25, 0.75, 0.35
 """Sides of cells [length-scales]: that are smoothed, that are kept of these, and of a sharp one."""
 
 

@@ -13,7 +13,7 @@ import pytest
 from gpgrad_core.datasets import load_dataset
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, RuleVerdict, evaluate
 from gpgrad_core.gp.threads import num_workers
-from gpgrad_core.parallel import worker_processes
+from gpgrad_core.parallel import workers
 from gpgrad_core.pipeline import detect_loop_closures
 
 LEAST_AVERAGE_PRECISION = {"marsyard2021": 0.95, "sthelens": 0.90, "apollo15": 0.97}
@@ -23,8 +23,9 @@ MOST_SECONDS = 60.0
 @pytest.mark.parametrize("name", LEAST_AVERAGE_PRECISION)
 def test_pairs_rank_as_well_as_promised(name: str, real_data: Path) -> None:
     dataset = load_dataset(real_data / name)
+    num_pairs = len(dataset.submaps) * (len(dataset.submaps) - 1) // 2
     start = time.perf_counter()
-    with worker_processes(num_workers()) as executor:
+    with workers(num_workers(), num_pairs) as executor:
         result = detect_loop_closures(dataset, executor=executor)
     seconds = time.perf_counter() - start
     strict = evaluate(dataset, {"gradient": result}, EvaluationParams(min_overlap=0.3))
