@@ -24,9 +24,11 @@ def seen_from(
 
 
 @cache
-def ground_turned_by(degrees: float, resolution: float = 0.05) -> tuple[GradientMap, SE2]:
+def ground_turned_by(
+    degrees: float, resolution: float = 0.05, seed: int = 2
+) -> tuple[GradientMap, SE2]:
     """Make a map of the same ground, turned and shifted; and ``T_world_map``."""
     T_world_map = SE2(0.8, -0.5, np.radians(degrees)) if degrees else SE2()
     side = round(10 / resolution) + 1
     grid = Grid((-5.0, -5.0), resolution, (side, side))
-    return seen_from(Ground.random(2, shortest=0.6), T_world_map, grid), T_world_map
+    return seen_from(Ground.random(seed, shortest=0.6), T_world_map, grid), T_world_map
