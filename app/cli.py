@@ -60,7 +60,6 @@ from gpgrad_core.evaluation import (
     write_report,
 )
 from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
-from gpgrad_core.gp.threads import num_workers
 from gpgrad_core.gradient_map import MapParams, TerrainParams, infer_gradient_map, point_noise
 from gpgrad_core.memo import Memo
 from gpgrad_core.methods import METHODS, find_method
@@ -97,6 +96,7 @@ from gpgrad_core.slam import (
     write_merged,
     write_solution,
 )
+from gpgrad_core.threads import num_workers
 from gpgrad_core.types import Dataset, LoopClosure
 from gpgrad_core.version import VERSION
 

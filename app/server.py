@@ -16,8 +16,7 @@ from app.places import ANYWHERE, Places
 from app.saved import Saved
 from app.session import Session
 from app.turns import Turns
-from gpgrad_core.gp.threads import num_workers
-from gpgrad_core.helper import Helper
+from gpgrad_core.helper import start_helper
 from gpgrad_core.memo import Memo
 from gpgrad_core.parameters import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
@@ -65,7 +64,7 @@ class Viewer:
         self._uploads = tempfile.TemporaryDirectory(prefix="gpgrad-uploads-")
         self._places = replace(places, uploads=Path(self._uploads.name))
         self._memo = Memo(MEMO_BYTES)
-        self._helper = Helper() if num_workers() > 1 else None
+        self._helper = start_helper()
         self._turns = Turns(helper=self._helper)
         self._lock = threading.Lock()
         self._closed = threading.Event()

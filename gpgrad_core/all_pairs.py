@@ -7,9 +7,9 @@ from math import ceil, sqrt
 from time import perf_counter
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
-from gpgrad_core.gp.threads import at_most_workers, num_workers, single_threaded_blas
 from gpgrad_core.parallel import Work, run_jobs
 from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.threads import at_most_workers, num_workers, single_threaded_blas
 from gpgrad_core.types import LoopDetector, Registration, Submap
 
 J = TypeVar("J")

@@ -15,7 +15,6 @@ from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.likelihood import Hyperparameters, Patch, log_marginal_likelihood
 from gpgrad_core.gp.patches import Members, draw_patches
 from gpgrad_core.gp.spacing import MOST_INFORMATION, information
-from gpgrad_core.gp.threads import num_workers, single_threaded_blas
 from gpgrad_core.gradient_map import (
     NoiseModel,
     TerrainParams,
@@ -24,6 +23,7 @@ from gpgrad_core.gradient_map import (
     signal_std_of,
 )
 from gpgrad_core.progress import Progress, silent
+from gpgrad_core.threads import num_workers, single_threaded_blas
 from gpgrad_core.types import Submap
 
 Array = NDArray[np.float64]

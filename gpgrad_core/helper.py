@@ -14,15 +14,15 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import IO, Any, Generic, Literal, TypeVar
 
 from gpgrad_core.progress import Cancelled, Progress, part, silent
+from gpgrad_core.threads import at_most_workers, num_workers
 
 R = TypeVar("R")
 
-PIPE_BYTES = 1 << 20
-"""Of the pipes between the two, where the system lets them be chosen: maps are megabytes."""
 LISTEN_EVERY = 0.02
 """Seconds between two reports while the other process is waited for."""
 CLOSE_SECONDS = 2.0
@@ -106,13 +106,16 @@ class Helper:
     """
 
     def __init__(self) -> None:
-        """Start the process; returns at once."""
+        """Start the process; returns at once.
+
+        Raises:
+            OSError: If the system lets none start.
+        """
         path = os.pathsep.join(entry for entry in sys.path if entry)
         self._process = subprocess.Popen(
             [sys.executable, "-c", "from gpgrad_core.helper import main; main()"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            pipesize=PIPE_BYTES,
             env={**os.environ, "PYTHONPATH": path},
         )
         self._writing, self._lock = threading.Lock(), threading.Lock()
@@ -184,6 +187,15 @@ class Helper:
                 return
 
 
+def start_helper() -> Helper | None:
+    """Start a helper, if there is a processor for it and the system lets a process start."""
+    if num_workers() < 2:
+        return None
+    with contextlib.suppress(OSError):
+        return Helper()
+    return None
+
+
 def beside(
     helper: Helper | None,
     function: Callable[..., R],
@@ -193,6 +205,8 @@ def beside(
 ) -> tuple[R, R]:
     """Call a function with two lots of arguments: one here, one in the helper if it is free.
 
+    Each has half of the processors then.
+
     Args:
         helper: None: both are done here, one after the other.
         function: Of a module, with a keyword ``progress``.
@@ -200,18 +214,24 @@ def beside(
         there: Arguments of the second call; picklable.
         progress: Called with the fraction done; may raise Cancelled.
     """
+    first_half, second_half = part(progress, 0.0, 0.5), part(progress, 0.5, 1.0)
     answer = None if helper is None else helper.ask(function, *there)
+    if answer is None:
+        return function(*here, progress=first_half), function(*there, progress=second_half)
     try:
-        first = function(*here, progress=part(progress, 0.0, 0.5))
+        with _half_of_the_processors():
+            first = function(*here, progress=first_half)
     except BaseException:
-        if answer is not None:
-            answer.drop()
+        answer.drop()
         raise
-    second_half = part(progress, 0.5, 1.0)
-    if answer is not None:
-        with contextlib.suppress(HelperGone):
-            return first, answer.wait(second_half)
-    return first, function(*there, progress=second_half)
+    try:
+        return first, answer.wait(second_half)
+    except HelperGone:
+        return first, function(*there, progress=second_half)
+
+
+def _half_of_the_processors() -> AbstractContextManager[None]:
+    return at_most_workers(max(1, num_workers() // 2))
 
 
 def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:
@@ -257,7 +277,8 @@ def _serve(questions: IO[bytes], replies: IO[bytes]) -> None:
             _write(replies, _Reply(number, "fraction", fraction), lock)
 
         try:
-            result = question.function(*question.arguments, progress=report)
+            with _half_of_the_processors():
+                result = question.function(*question.arguments, progress=report)
             reply = _Reply(number, "result", result)
         except Exception as error:
             reply = _Reply(number, "error", error)

@@ -8,7 +8,6 @@ from typing import TypeAlias
 from gpgrad_core.all_pairs import compare_all
 from gpgrad_core.features import FeatureParams, detect_features, select_trusted
 from gpgrad_core.gp.inference import Posterior
-from gpgrad_core.gp.threads import at_most_workers, num_workers
 from gpgrad_core.gradient_map import MapParams, fit_terrain, map_grid, sample_map
 from gpgrad_core.helper import Helper, beside
 from gpgrad_core.loop_closure import ClosureParams, classify
@@ -105,12 +104,11 @@ class _Side:
 def _infer_side(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> _Side:
-    """Run the stages of one submap, on half of the processors."""
-    with at_most_workers(max(1, num_workers() // 2)):
-        gradient_map = infer_map(submap, params, memo, progress)
-        posterior = memo(fit_terrain, submap, params.map.terrain)
-        detected = memo(detect_features, gradient_map, params.features.detector)
-        return _Side(posterior, gradient_map, detected, memo(prepare, gradient_map))
+    """Run the stages of one submap."""
+    gradient_map = infer_map(submap, params, memo, progress)
+    posterior = memo(fit_terrain, submap, params.map.terrain)
+    detected = memo(detect_features, gradient_map, params.features.detector)
+    return _Side(posterior, gradient_map, detected, memo(prepare, gradient_map))
 
 
 def _infer_both(

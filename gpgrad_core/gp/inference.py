@@ -63,6 +63,7 @@ def _faster(
     accuracy: Accuracy,
 ) -> Literal["lattice", "tiles"]:
     xy, noise_variance = points[:, :2], np.broadcast_to(np.square(noise_std), len(points))
-    check_solvable(xy, kernel, information(xy, noise_variance, kernel))
-    by_lattice = lattice.estimate_seconds(xy, noise_variance, kernel, accuracy)
+    bits = information(xy, noise_variance, kernel)
+    check_solvable(xy, kernel, bits)
+    by_lattice = lattice.estimate_seconds(xy, kernel, bits, accuracy)
     return "tiles" if tiles.estimate_seconds(xy, kernel, accuracy) < by_lattice else "lattice"

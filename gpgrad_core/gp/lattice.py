@@ -23,9 +23,9 @@ from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import TerrainFields, clip_variance
 from gpgrad_core.gp.spacing import check_solvable, information, lattice_spacing
-from gpgrad_core.gp.threads import num_workers, single_threaded_blas
 from gpgrad_core.gp.weight_space import MARGIN, VarianceReduction, WeightSpace, band_of
 from gpgrad_core.progress import Cancelled, Progress, silent
+from gpgrad_core.threads import num_workers, single_threaded_blas
 from gpgrad_core.types import Grid
 
 Array = NDArray[np.float64]
@@ -157,22 +157,21 @@ def fit_lattice(
 
 def estimate_seconds(
     xy: Float[Array, "n 2"],
-    noise_variance: Float[Array, "n"],
     kernel: SquaredExponential,
+    information: float,
     accuracy: Accuracy = EXACT,
 ) -> float:
     """Estimate what a fit takes [s], to tell whether another solver would be faster.
 
     Args:
         xy: Positions of the points [m].
-        noise_variance: Of their heights [m²].
         kernel: Covariance of the terrain.
+        information: Largest precision that data bring to one bump, see `spacing`.
         accuracy: How exact it is to be.
     """
     length = kernel.length_scale
-    bits = information(xy, noise_variance, kernel)
-    spacing = lattice_spacing(length, bits, accuracy.ripple)
-    band, margins = band_of(bits, spacing / length), 2 * MARGIN * length
+    spacing = lattice_spacing(length, information, accuracy.ripple)
+    band, margins = band_of(information, spacing / length), 2 * MARGIN * length
     halo = accuracy.lattice_halo * length
     (left, _), (right, _) = low, high = xy.min(axis=0), xy.max(axis=0)
     blocks = (high - low + margins)[1] / spacing / band

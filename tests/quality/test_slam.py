@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 from gpgrad_core.datasets import Outline, load_dataset, outline_dataset
-from gpgrad_core.gp.threads import num_workers
 from gpgrad_core.outputs import read_closures, report_closures, restore_closures, write_closures
 from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
 from gpgrad_core.se2 import SE2
@@ -32,6 +31,7 @@ from gpgrad_core.slam import (
     trajectory_error,
     true_poses,
 )
+from gpgrad_core.threads import num_workers
 from gpgrad_core.types import Dataset, LoopClosure, Pose, Submap
 from tests.core.ground import Ground
 from tests.core.slam.traverses import simulate

@@ -31,8 +31,19 @@ def draw(points: list[Run], area: list[Run], machine: str, caps: str, path: Path
     left.set(xlabel="points, on 10 m x 10 m at 0.03 m/pixel", ylabel="seconds for one map")
     _draw_curves(right, area, lambda case: case.side**2)
     right.set(xlabel="area [m²], 50 points/m² at 0.1 m/pixel")
-    handles, names = (left if points else right).get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside right upper", frameon=False, fontsize=8)
+    curves = {
+        name: handle
+        for axes in (left, right)
+        for handle, name in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    shown = [name for name in PEERS if name in curves]
+    figure.legend(
+        [curves[name] for name in shown],
+        [name.replace(", ", ",\n", 1) for name in shown],
+        loc="outside right upper",
+        frameon=False,
+        fontsize=8,
+    )
     note = f"A cross ends a curve whose next size went over {caps}, or failed. {machine}"
     figure.supxlabel(note, fontsize=8, color="0.3")
     figure.savefig(path, dpi=130)

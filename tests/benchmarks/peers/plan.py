@@ -67,7 +67,7 @@ def at_density(sides: tuple[float, ...], resolution: float) -> tuple[Case, ...]:
     return tuple(Case(round(50 * side**2), side, resolution) for side in sides)
 
 
-def full_plan(table_seconds: float) -> dict[PartName, Part]:
+def full_plan(table_seconds: float, growth_seconds: float) -> dict[PartName, Part]:
     """Lay out the measurement that is reported."""
     submap = Case(5000)
     numbers = (1000, 2000, 5000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
@@ -89,14 +89,14 @@ def full_plan(table_seconds: float) -> dict[PartName, Part]:
             "Seconds by the number of points: 10 m x 10 m, 0.03 m/pixel",
             tuple(Case(number) for number in numbers),
             tuple(PEERS),
-            Caps(),
+            Caps(growth_seconds),
             growing=True,
         ),
         "area": Part(
             "Seconds by the area: 50 points/m², 0.1 m/pixel",
             at_density((5.0, 10.0, 20.0, 30.0, 50.0, 70.0, 100.0), 0.1),
             tuple(PEERS),
-            Caps(),
+            Caps(growth_seconds),
             growing=True,
         ),
         "targets": Part(

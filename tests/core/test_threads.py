@@ -5,7 +5,7 @@ import threading
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from gpgrad_core.gp.threads import num_workers, single_threaded_blas
+from gpgrad_core.threads import num_workers, single_threaded_blas
 
 
 def blas_threads() -> list[int]:
