@@ -93,8 +93,8 @@ def test_what_is_raised_there_is_raised_here(helper: Helper) -> None:
     assert helper.ask(where, "next") is not None  # it goes on
 
 
-def test_what_is_cancelled_here_stops_there(tmp_path: Path) -> None:
-    helper, file = started(), tmp_path / "count"
+def test_what_is_cancelled_here_stops_there(helper: Helper, tmp_path: Path) -> None:
+    file = tmp_path / "count"
 
     def enough(fraction: float) -> None:  # noqa: ARG001
         if file.exists():
@@ -109,7 +109,6 @@ def test_what_is_cancelled_here_stops_there(tmp_path: Path) -> None:
         assert time.monotonic() < end, "it never stopped"
         time.sleep(0.01)
     assert again.wait()[0] == "free"
-    helper.close()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")

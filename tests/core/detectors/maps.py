@@ -4,6 +4,8 @@ from functools import cache
 
 import numpy as np
 
+from gpgrad_core.features import DetectorParams, FeatureParams, extract_features
+from gpgrad_core.matching import match_features
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Grid
 from tests.core.ground import Ground
@@ -32,3 +34,17 @@ def ground_turned_by(
     side = round(10 / resolution) + 1
     grid = Grid((-5.0, -5.0), resolution, (side, side))
     return seen_from(Ground.random(seed, shortest=0.6), T_world_map, grid), T_world_map
+
+
+def right_matches(detector: str, degrees: float, seeds: list[int]) -> list[bool]:
+    """Say of every mutual match between a ground and the same, turned, whether it is right."""
+    params, right = FeatureParams(detector=DetectorParams(detector)), []
+    for seed in seeds:
+        query, T_world_query = ground_turned_by(degrees, 0.03, seed)
+        database, _ = ground_turned_by(0, 0.03, seed)
+        features = [extract_features(made, params) for made in (query, database)]
+        matches = match_features(*features)
+        there = T_world_query.apply(matches.query_xy)
+        known = (np.abs(there) < 4.5).all(axis=1)
+        right += list(np.hypot(*(there - matches.database_xy).T)[known] <= 0.15)
+    return right
