@@ -28,5 +28,5 @@ class Accuracy:
 
 EXACT = Accuracy()
 """What all results are made with."""
-ROUGH = Accuracy(residual=0.1, ripple=0.3, lattice_halo=3.0, tile_halo=2.0)
+ROUGH = Accuracy(residual=0.1, ripple=0.3, lattice_halo=2.5, tile_halo=2.0)
 """For a picture that a better one follows: deviations within 10 %, at half the time or less."""
