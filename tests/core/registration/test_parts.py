@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.registration.alignment import align
+from gpgrad_core.registration.alignment import DRIFTED, LEVEL, align
 from gpgrad_core.registration.evidence import Evidence, closure_score, weigh
-from gpgrad_core.registration.relief import make_relief
+from gpgrad_core.registration.relief import make_relief, sharp_relief
 from gpgrad_core.registration.search import make_spectra, search_motions
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Grid
@@ -83,6 +83,35 @@ def test_alignment_ends_at_the_truth_also_where_the_query_leans(
         assert distance(ends.motion(k), true) < 0.02
         assert abs(ends.motion(k).yaw - true.yaw) < 0.005
     np.testing.assert_allclose(ends.z_offsets, 0.0, atol=0.03)
+
+
+def test_alignment_of_drifted_maps_bears_a_bend_that_a_level_one_takes_for_a_motion() -> None:
+    true = SE2(0.6, -0.4, 1.0)
+    query = map_of(true)
+    x, y = query.grid.x, query.grid.y[:, None]
+    bent = query.elevation + 0.02 * x + 0.006 * x**2 - 0.004 * x * y
+    slope = query.slope + np.stack(
+        np.broadcast_arrays(0.02 + 0.012 * x - 0.004 * y, -0.004 * x), axis=-1
+    )
+    relief = sharp_relief(
+        GradientMap(query.grid, bent, query.variance, slope, query.signal_std, query.length_scale)
+    )
+    off = {
+        warp: distance(
+            align(
+                relief,
+                sharp_relief(DATABASE),
+                [true],
+                num_cells=3000,
+                iterations=8,
+                warp=warp,
+            ).motion(0),
+            true,
+        )
+        for warp in (LEVEL, DRIFTED)
+    }
+    assert off[DRIFTED] < 0.01
+    assert off[DRIFTED] < 0.3 * off[LEVEL]
 
 
 def test_covariances_cover_the_errors_and_shrink_with_the_noise() -> None:
