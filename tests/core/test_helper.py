@@ -3,8 +3,9 @@
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -12,12 +13,13 @@ import pytest
 from gpgrad_core.coarse import infer_quick_maps
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.helper import Helper, beside
+from gpgrad_core.helper import Answer, Helper, beside
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PipelineParams, register_pair
 from gpgrad_core.progress import Cancelled, Progress, silent
 from tests.app.synthetic import make_dataset
 
+R = TypeVar("R")
 PARAMS = PipelineParams(map=MapParams(resolution=0.1))
 PATIENCE = 30.0
 
@@ -46,13 +48,18 @@ def die(word: str, progress: Progress) -> None:  # noqa: ARG001
     time.sleep(PATIENCE)
 
 
+def ask(helper: Helper, function: Callable[..., R], *arguments: object) -> Answer[R]:
+    """Ask as soon as it has started, or has done with what was asked before."""
+    end = time.monotonic() + PATIENCE
+    while (answer := helper.ask(function, *arguments)) is None:
+        assert time.monotonic() < end, "the other process was never free"
+        time.sleep(0.01)
+    return answer
+
+
 def started() -> Helper:
     helper = Helper()
-    end = time.monotonic() + PATIENCE
-    while (answer := helper.ask(where, "ready")) is None:
-        assert time.monotonic() < end, "the other process never became ready"
-        time.sleep(0.02)
-    answer.wait()
+    ask(helper, where, "ready").wait()
     return helper
 
 
@@ -76,8 +83,7 @@ def test_without_a_helper_or_with_a_busy_one_both_are_made_here(
     helper: Helper, tmp_path: Path
 ) -> None:
     assert beside(None, where, ("a",), ("b",))[1] == ("b", os.getpid())
-    busy = helper.ask(count_until_told, tmp_path / "count")
-    assert busy is not None
+    busy = ask(helper, count_until_told, tmp_path / "count")
     assert helper.ask(where, "c") is None
     assert beside(helper, where, ("a",), ("b",))[1] == ("b", os.getpid())
     busy.drop()
@@ -86,11 +92,9 @@ def test_without_a_helper_or_with_a_busy_one_both_are_made_here(
 
 
 def test_what_is_raised_there_is_raised_here(helper: Helper) -> None:
-    answer = helper.ask(refuse, "no")
-    assert answer is not None
     with pytest.raises(InputError, match="no: not like that"):
-        answer.wait()
-    assert helper.ask(where, "next") is not None  # it goes on
+        ask(helper, refuse, "no").wait()
+    assert ask(helper, where, "next").wait()[0] == "next"  # it goes on
 
 
 def test_what_is_cancelled_here_stops_there(helper: Helper, tmp_path: Path) -> None:
@@ -100,21 +104,15 @@ def test_what_is_cancelled_here_stops_there(helper: Helper, tmp_path: Path) -> N
         if file.exists():
             raise Cancelled
 
-    answer = helper.ask(count_until_told, file)
-    assert answer is not None
     with pytest.raises(Cancelled):
-        answer.wait(enough)
-    end = time.monotonic() + PATIENCE
-    while (again := helper.ask(where, "free")) is None:
-        assert time.monotonic() < end, "it never stopped"
-        time.sleep(0.01)
-    assert again.wait()[0] == "free"
+        ask(helper, count_until_told, file).wait(enough)
+    assert ask(helper, where, "free").wait()[0] == "free"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_when_it_dies_the_work_is_done_here() -> None:
     helper = started()
-    assert helper.ask(die, "now") is not None
+    ask(helper, die, "now")
     time.sleep(0.2)
     assert beside(helper, where, ("a",), ("b",))[1] == ("b", os.getpid())
     helper.close()
@@ -122,9 +120,7 @@ def test_when_it_dies_the_work_is_done_here() -> None:
 
 def test_it_ends_when_it_is_closed() -> None:
     helper = started()
-    answer = helper.ask(where, "which")
-    assert answer is not None
-    _, process = answer.wait()
+    _, process = ask(helper, where, "which").wait()
     helper.close()
     with pytest.raises(ProcessLookupError):
         os.kill(process, 0)
@@ -166,7 +162,4 @@ def test_cancelling_a_pair_leaves_the_helper_free(helper: Helper) -> None:
 
     with pytest.raises(Cancelled):
         register_pair(query, database, PARAMS, Memo(), stop, helper)
-    end = time.monotonic() + PATIENCE
-    while helper.ask(where, "free") is None:
-        assert time.monotonic() < end, "it never stopped"
-        time.sleep(0.01)
+    assert ask(helper, where, "free").wait()[0] == "free"
