@@ -64,8 +64,7 @@ class Viewer:
         self._uploads = tempfile.TemporaryDirectory(prefix="gpgrad-uploads-")
         self._places = replace(places, uploads=Path(self._uploads.name))
         self._memo = Memo(MEMO_BYTES)
-        self._helper = start_helper()
-        self._turns = Turns(helper=self._helper)
+        self._turns = Turns(helper=start_helper())
         self._lock = threading.Lock()
         self._closed = threading.Event()
         # viser prints a box with its addresses; the command line says ours.
@@ -114,8 +113,8 @@ class Viewer:
             session.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
-        if self._helper is not None:
-            self._helper.close()
+        if self._turns.helper is not None:
+            self._turns.helper.close()
         self._uploads.cleanup()
 
     # Called from the server's pool of threads, so in any order.

@@ -5,8 +5,8 @@ every package of it that can be installed by name.
 
 Two things are not Bay's. The cells of the descriptor overlap, as in Agrawal et al., *CenSurE*,
 ECCV 2008: samples do not jump from one cell to the next as the keypoint turns. And headings are
-taken from more and finer wavelets, over half a turn. On six grounds turned by 37 degrees, 97.8 %
-of the mutual matches are right in place of 94.9 %; SIFT's are 97.2 %.
+taken from more and finer wavelets, over half a turn. On twelve grounds turned by 37 degrees, 97.4 %
+of the mutual matches are right, of SIFT's 97.0 % (``pytest tests/quality -k turned``).
 """
 
 import numpy as np
