@@ -127,14 +127,16 @@ class _Problem:
         positions = database.grid.to_position(np.column_stack([columns, rows]).astype(float))
         # About their middle half the digits are fine, however far the frame's origin lies.
         self._middle = positions.mean(axis=0) if len(positions) else np.zeros(2)
-        self._positions = (positions - self._middle).astype(np.float32)
+        x, y = (positions - self._middle).astype(np.float32).T
+        self._positions = np.stack([x, y, np.ones_like(x)])
         self._elevation = database.elevation[rows, columns]
-        self._slope = database.slope[rows, columns]
+        self._half_slope = np.float32(0.5) * database.slope[rows, columns].T
         self._terrain = database.terrain[rows, columns]
         # How many cells one independent sample of the residual stands for.
         patch = 2 * np.pi * database.length_scale**2
         self._cells_a_patch = max(1.0, patch / (every * database.grid.resolution**2))
         self._image = np.dstack([query.elevation, query.slope, query.trusted.astype(np.float32)])
+        self._precision = _precision(warp)
 
     def linearise(
         self, motions: Float[Array, "m 3"], weight: Float[Image, "m cells"] | None
@@ -143,92 +145,93 @@ class _Problem:
 
         Cell by cell in float32, which noise of centimetres allows and which takes half the time.
         """
-        arm = self._arm(motions)
-        sampled = self._sample(self._image, motions, arm)
-        common = sampled[..., 3] > 0.999
+        elevation, along, across, trusted = cv2.split(self._sample(self._image, motions))
+        common = trusted > 0.999
         count = np.count_nonzero(common, axis=1)
         held = count >= FEWEST_CELLS
         shown = common.astype(np.float32)
         weight = shown if weight is None else weight * shown
+
+        # The Jacobian, a row each for x, y, yaw, offset, tilts and bends; and the residual.
+        size = len(self._precision)
+        system = np.empty((len(motions), size + 1, shown.shape[1]), np.float32)
+        by_x, by_y, by_yaw = system[:, 0], system[:, 1], system[:, 2]
         # The mean of both slopes: it is less noisy, and swapping the maps changes nothing.
-        c, s = _cos_sin(motions)
-        slope_x = 0.5 * (c * sampled[..., 1] - s * sampled[..., 2] + self._slope[:, 0])
-        slope_y = 0.5 * (s * sampled[..., 1] + c * sampled[..., 2] + self._slope[:, 1])
-        x, y = arm[..., 0], arm[..., 1]
+        c, s = (np.float32(0.5) * factor for factor in _cos_sin(motions))
+        np.subtract(s * across - c * along, self._half_slope[0], out=by_x)
+        np.subtract(-s * along - c * across, self._half_slope[1], out=by_y)
+        x, y, _ = self._positions
+        arm = (motions[:, :2] - self._middle).astype(np.float32)
+        np.subtract(by_y * (x - arm[:, :1]), by_x * (y - arm[:, 1:]), out=by_yaw)
+        system[:, 3] = 1.0
         per_cell = (1 / np.maximum(count, 1)[:, None]).astype(np.float32)
-
-        def centred(field: Float[Image, "m cells"]) -> Float[Image, "m cells"]:
-            return field - np.sum(field * shown, axis=1, keepdims=True) * per_cell
-
-        columns = [-slope_x, -slope_y, slope_x * y - slope_y * x, np.ones_like(x)]
-        tilts = [centred(x), centred(y)]
-        columns += tilts
+        middle = (shown @ self._positions[:2].T) * per_cell
+        tilts = np.subtract(self._positions[:2], middle[..., None], out=system[:, 4:6])
         if self._warp.bend_std is not None:
-            along, across = tilts
-            columns += [centred(along**2), centred(along * across), centred(across**2)]
-        jacobian = np.stack(columns, axis=1)
-        residual = sampled[..., 0] - self._elevation
-        weighted = jacobian * weight[:, None]
-        normal = (weighted @ jacobian.transpose(0, 2, 1)).astype(np.float64)
-        gradient = (weighted @ residual[..., None])[..., 0].astype(np.float64)
+            bends = system[:, 6:9]
+            np.multiply(tilts[:, [0, 0, 1]], tilts[:, [0, 1, 1]], out=bends)
+            bends -= (bends @ shown[..., None]) * per_cell[..., None]
+        residual = np.subtract(elevation, self._elevation, out=system[:, size])
+
+        products = ((system * weight[:, None]) @ system.transpose(0, 2, 1)).astype(np.float64)
+        normal, gradient = products[:, :size, :size], products[:, :size, size]
         # The warp is held by its prior, worth as much as the noise of one patch.
-        scale = _robust_variance(_centred(residual, weight), common, count)
-        diagonal = np.arange(len(columns))
+        weighed = np.maximum(products[:, 3, 3, None], 1e-12)
+        off = residual - (gradient[:, 3, None] / weighed).astype(np.float32)
+        scale = _robust_variance(np.square(off, out=off), common, count)
+        diagonal = np.arange(size)
         normal[:, diagonal, diagonal] *= 1 + 1e-9
-        normal[:, diagonal, diagonal] += 1e-9
-        normal[:, diagonal, diagonal] += np.outer(
-            scale * self._cells_a_patch, self._precision(len(columns))
+        normal[:, diagonal, diagonal] += 1e-9 + np.outer(
+            scale * self._cells_a_patch, self._precision
         )
         inverse = np.linalg.inv(normal)
         change = -(inverse @ gradient[..., None])[..., 0]
-        explained = (change[:, None].astype(np.float32) @ jacobian)[:, 0]
-        left = np.asarray(residual + explained, np.float32)
-        variance = _robust_variance(left, common, count)
+        applied = np.concatenate([change, np.ones((len(change), 1))], axis=1)
+        left = (applied[:, None].astype(np.float32) @ system)[:, 0]
+        squared = np.square(left, out=left)
+        variance = _robust_variance(squared, common, count)
+        half = (ROBUSTNESS * variance[:, None]).astype(np.float32)
         return _Step(
             change,
             (COVARIANCE_FACTOR * variance * self._cells_a_patch)[:, None, None] * inverse,
-            np.asarray(1 / (1 + left**2 / (ROBUSTNESS * variance[:, None])), np.float32),
+            half / (half + squared),
             held,
         )
-
-    def _precision(self, num_columns: int) -> Float[Array, "p"]:
-        """Of the prior of each column of the Jacobian; the motion and the offset have none."""
-        precision = np.zeros(num_columns)
-        precision[4:6] = self._warp.tilt_std**-2
-        if self._warp.bend_std is not None:
-            precision[6:] = self._warp.bend_std**-2
-        return precision
 
     def likeness(self, motions: Float[Array, "m 3"]) -> Float[Array, "m"]:
         """Correlate the terrain under each motion; see `Alignments`."""
         image = np.dstack([self._query.terrain, self._image[..., 3]])
-        sampled = self._sample(image, motions, self._arm(motions))
-        common = (sampled[..., 1] > 0.999).astype(np.float32)
-        theirs, ours = sampled[..., 0] * common, self._terrain * common
+        terrain, trusted = cv2.split(self._sample(image, motions))
+        common = (trusted > 0.999).astype(np.float32)
+        theirs, ours = terrain * common, self._terrain * common
         energy = np.sum(theirs**2, axis=1) * np.sum(ours**2, axis=1)
         product = np.sum(theirs * ours, axis=1).astype(np.float64)
         correlation = product / np.sqrt(np.maximum(energy, 1e-20))
         squared = np.clip(correlation, 0.0, 0.9999) ** 2
         return -np.log1p(-squared) * np.sqrt(common.sum(axis=1))
 
-    def _arm(self, motions: Float[Array, "m 3"]) -> Float[Image, "m cells 2"]:
-        """From where each motion puts the query's origin to the database's cells [m]."""
-        return self._positions - (motions[:, None, :2] - self._middle).astype(np.float32)
-
     def _sample(
-        self,
-        image: Float[Image, "rows columns fields"],
-        motions: Float[Array, "m 3"],
-        arm: Float[Image, "m cells 2"],
+        self, image: Float[Image, "rows columns fields"], motions: Float[Array, "m 3"]
     ) -> Float[Image, "m cells fields"]:
         """Fields of the query under the database's cells; 0 beyond its edge."""
-        c, s = _cos_sin(motions)
-        x, y = arm[..., 0], arm[..., 1]
         grid = self._query.grid
-        column = (c * x + s * y - grid.origin[0]) / grid.resolution
-        row = (c * y - s * x - grid.origin[1]) / grid.resolution
-        sampled = cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        yaw = motions[:, 2]
+        c, s = np.cos(yaw) / grid.resolution, np.sin(yaw) / grid.resolution
+        x, y = (self._middle - motions[:, :2]).T
+        column, row = (np.asarray(origin) / grid.resolution for origin in grid.origin)
+        onto = [[c, s, c * x + s * y - column], [-s, c, c * y - s * x - row]]
+        columns, rows = (
+            np.column_stack(of_cell).astype(np.float32) @ self._positions for of_cell in onto
+        )
+        sampled = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         return np.asarray(sampled, np.float32)
+
+
+def _precision(warp: Warp) -> Float[Array, "p"]:
+    """Of the prior of each column of the Jacobian; the motion and the offset have none."""
+    tilts = [warp.tilt_std**-2] * 2
+    bends = [] if warp.bend_std is None else [warp.bend_std**-2] * 3
+    return np.array([0.0] * 4 + tilts + bends)
 
 
 def _cos_sin(motions: Float[Array, "m 3"]) -> tuple[Float[Image, "m 1"], Float[Image, "m 1"]]:
@@ -236,20 +239,12 @@ def _cos_sin(motions: Float[Array, "m 3"]) -> tuple[Float[Image, "m 1"], Float[I
     return np.cos(yaw).astype(np.float32), np.sin(yaw).astype(np.float32)
 
 
-def _centred(
-    values: Float[Image, "m cells"], weight: Float[Image, "m cells"]
-) -> Float[Image, "m cells"]:
-    total = np.maximum(weight.sum(axis=1, keepdims=True), np.float32(1e-12))
-    mean = np.sum(values * weight, axis=1, keepdims=True) / total
-    return np.asarray(values - mean, np.float32)
-
-
 def _robust_variance(
-    residual: Float[Image, "m cells"],
+    squared: Float[Image, "m cells"],
     common: Bool[NDArray[np.bool_], "m cells"],
     count: NDArray[np.intp],
 ) -> Float[Array, "m"]:
-    """Variance by the median of the squares, which rocks do not move."""
-    ordered = np.sort(np.where(common, residual**2, np.float32(np.inf)), axis=1)
-    median = ordered[np.arange(len(residual)), np.maximum(count - 1, 0) // 2]
+    """Variance by the median of squared residuals, which rocks do not move."""
+    ordered = np.sort(np.where(common, squared, np.float32(np.inf)), axis=1)
+    median = ordered[np.arange(len(squared)), np.maximum(count - 1, 0) // 2]
     return np.where(count > 0, median, 0.0).astype(np.float64) / 0.455 + 1e-12

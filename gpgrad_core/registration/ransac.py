@@ -1,5 +1,7 @@
 """Algorithm 1's RANSAC: motions of the plane that many associations support."""
 
+from math import cos
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
@@ -9,6 +11,9 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array, Matches
 
 BoolArray = NDArray[np.bool_]
+
+SAME_TURN = 0.1
+"""Turns nearer than this to each other are one hypothesis [rad]."""
 
 
 def find_motions(matches: Matches, params: RegistrationParams) -> list[SE2]:
@@ -80,15 +85,16 @@ def _distinct(
     wanted: int,
 ) -> list[SE2]:
     """Take the first motions that differ: by where they put the centre, or by their turn."""
-    centres = _rotate(yaw, np.broadcast_to(centre, offset.shape)) + offset
-    left = np.ones(len(yaw), bool)
+    x, y = (_rotate(yaw, np.broadcast_to(centre, offset.shape)) + offset).T
+    c, s = np.cos(yaw), np.sin(yaw)
+    left = np.arange(len(yaw))
     motions: list[SE2] = []
-    while len(motions) < wanted and left.any():
-        k = int(np.argmax(left))
+    while len(motions) < wanted and len(left):
+        k = int(left[0])
         motions.append(SE2(float(offset[k, 0]), float(offset[k, 1]), float(yaw[k])))
-        near = np.hypot(*(centres - centres[k]).T) <= 2 * radius
-        turn = np.abs(np.angle(np.exp(1j * (yaw - yaw[k])))) <= 0.1
-        left &= ~(near & turn)
+        far = np.hypot(x[left] - x[k], y[left] - y[k]) > 2 * radius
+        turned = c[left] * c[k] + s[left] * s[k] < cos(SAME_TURN)
+        left = left[far | turned]
     return motions
 
 

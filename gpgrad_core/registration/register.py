@@ -192,10 +192,10 @@ def _judge(
 
 def _distinct(tried: Alignments, length_scale: float) -> list[int]:
     """Order motions by how alike the terrain is, once each: many starts end at the same."""
+    x, y, yaw = np.moveaxis(tried.motions[:, None] - tried.motions, 2, 0)
+    near = (np.hypot(x, y) < 0.5 * length_scale) & (np.abs(np.sin(yaw / 2)) < 0.02)
     chosen: list[int] = []
     for k in np.argsort(-tried.likeness, kind="stable"):
-        x, y, yaw = (tried.motions[chosen] - tried.motions[k]).T
-        near = (np.hypot(x, y) < 0.5 * length_scale) & (np.abs(np.sin(yaw / 2)) < 0.02)
-        if not near.any():
+        if not near[k, chosen].any():
             chosen.append(int(k))
     return chosen

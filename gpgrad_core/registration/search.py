@@ -104,16 +104,12 @@ def search_motions(
     size, cell = of_query.size, of_query.cell
     turned, fixed = np.conj(of_query.values), of_database.values[0]
     terrain, mask, squared = (turned[:, k] for k in range(3))
-    common = scipy.fft.irfft2(mask * fixed[1], s=(size, size), workers=1)
-    product = scipy.fft.irfft2(terrain * fixed[0], s=(size, size), workers=1)
-    energy_query = scipy.fft.irfft2(squared * fixed[1], s=(size, size), workers=1)
-    energy_database = scipy.fft.irfft2(mask * fixed[2], s=(size, size), workers=1)
-    # The little more below keeps flat ground, and rounding, from correlating.
-    energy = np.maximum(energy_query * energy_database, 0.0) + 1e-3 * common * common
-    correlation = np.clip(product / np.sqrt(energy + 1e-6), 0.0, 0.999)
-    score = -np.log1p(-(correlation**2)) * np.sqrt(np.maximum(common, 0.0))
-    score[common < LEAST_PATCHES * np.pi / 2] = 0.0
-    best, turn = score.max(axis=0), score.argmax(axis=0)
+    common, product, energy, energy_database = (
+        scipy.fft.irfft2(spectrum, s=(size, size), workers=1, overwrite_x=True)
+        for spectrum in (mask * fixed[1], terrain * fixed[0], squared * fixed[1], mask * fixed[2])
+    )
+    score = _score(common, product, np.multiply(energy, energy_database, out=energy))
+    best = score.max(axis=0)
     motions: list[SE2] = []
     around = np.arange(-APART, APART + 1)
     while len(motions) < wanted:
@@ -122,11 +118,37 @@ def search_motions(
             break
         shift = np.array([column, row])
         shift = (shift + size // 2) % size - size // 2 + of_query.half - of_database.half
-        yaw = float(_yaws()[turn[row, column]])
+        yaw = float(_yaws()[score[:, row, column].argmax()])
         offset = of_database.middle + cell * shift - SE2(yaw=yaw).rotation @ of_query.middle
         motions.append(SE2(float(offset[0]), float(offset[1]), yaw))
         best[np.ix_((row + around) % size, (column + around) % size)] = 0.0
     return motions
+
+
+def _score(
+    common: Float[Image, "yaws size size"],
+    product: Float[Image, "yaws size size"],
+    energy: Float[Image, "yaws size size"],
+) -> Float[Image, "yaws size size"]:
+    """Weigh every shift at every turn; in place, for these arrays are most of the search's time.
+
+    Args:
+        common: Cells in common.
+        product: Sum of the products of both maps' terrain over these.
+        energy: Product of the sums of their squares.
+    """
+    np.maximum(common, 0.0, out=common)
+    # The little more keeps flat ground, and rounding, from correlating.
+    np.maximum(energy, 0.0, out=energy)
+    energy += 1e-3 * common * common + np.float32(1e-6)
+    np.maximum(product, 0.0, out=product)
+    product *= product
+    product /= energy
+    np.subtract(1.0, np.minimum(product, 0.998, out=product), out=product)
+    score = np.log(product, out=product)
+    enough = common >= LEAST_PATCHES * np.pi / 2
+    score *= -np.sqrt(common, out=common) * enough
+    return score
 
 
 def _yaws() -> Float[Array, "yaws"]:
