@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 
 PACKAGE = "map_closures"
 RESOLUTION = 1 / 6
-"""Side of a cell in length-scales: 5 cm at the default; made for cities, its own is 50 cm."""
+"""Side of a cell in length-scales: 5 cm at the default; made for cities, its own is 50 cm. Cells
+half as large again raise its AP on two of three sets, to 0.32, and miss an easy closure."""
 DATABASE_ID, QUERY_ID = 0, 100
 """Far apart: maps of neighbouring numbers are not compared by the package."""
 
