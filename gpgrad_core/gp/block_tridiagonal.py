@@ -61,6 +61,9 @@ def invert_pivot(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
 
     LAPACK's own inversion runs at a tenth of the speed of a product at these sizes.
 
+    Args:
+        pivot: The block; what is below its diagonal is not read.
+
     Raises:
         NotPositiveDefiniteError: If it is not positive definite to rounding.
     """
@@ -69,8 +72,9 @@ def invert_pivot(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
         return _invert_leaf(pivot)
     half = size // 2
     first = invert_pivot(pivot[:half, :half])
-    gain = pivot[half:, :half] @ first
-    second = invert_pivot(pivot[half:, half:] - gain @ pivot[half:, :half].T)
+    coupling = pivot[:half, half:]
+    gain = coupling.T @ first
+    second = invert_pivot(pivot[half:, half:] - gain @ coupling)
     inverse = np.empty_like(pivot)
     below = second @ gain
     inverse[half:, half:] = second
@@ -85,7 +89,7 @@ def invert_pivot(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
 def _invert_leaf(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
     single = pivot.dtype == np.float32
     factorise, invert = (spotrf, strtri) if single else (dpotrf, dtrtri)
-    # The transpose of a symmetric C-ordered array is the F-ordered array that LAPACK wants.
+    # The transpose of a C-ordered array is the F-ordered array that LAPACK wants.
     factor, failed = factorise(pivot.T, lower=1)
     if failed:
         raise NotPositiveDefiniteError(f"pivot {failed} is not positive")

@@ -209,12 +209,31 @@ class WeightSpace:
             np.einsum("ii->i", pivot)[:] += 1
             factor.inverses.append(invert_pivot(pivot))
             if i + 1 < self._num_blocks:
-                coupling = self._couple(i + 1, i)
-                factor.gains.append(coupling @ factor.inverses[i])
                 pivot = self._couple(i + 1, i + 1)
-                pivot -= factor.gains[i] @ coupling.T
+                coupling = self._couple(i + 1, i)
+                factor.gains.append(self._eliminate(factor.inverses[i], coupling, pivot))
             advance(1 / self._num_blocks)
         return factor
+
+    def _eliminate(
+        self,
+        inverse: Float[Array, "m m"],
+        coupling: Float[Array, "n m"],
+        pivot: Float[Array, "n n"],
+    ) -> Float[Array, "n m"]:
+        """Take ``coupling inverse couplingᵀ`` off the next block's pivot; give the gain.
+
+        A row of nodes meets none that is further away than the band: of the block before, those
+        from the same row on. So two fifths of the first product fall away; and of the second,
+        of which half is not needed either, three quarters.
+        """
+        width, before = (len(coupling) // self._band, len(inverse) // self._band)
+        gain = np.empty_like(coupling)
+        for row in range(self._band):
+            own, met = slice(row * width, (row + 1) * width), slice(row * before, None)
+            np.matmul(coupling[own, met], inverse[met], out=gain[own])
+            pivot[: own.stop, own] -= gain[: own.stop, met] @ coupling[own, met].T
+        return gain
 
     def variance_reduction(self) -> VarianceReduction:
         """Sum ``I - Q⁻¹`` by midpoints: V of the module's text, less the prior's.

@@ -12,6 +12,8 @@ from gpgrad_core.types import Array, Matches
 
 BoolArray = NDArray[np.bool_]
 
+TRIALS_AT_ONCE = 256
+"""Motions whose errors are worked out together: as many as fit a processor's own memory."""
 SAME_TURN = 0.1
 """Turns nearer than this to each other are one hypothesis [rad]."""
 
@@ -63,18 +65,31 @@ def _rotate(yaw: Float[Array, "t"], points: Float[Array, "t 2"]) -> Float[Array,
 def _count_inliers(
     yaw: Float[Array, "t"], offset: Float[Array, "t 2"], matches: Matches, radius: float
 ) -> Int[NDArray[np.intp], "t"]:
-    """GetInliers for all trials; associations that share a position may count twice here."""
-    # As matrix products in float32: this is most of RANSAC's time.
-    query = np.column_stack([matches.query_xy, np.ones(len(matches))]).astype(np.float32).T
-    database = matches.database_xy.astype(np.float32)
-    c, s = np.cos(yaw), np.sin(yaw)
-    squared = np.zeros((len(yaw), len(matches)), np.float32)
-    for axis, (along_x, along_y) in enumerate(((c, -s), (s, c))):
-        motion = np.column_stack([along_x, along_y, offset[:, axis]]).astype(np.float32)
-        error = motion @ query
-        error -= database[:, axis]
-        squared += np.square(error, out=error)
-    return np.count_nonzero(squared <= radius**2, axis=1)
+    """GetInliers for all trials; associations that share a position may count twice here.
+
+    Written out, the squared error of association (q, d) under rotation R and offset t is
+
+        |Rq + t - d|² = |q|² + |d|² + |t|² + 2 Rᵀt·q - 2 t·d - 2 (q·d cos yaw + q×d sin yaw)
+
+    a product of what depends on the motion with what depends on the association: of matrices.
+    """
+    query, database = matches.query_xy, matches.database_xy
+    (qx, qy), (dx, dy) = query.T, database.T
+    lengths = np.sum(query**2, axis=1) + np.sum(database**2, axis=1)
+    ones = np.ones(len(matches))
+    of_match = np.stack([lengths, ones, qx, qy, dx, dy, qx * dx + qy * dy, qx * dy - qy * dx])
+    back_x, back_y = _rotate(-yaw, offset).T
+    tx, ty = offset.T
+    of_trial = np.column_stack(
+        [np.ones(len(yaw)), tx**2 + ty**2]
+        + [2 * back_x, 2 * back_y, -2 * tx, -2 * ty, -2 * np.cos(yaw), -2 * np.sin(yaw)]
+    )
+    counts = np.empty(len(yaw), np.intp)
+    for first in range(0, len(yaw), TRIALS_AT_ONCE):
+        some = slice(first, first + TRIALS_AT_ONCE)
+        inside = of_trial[some] @ of_match <= radius**2
+        counts[some] = inside.astype(np.float32) @ ones.astype(np.float32)
+    return counts
 
 
 def _distinct(
