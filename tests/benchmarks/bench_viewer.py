@@ -1,6 +1,7 @@
 """How fast the picture follows a slider: ``python -m tests.benchmarks.bench_viewer``.
 
-Two submaps of 5,000 points at 0.03 m/pixel, real mouse events in a real browser. Printed are
+Two submaps of 5,000 points at 0.03 m/pixel, real mouse events in a real browser, whose driver lets
+go of the page while it is timed (see `unwatched`). Printed are
 medians, in milliseconds, of
 
 - server: from the parameters to the messages, without a browser, and its process time;
@@ -19,7 +20,6 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from app import state as states
 from app.server import Viewer
@@ -30,7 +30,8 @@ from gpgrad_core.gradient_map import MapParams, kept_points
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.progress import silent
 from gpgrad_core.types import Dataset, Submap
-from tests.browser.chromium import ViewerPage, find_chromium, launch
+from tests.browser.chromium import find_chromium
+from tests.browser.unwatched import UnwatchedPage, open_unwatched
 
 NUM_POINTS = 5000
 PARAMS = PipelineParams(map=MapParams(resolution=0.03))
@@ -168,29 +169,27 @@ def measure_server(viewer: Viewer, path: str) -> tuple[Times, Times]:
     return Times.median(wall), Times.median(process)
 
 
-def measure_browser(page: ViewerPage, path: str, *, skip_drawing: bool) -> Times:
+def measure_browser(page: UnwatchedPage, path: str, *, skip_drawing: bool) -> Times:
     """Time from a mouse move on the slider to the drawn changes."""
-    page.page.evaluate(f"window.__skipDrawing = {str(skip_drawing).lower()}")
+    page.evaluate(f"window.__skipDrawing = {str(skip_drawing).lower()}")
     label = MAIN_PARAMETERS[path]
-    box: Any = page.thumb(label).bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.page.mouse.move(x, y)
-    page.page.mouse.down()
+    x, y = page.thumb(label)
+    page.mouse("Pressed", x, y)
     times: list[Times] = []
-    try:
-        for event in range(1, EVENTS + 1):
-            quiet(page)
-            page.page.evaluate("window.__events.length = 0")
-            # Away and further away: each position is a value that the memo has not seen.
-            between = 0.0 if skip_drawing else 0.5  # values that the first round has not asked for
-            page.page.mouse.move(x + STRIDES[path] * (event + between), y)
-            page.page.wait_for_timeout(1000 * UNWATCHED)
-            shown = "draw" if skip_drawing else "done"
-            change = wait_for_change(page, "card" if path in CARD_ONLY else shown)
-            if change is not None:
-                times.append(change)
-    finally:
-        page.page.mouse.up()
+    at = x
+    for event in range(1, EVENTS + 1):
+        quiet(page)
+        page.evaluate("window.__events.length = 0")
+        # Away and further away: each position is a value that the memo has not seen.
+        between = 0.0 if skip_drawing else 0.5  # values that the first round has not asked for
+        at = x + STRIDES[path] * (event + between)
+        page.mouse("Moved", at, y)
+        time.sleep(UNWATCHED)
+        shown = "draw" if skip_drawing else "done"
+        change = wait_for_change(page, "card" if path in CARD_ONLY else shown)
+        if change is not None:
+            times.append(change)
+    page.mouse("Released", at, y)
     if len(times) < EVENTS / 2:
         raise AssertionError(f"{label}: only {len(times)} of {EVENTS} moves showed a change")
     page.press("Reset parameters")
@@ -198,7 +197,7 @@ def measure_browser(page: ViewerPage, path: str, *, skip_drawing: bool) -> Times
     return Times.median(times)
 
 
-def wait_for_change(page: ViewerPage, shown: str) -> Times | None:
+def wait_for_change(page: UnwatchedPage, shown: str) -> Times | None:
     """Wait for all that one input changes; give the times from it to what was shown.
 
     None if it changed nothing, as when the same associations are inliers at another radius.
@@ -207,7 +206,7 @@ def wait_for_change(page: ViewerPage, shown: str) -> Times | None:
     end = time.monotonic() + 4
     while time.monotonic() < end:
         quiet(page)
-        events = page.page.evaluate("window.__events")
+        events = page.evaluate("window.__events")
         causes = [moment for what, moment, _ in events if what == cause]
         moments = [moment for what, moment, _ in events if what == shown]
         if causes and moments and moments[-1] >= causes[-1]:
@@ -218,17 +217,17 @@ def wait_for_change(page: ViewerPage, shown: str) -> Times | None:
     return None
 
 
-def quiet(page: ViewerPage, seconds: float = 0.6) -> None:
+def quiet(page: UnwatchedPage, seconds: float = 0.6) -> None:
     """Wait until the status is up to date and nothing was uploaded or drawn for a while."""
     end = time.monotonic() + 60
     last, since = -1, time.monotonic()
     while time.monotonic() < end:
-        count = page.page.evaluate("window.__events.length")
+        count = page.evaluate("window.__events.length")
         if count != last or "Up to date" not in page.status():
             last, since = count, time.monotonic()
         elif time.monotonic() - since > seconds:
             return
-        page.page.wait_for_timeout(50)
+        time.sleep(0.05)
     raise AssertionError("the page never came to rest")
 
 
@@ -242,8 +241,7 @@ def main(paths: Sequence[str] = tuple(TARGETS_MS)) -> int:
     viewer.wait_idle()
     server = {path: measure_server(viewer, path) for path in paths}
     missed = False
-    with launch(executable) as browser:
-        page = ViewerPage(browser, viewer.url, script=WATCH)
+    with open_unwatched(executable, viewer.url, WATCH) as page:
         print(f"{'slider':28}{HEAD}   [ms, first picture / last]")  # noqa: T201
         for path in paths:
             without = measure_browser(page, path, skip_drawing=True)
@@ -255,7 +253,6 @@ def main(paths: Sequence[str] = tuple(TARGETS_MS)) -> int:
             )
             print(f"{path:28}{cells}", flush=True)  # noqa: T201
             missed |= without.first > target.first or without.last > target.last
-        page.close()
     viewer.close()
     return int(missed)
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from playwright.sync_api import Browser, Locator, Page, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Locator, Page, sync_playwright
 
 from app.stage import VIEW_WIDTH
 
@@ -64,7 +64,7 @@ class ViewerPage:
 
     def __init__(
         self,
-        browser: Browser,
+        browser: Browser | BrowserContext,
         url: str,
         *,
         size: tuple[int, int] = (960, 600),
@@ -80,7 +80,8 @@ class ViewerPage:
         """
         self.errors: list[str] = []
         self.outside: list[str] = []
-        self.page: Page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        self.page: Page = browser.new_page()
+        self.page.set_viewport_size({"width": size[0], "height": size[1]})
         if script is not None:
             self.page.add_init_script(script)
         local = (url, url.replace("http", "ws"), "blob:", "data:")
