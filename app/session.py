@@ -69,6 +69,8 @@ MAIN_PARAMETERS = {
 """The parameters that stand in the open, and what people call them."""
 
 CONTROL_WIDTH = 310
+NOTICED = 0.15
+"""What is shown sooner needs no word before it: every word costs the page time [s]."""
 LONG = 1.0
 """What takes longer has a bar and can be cancelled [s]."""
 
@@ -159,6 +161,7 @@ class Session:
         """Stop working; what was shown stays until its page goes."""
         self._runner.close()
         self._patience.cancel()
+        self._status.close()
         for part in self._parts:
             part.close()
         self._scene.close()
@@ -427,7 +430,7 @@ class Session:
         self._began = time.monotonic()
         self._fraction = 0.0
         self._timed = TimedMemo(self._memo)
-        self._status.computing()
+        self._status.computing(after=NOTICED)
         # Stages that report nothing for a while must not keep the way to stop them out of sight.
         self._patience.cancel()
         self._patience = threading.Timer(LONG, lambda: self._status.progress(self._fraction))

@@ -14,8 +14,8 @@ Digits: TypeAlias = type[np.float32] | type[np.float64]
 
 POINTS_PER_CHUNK = 256
 LEAST_EXPONENTS: dict[Digits, float] = {np.float32: -36.0, np.float64: -200.0}
-"""Gaussians below exp of this, 2e-16 and 1e-87, are zero: products of such numbers would be not quite
-zero, which costs a processor tenfold."""
+"""Gaussians below exp of this, 2e-16 and 1e-87, are zero: products of such numbers would be not
+quite zero, which costs a processor tenfold."""
 
 
 @dataclass(frozen=True)

@@ -80,10 +80,10 @@ def _count_inliers(
     of_match = np.stack([lengths, ones, qx, qy, dx, dy, qx * dx + qy * dy, qx * dy - qy * dx])
     back_x, back_y = _rotate(-yaw, offset).T
     tx, ty = offset.T
-    of_trial = np.column_stack(
-        [np.ones(len(yaw)), tx**2 + ty**2]
-        + [2 * back_x, 2 * back_y, -2 * tx, -2 * ty, -2 * np.cos(yaw), -2 * np.sin(yaw)]
-    )
+    alone = [np.ones(len(yaw)), tx**2 + ty**2]
+    with_query, with_database = [2 * back_x, 2 * back_y], [-2 * tx, -2 * ty]
+    with_both = [-2 * np.cos(yaw), -2 * np.sin(yaw)]
+    of_trial = np.column_stack([*alone, *with_query, *with_database, *with_both])
     counts = np.empty(len(yaw), np.intp)
     for first in range(0, len(yaw), TRIALS_AT_ONCE):
         some = slice(first, first + TRIALS_AT_ONCE)
