@@ -125,6 +125,7 @@ class Session:
         self._timed = TimedMemo(memo)
         self._began = time.monotonic()
         self._fraction = 0.0
+        self._word_due = False
         self._patience = threading.Timer(LONG, lambda: None)
         self._build_panels()
         self._params.set_default(opened.params)
@@ -161,7 +162,6 @@ class Session:
         """Stop working; what was shown stays until its page goes."""
         self._runner.close()
         self._patience.cancel()
-        self._status.close()
         for part in self._parts:
             part.close()
         self._scene.close()
@@ -395,7 +395,7 @@ class Session:
             state.params.map,
             self._timed,
             self._turns.helper,
-            progress,
+            self._reported(progress),
         )
         coarse = any(
             made.grid.resolution != state.params.map.resolution
@@ -405,18 +405,12 @@ class Session:
         return Picture(self._scene.preview(state, (query_map, database_map)), coarse=coarse)
 
     def _compute(self, state: ViewState, progress: Progress) -> Picture:
-        def report(fraction: float) -> None:
-            progress(fraction)
-            self._fraction = fraction
-            if time.monotonic() - self._began > LONG:
-                self._status.progress(fraction)
-
         result = register_pair(
             state.query,
             state.database,
             state.params,
             self._timed,
-            report,
+            self._reported(progress),
             helper=self._turns.helper,
         )
         start = time.perf_counter()
@@ -425,19 +419,43 @@ class Session:
         self._timed.add("drawing", time.perf_counter() - start)
         return Picture(shown, result)
 
+    def _reported(self, progress: Progress) -> Progress:
+        """Tell the user what goes on, and how far it is, as soon as there is time to read it."""
+
+        def report(fraction: float) -> None:
+            progress(fraction)
+            self._fraction = fraction
+            taken = time.monotonic() - self._began
+            if taken > NOTICED:
+                self._say_computing()
+            if taken > LONG:
+                self._status.progress(fraction)
+
+        return report
+
+    def _say_computing(self) -> None:
+        if self._word_due:
+            self._word_due = False
+            self._status.computing()
+
+    def _be_patient(self) -> None:
+        """Show how to stop it, even if it reports nothing for a while."""
+        self._say_computing()
+        self._status.progress(self._fraction)
+
     def _on_start(self, state: ViewState) -> None:
         del state
         self._began = time.monotonic()
         self._fraction = 0.0
         self._timed = TimedMemo(self._memo)
-        self._status.computing(after=NOTICED)
-        # Stages that report nothing for a while must not keep the way to stop them out of sight.
+        self._word_due = True
         self._patience.cancel()
-        self._patience = threading.Timer(LONG, lambda: self._status.progress(self._fraction))
+        self._patience = threading.Timer(LONG, self._be_patient)
         self._patience.daemon = True
         self._patience.start()
 
     def _on_result(self, state: ViewState, picture: Picture, seconds: float) -> None:
+        self._word_due = False
         self._show_legend(picture.shown)
         if picture.pair is None:
             if picture.coarse:
@@ -475,6 +493,7 @@ class Session:
 
     def _outdate(self, tell: Callable[[], None]) -> None:
         """Say that what is seen is not what is set: on the card, in the scene, and why."""
+        self._word_due = False
         self._verdict.outdate("out of date")
         self._scene.outdate()
         tell()

@@ -9,7 +9,6 @@ import viser
 from app.host import Host
 from app.panels.text import BAD, BUSY, GOOD
 
-OUT_OF_DATE = "The picture is out of date"
 WORTH_TELLING = 0.0005
 """Stages that took less are left out [s]: what they gave was known before."""
 
@@ -26,8 +25,6 @@ class StatusLine:
         """
         self._lock = threading.Lock()
         self._busy = False
-        self._said = 0  # how often something was
-        self._word = threading.Timer(0.0, lambda: None)  # held back
         self._handle = host.gui.add_html(status_html("Starting …", BUSY))
         self._bar = host.gui.add_progress_bar(0.0, visible=False, animated=True)
         self._cancel = host.gui.add_button("Cancel computing", visible=False, color="red")
@@ -37,23 +34,11 @@ class StatusLine:
             del event
             on_cancel()
 
-    def computing(self, what: str = "Computing …", after: float = 0.0) -> None:
-        """Say that the picture is about to change.
-
-        Args:
-            what: Is being done.
-            after: How long to hold it back, for there may be something to show by then [s].
-        """
+    def computing(self, what: str = "Computing …") -> None:
+        """Say that the picture is about to change."""
         with self._lock:
             self._busy = True
-            said = self._said
-        self._word.cancel()
-        if after > 0:
-            self._word = threading.Timer(after, lambda: self._say(what, BUSY, unless_after=said))
-            self._word.daemon = True
-            self._word.start()
-        else:
-            self._say(what, BUSY)
+        self._handle.content = status_html(what, BUSY)
 
     def progress(self, fraction: float) -> None:
         """Show how far it is, and a way to stop it: it takes longer than one likes to wait.
@@ -72,9 +57,11 @@ class StatusLine:
             seconds: From the beginning of the computation to the picture.
             coarse: Whether finer surfaces are being made too.
         """
+        with self._lock:
+            self._busy = True
         now = "Coarse picture" if coarse else "Surfaces shown"
         then = "refining" if coarse else "matching"
-        self._say(f"{now} · {1000 * seconds:.0f} ms · {then} …", BUSY)
+        self._handle.content = status_html(f"{now} · {1000 * seconds:.0f} ms · {then} …", BUSY)
 
     def up_to_date(
         self, seconds: float, details: str, stages: Mapping[str, float] | None = None
@@ -87,42 +74,28 @@ class StatusLine:
             stages: Seconds of these by stage.
         """
         self._rest()
-        self._say(f"Up to date · {1000 * seconds:.0f} ms · {details}", GOOD, stages_text(stages))
+        self._handle.content = status_html(
+            f"Up to date · {1000 * seconds:.0f} ms · {details}", GOOD, below=stages_text(stages)
+        )
 
     def stale(self, seconds: float) -> None:
         """Say that a picture came, and that a newer one is being made."""
         self._rest()
-        self._say(f"Computing … (shown: a moment ago, {1000 * seconds:.0f} ms)", BUSY)
+        self._handle.content = status_html(
+            f"Computing … (shown: a moment ago, {1000 * seconds:.0f} ms)", BUSY
+        )
 
     def cancelled(self) -> None:
         """Say that the picture is not what the sliders say, because the user wanted it so."""
         self._rest()
-        self._say("Cancelled: move a slider to compute again.", BAD, title=OUT_OF_DATE)
+        self._handle.content = status_html(
+            "Cancelled: move a slider to compute again.", BAD, title="The picture is out of date"
+        )
 
     def error(self, message: str) -> None:
         """Say what went wrong; the last good picture stays."""
         self._rest()
-        self._say(message, BAD, title=OUT_OF_DATE)
-
-    def close(self) -> None:
-        """Hold back for good what is held back."""
-        self._word.cancel()
-
-    def _say(
-        self,
-        text: str,
-        color: str,
-        below: str = "",
-        *,
-        title: str = "",
-        unless_after: int | None = None,
-    ) -> None:
-        """Write the line; unless something was said since, if that is asked."""
-        with self._lock:
-            if unless_after not in (None, self._said):
-                return
-            self._said += 1
-            self._handle.content = status_html(text, color, title, below)
+        self._handle.content = status_html(message, BAD, title="The picture is out of date")
 
     def _rest(self) -> None:
         with self._lock:

@@ -1,3 +1,4 @@
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -147,6 +148,25 @@ def test_sliders_of_later_stages_need_no_coarse_surfaces(
         assert session.wait_idle(20)
     assert len(before) == 3
     assert not any("shown" in status or "Coarse" in status for status in before)
+
+
+def test_what_takes_long_is_announced_though_it_reports_nothing(
+    session: Session, pipeline: FakePipeline
+) -> None:
+    announced: list[bool] = []
+
+    def make(state: ViewState) -> PairResult:
+        end = time.monotonic() + 20
+        while "Computing" not in said(session, "_status") and time.monotonic() < end:
+            time.sleep(0.02)
+        announced.append(time.monotonic() < end)
+        return make_result(state)
+
+    pipeline.make = make
+    user_sets(find(gui(session), "Minimum inliers"), 20)
+    assert session.wait_idle(30)
+    assert announced == [True]
+    assert "Up to date" in said(session, "_status")
 
 
 def test_an_error_is_told_and_the_next_slider_works(

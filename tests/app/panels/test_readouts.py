@@ -1,4 +1,3 @@
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -115,21 +114,6 @@ def test_the_status_line_says_whether_the_picture_is_current(server: viser.Viser
     status.error("too wide")
     assert "out of date" in html_of(status)
     assert "too wide" in html_of(status)
-
-
-def test_what_is_soon_shown_needs_no_word_before_it(server: viser.ViserServer) -> None:
-    status = StatusLine(server)
-    status.up_to_date(0.1, "then")
-    status.computing(after=0.05)
-    assert "Up to date" in html_of(status)
-    status.preview(0.02, coarse=True)
-    time.sleep(0.2)
-    assert "Coarse picture" in html_of(status)  # the word held back did not come after it
-    status.computing(after=0.05)
-    end = time.monotonic() + 10
-    while "Computing" not in html_of(status):
-        assert time.monotonic() < end, "it was never said"
-        time.sleep(0.01)
 
 
 def test_what_took_how_long_is_told_by_stage(server: viser.ViserServer) -> None:
