@@ -10,7 +10,7 @@ from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams
 
-QUICK = PipelineParams(map=MapParams(max_points=4000, resolution=0.08))
+QUICK = PipelineParams(map=MapParams(max_points=3000, resolution=0.12))
 """Few points and large cells: software rendering draws every one of them."""
 
 
