@@ -218,7 +218,7 @@ class _Problem:
         yaw = motions[:, 2]
         c, s = np.cos(yaw) / grid.resolution, np.sin(yaw) / grid.resolution
         x, y = (self._middle - motions[:, :2]).T
-        column, row = (np.asarray(origin) / grid.resolution for origin in grid.origin)
+        column, row = (origin / grid.resolution for origin in grid.origin)
         onto = [[c, s, c * x + s * y - column], [-s, c, c * y - s * x - row]]
         columns, rows = (
             np.column_stack(of_cell).astype(np.float32) @ self._positions for of_cell in onto

@@ -73,7 +73,10 @@ def _count_inliers(
 
     a product of what depends on the motion with what depends on the association: of matrices.
     """
-    query, database = matches.query_xy, matches.database_xy
+    # About their middles the digits are fine, however far the frames' origins lie.
+    query_middle, database_middle = matches.query_xy.mean(axis=0), matches.database_xy.mean(axis=0)
+    query, database = matches.query_xy - query_middle, matches.database_xy - database_middle
+    offset = offset + _rotate(yaw, np.broadcast_to(query_middle, offset.shape)) - database_middle
     (qx, qy), (dx, dy) = query.T, database.T
     lengths = np.sum(query**2, axis=1) + np.sum(database**2, axis=1)
     ones = np.ones(len(matches))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gpgrad_core.progress import Cancelled
 from gpgrad_core.registration import RegistrationParams, register
 from gpgrad_core.registration.dense_check import DenseCheck, thin_out
+from gpgrad_core.registration.ransac import find_motions
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Grid, Matches, Registration
 from tests.core.ground import Ground
@@ -42,6 +43,20 @@ def assert_near(found: SE2 | None, true: SE2, offset: float, turn: float) -> Non
     middle = np.zeros((1, 2))
     assert np.hypot(*(found.apply(middle) - true.apply(middle))[0]) <= offset
     assert abs(math.remainder(found.yaw - true.yaw, math.tau)) <= turn
+
+
+def test_hypotheses_are_as_good_where_the_frames_begin_far_away() -> None:
+    true, away = SE2(0.4, -0.9, 2.0), np.array([4.0e5, -5.9e6])
+    matches = associations(1, true, 20, 60)
+    far = replace(matches, query_xy=matches.query_xy + away, database_xy=matches.database_xy - away)
+    params = RegistrationParams(inlier_radius=0.1)
+    near_by, far_off = (find_motions(some, params) for some in (matches, far))
+    assert len(near_by) == len(far_off)
+    corners = np.array([[-3.0, -3.0], [3.0, 2.0]])
+    for one, other in zip(near_by, far_off, strict=True):
+        moved = other.apply(corners + away) + away
+        np.testing.assert_allclose(moved, one.apply(corners), atol=1e-6)
+    assert_near(near_by[0], true, 0.05, 0.02)
 
 
 @settings(max_examples=5)
