@@ -227,7 +227,7 @@ class WeightSpace:
         from the same row on. So two fifths of the first product fall away; and of the second,
         of which half is not needed either, three quarters.
         """
-        width, before = (len(coupling) // self._band, len(inverse) // self._band)
+        width, before = len(coupling) // self._band, len(inverse) // self._band
         gain = np.empty_like(coupling)
         for row in range(self._band):
             own, met = slice(row * width, (row + 1) * width), slice(row * before, None)

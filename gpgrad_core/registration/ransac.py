@@ -38,9 +38,12 @@ def find_motions(matches: Matches, params: RegistrationParams) -> list[SE2]:
     yaw = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1))
     turned = _rotate(yaw, (query[first] + query[second]) / 2)
     offset = (database[first] + database[second]) / 2 - turned
-    counts = _count_inliers(yaw, offset, matches, radius)
+    # Where each motion puts the middle of the query's keypoints.
+    middle = query.mean(axis=0)
+    placed = _rotate(yaw, np.broadcast_to(middle, offset.shape)) + offset
+    counts = _count_inliers(yaw, placed, query - middle, database, radius)
     order = np.argsort(-counts, kind="stable")
-    return _distinct(yaw[order], offset[order], query.mean(axis=0), radius, params.hypotheses)
+    return _distinct(yaw[order], offset[order], placed[order], radius, params.hypotheses)
 
 
 def _sample_pairs(
@@ -63,7 +66,11 @@ def _rotate(yaw: Float[Array, "t"], points: Float[Array, "t 2"]) -> Float[Array,
 
 
 def _count_inliers(
-    yaw: Float[Array, "t"], offset: Float[Array, "t 2"], matches: Matches, radius: float
+    yaw: Float[Array, "t"],
+    placed: Float[Array, "t 2"],
+    query: Float[Array, "m 2"],
+    database: Float[Array, "m 2"],
+    radius: float,
 ) -> Int[NDArray[np.intp], "t"]:
     """GetInliers for all trials; associations that share a position may count twice here.
 
@@ -72,14 +79,20 @@ def _count_inliers(
         |Rq + t - d|² = |q|² + |d|² + |t|² + 2 Rᵀt·q - 2 t·d - 2 (q·d cos yaw + q×d sin yaw)
 
     a product of what depends on the motion with what depends on the association: of matrices.
+
+    Args:
+        yaw: Of each motion [rad].
+        placed: Where each puts the middle of the query's keypoints [m].
+        query: Keypoints about that middle [m].
+        database: The keypoints that they are associated with [m].
+        radius: Within which an association is an inlier [m].
     """
-    # About their middles the digits are fine, however far the frames' origins lie.
-    query_middle, database_middle = matches.query_xy.mean(axis=0), matches.database_xy.mean(axis=0)
-    query, database = matches.query_xy - query_middle, matches.database_xy - database_middle
-    offset = offset + _rotate(yaw, np.broadcast_to(query_middle, offset.shape)) - database_middle
+    # About its middle the digits are fine here too, however far the frame's origin lies.
+    middle = database.mean(axis=0)
+    database, offset = database - middle, placed - middle
     (qx, qy), (dx, dy) = query.T, database.T
     lengths = np.sum(query**2, axis=1) + np.sum(database**2, axis=1)
-    ones = np.ones(len(matches))
+    ones = np.ones(len(query))
     of_match = np.stack([lengths, ones, qx, qy, dx, dy, qx * dx + qy * dy, qx * dy - qy * dx])
     back_x, back_y = _rotate(-yaw, offset).T
     tx, ty = offset.T
@@ -98,12 +111,12 @@ def _count_inliers(
 def _distinct(
     yaw: Float[Array, "t"],
     offset: Float[Array, "t 2"],
-    centre: Float[Array, "2"],
+    placed: Float[Array, "t 2"],
     radius: float,
     wanted: int,
 ) -> list[SE2]:
-    """Take the first motions that differ: by where they put the centre, or by their turn."""
-    x, y = (_rotate(yaw, np.broadcast_to(centre, offset.shape)) + offset).T
+    """Take the first motions that differ: by where they put the middle, or by their turn."""
+    x, y = placed.T
     c, s = np.cos(yaw), np.sin(yaw)
     left = np.arange(len(yaw))
     motions: list[SE2] = []

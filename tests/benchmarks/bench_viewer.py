@@ -1,8 +1,7 @@
 """How fast the picture follows a slider: ``python -m tests.benchmarks.bench_viewer``.
 
 Two submaps of 5,000 points at 0.03 m/pixel, real mouse events in a real browser, whose driver lets
-go of the page while it is timed (see `unwatched`). Printed are
-medians, in milliseconds, of
+go of the page while it is timed (see `unwatched`). Printed are medians, in milliseconds, of
 
 - server: from the parameters to the messages, without a browser, and its process time;
 - GPU machine: from the mouse event to the new vertices handed to the graphics library and the
