@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
 from app.state import ViewState
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.precision_recall import (
     PrecisionRecall,
@@ -22,8 +22,6 @@ from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_cl
 from gpgrad_core.progress import Progress, part, silent
 from gpgrad_core.threads import num_workers
 from gpgrad_core.types import Dataset, LoopClosure
-
-Array = NDArray[np.float64]
 
 RULES: dict[str, Rule] = {rule.name: rule for rule in EvaluationParams().rules}
 """By name, when a pair counts as truly the same place."""

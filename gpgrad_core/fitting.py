@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 from scipy.optimize import Bounds, minimize
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.bounds import bounded_fields
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.kernel import SquaredExponential
@@ -25,8 +25,6 @@ from gpgrad_core.gradient_map import (
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.threads import num_workers, single_threaded_blas
 from gpgrad_core.types import Submap
-
-Array = NDArray[np.float64]
 
 PATCHES = 16
 """Of one submap alone; of each of m submaps, this over the root of m."""

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 from typing_extensions import Doc
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.types import Features, Matches
 

@@ -5,9 +5,8 @@ from math import atan2, cos, sin
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gpgrad_core.arrays import Array
 
 
 @dataclass(frozen=True)

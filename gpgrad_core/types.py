@@ -7,12 +7,11 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2
 
-Array = NDArray[np.float64]
 MAX_GRID_CELLS = 25_000_000
 """More cells than this are refused: four float64 fields of it fill 1 GB."""
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import viser
 from jaxtyping import UInt8
-from numpy.typing import NDArray
 
 from app.host import Host
 from app.panels.text import BAD, FAINT, paragraph, table
+from gpgrad_core.arrays import NDArray
 
 PREVIOUS, NEXT, NONE = "previous", "next", "none"
 JPEG_QUALITY = 85

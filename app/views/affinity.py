@@ -6,13 +6,11 @@ from html import escape
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
-from numpy.typing import NDArray
 
 from app.state import ColorMap
 from app.survey import MISSED, WRONG, Judged
 from app.views.colors import colorize
-
-Array = NDArray[np.float64]
+from gpgrad_core.arrays import Array, NDArray
 
 RIGHT_COLOR, WRONG_COLOR, MISSED_COLOR, SHOWN_COLOR = "#2fbf4f", "#ff3b30", "#ff9f0a", "#ff00ff"
 TOP_SHARE = 0.995

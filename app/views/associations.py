@@ -4,14 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from numpy.typing import NDArray
 
 from app.views.colors import INLIER, OUTLIER, REFUSED_INLIER, UNMATCHED, Rgb
 from app.views.placement import Placement
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.types import GradientMap
-
-Array = NDArray[np.float64]
 
 ARC_PIECES = 12
 ARC_RISE, CHOSEN_RISE = 0.12, 0.2

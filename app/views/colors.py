@@ -7,12 +7,11 @@ from typing import TypeAlias
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
-from numpy.typing import NDArray
 
 from app.state import ColorMap
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 
-Array = NDArray[np.float64]
 Colors = UInt8[NDArray[np.uint8], "n 3"]
 Rgb: TypeAlias = tuple[int, int, int]
 

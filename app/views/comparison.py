@@ -5,14 +5,13 @@ from typing import TypeAlias
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
 from app.state import Role
 from app.views.placement import Placement
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Grid
 
-Array = NDArray[np.float64]
 Values: TypeAlias = Float[NDArray[np.float32], "_rows _columns"]
 Cells: TypeAlias = Bool[NDArray[np.bool_], "_rows _columns"]
 

@@ -5,12 +5,10 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 import viser
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from app.views.placement import FIELD_OF_VIEW, Camera
+from gpgrad_core.arrays import Array
 from gpgrad_core.se2 import SE2
-
-Array = NDArray[np.float64]
 
 Bookmark: TypeAlias = Literal["top", "oblique", "follow loop"]
 

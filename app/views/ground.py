@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
 from app.state import Layer, Probe, Role, ViewState
 from app.views.colors import DATABASE, QUERY, Rgb
@@ -13,6 +12,7 @@ from app.views.histogram import Histogram, count_values, histogram_svg, summary
 from app.views.layers import Scale, layer_values, shared_scale
 from app.views.picking import Hit, Ray, first_hit
 from app.views.placement import Placement
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import GradientMap, Registration
 
 ROLES: tuple[Role, Role] = ("query", "database")

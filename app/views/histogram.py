@@ -5,10 +5,10 @@ from html import escape
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
 from app.views.colors import UNTRUSTED_GREY, Rgb, css, lookup_table
 from app.views.layers import Scale
+from gpgrad_core.arrays import NDArray
 
 NUM_BINS = 50
 WIDTH, HEIGHT = 100.0, 34.0

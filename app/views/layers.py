@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from app.state import ColorMap, Layer
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.types import GradientMap
-
-Array = NDArray[np.float64]
 
 MAX_SAMPLES = 20_000
 """Enough cells to tell a range by."""

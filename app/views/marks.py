@@ -2,7 +2,6 @@
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from numpy.typing import NDArray
 
 from app.host import Host
 from app.views.associations import match_arc, residuals
@@ -10,6 +9,7 @@ from app.views.colors import CHOSEN, PROBE, Rgb
 from app.views.nodes import Cloud, Segments
 from app.views.placement import Placement
 from app.views.readout import Reading, label_text
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.pipeline import PairResult
 
 END_SIZE, PROBE_SIZE, MATCH_LIFT = 2.2, 1.6, 1.5

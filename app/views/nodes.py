@@ -10,12 +10,12 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import viser
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from app.host import Host
 from app.views.associations import outline
 from app.views.colors import Rgb, for_lines
 from app.views.placement import Extent, Placement
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import Submap
 
 LinePoints: TypeAlias = Float[NDArray[np.float32], "n 2 3"]

@@ -11,21 +11,19 @@ from math import sqrt
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from app.state import Layer
 from app.views.colors import Rgb
 from app.views.layers import Scale, shared_scale
 from app.views.surfels import Surfels, make_surfels, stride_for
 from app.world import WorldColor, footprint
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.baselines.smoothed import smoothed_map
 from gpgrad_core.coarse import infer_quick_map
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.types import GradientMap, Pose, Submap
-
-Array = NDArray[np.float64]
 
 MAX_CELLS = 200_000
 """Of all submaps together: what a browser draws and a network carries in a moment."""

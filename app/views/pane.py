@@ -11,7 +11,6 @@ from typing import TypeAlias
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from numpy.typing import NDArray
 
 from app.state import ViewState
 from app.views.associations import inlier_color, keypoint_colors
@@ -19,11 +18,11 @@ from app.views.colors import CHOSEN, DATABASE, OUTLIER, QUERY, Rgb, colorize
 from app.views.comparison import height_difference, pixel_motion, resample
 from app.views.layers import Scale, shared_scale
 from app.views.placement import z_offset_of
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Grid
 
-Array = NDArray[np.float64]
 Image: TypeAlias = UInt8[NDArray[np.uint8], "rows columns 3"]
 Table: TypeAlias = UInt8[NDArray[np.uint8], "256 3"]
 

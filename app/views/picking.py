@@ -5,14 +5,13 @@ from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from app.views.placement import Placement
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap
 
-Array = NDArray[np.float64]
 Drawn: TypeAlias = Bool[NDArray[np.bool_], "rows columns"]
 
 STEPS_PER_CELL = 2.0

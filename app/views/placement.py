@@ -5,13 +5,11 @@ from math import cos, sin, tan
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from app.state import Layout
+from gpgrad_core.arrays import Array
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Registration, Submap
-
-Array = NDArray[np.float64]
 
 GAP = 0.12
 """Room between submaps side by side, as a share of their width."""

@@ -4,14 +4,11 @@ from dataclasses import dataclass
 from math import atan, atan2, degrees, hypot
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app.state import ViewState
 from app.views.picking import sample
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap
-
-Array = NDArray[np.float64]
 
 LEVEL = 1e-6
 """Ground less steep than this faces nowhere [m/m]."""

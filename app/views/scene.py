@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import viser
 from jaxtyping import Float, UInt8
-from numpy.typing import NDArray
 
 from app.host import Host, pages
 from app.state import Probe, ViewState
@@ -32,6 +31,7 @@ from app.views.placement import (
 )
 from app.views.readout import reading_of
 from app.views.surfels import make_surfels, stride_for
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.types import Dataset, GradientMap, Registration, Submap
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from numpy.typing import NDArray
 
 from app.state import Layer, Untrusted
 from app.views.colors import UNTRUSTED_GREY, Rgb, colorize, hillshade, shade
 from app.views.layers import Scale, layer_values
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import GradientMap
 
 OVERLAP = 1.6

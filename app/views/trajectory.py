@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from numpy.typing import NDArray
 
 from app.state import ColorMap
 from app.views.associations import arcs
 from app.views.colors import Rgb, colorize
 from app.world import PoseSource
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import Pose
 
 LinePoints = Float[NDArray[np.float32], "n 2 3"]

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import viser
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from app.host import Host
 from app.views.associations import outline
@@ -31,9 +30,8 @@ from app.views.trajectory import (
     way,
 )
 from app.world import PoseSource, WorldOptions
+from gpgrad_core.arrays import Array
 from gpgrad_core.types import Dataset, Pose
-
-Array = NDArray[np.float64]
 
 WORLD = "/world"
 SELECTED: Rgb = (235, 40, 140)

@@ -12,8 +12,8 @@ from typing import Any
 import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.baselines.outcome import outcome
 from gpgrad_core.errors import InputError
 from gpgrad_core.memo import Memo

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.baselines.cloud_detector import CloudDetector
 from gpgrad_core.baselines.clouds import DescribedCloud, register_by_ransac
 from gpgrad_core.baselines.neighbours import neighbours_within
@@ -19,8 +19,6 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Submap
-
-Array = NDArray[np.float64]
 
 COLOR_DIFFERENCES = 31
 LAB_RANGE = np.array([100.0, 120.0, 120.0])

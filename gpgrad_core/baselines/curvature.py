@@ -2,11 +2,9 @@
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.baselines.neighbours import neighbours_within
-
-Array = NDArray[np.float64]
 
 
 def surface_variation(points: Float[Array, "n 3"], radius: float) -> Float[Array, "n"]:

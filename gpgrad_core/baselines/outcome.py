@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Registration
-
-Array = NDArray[np.float64]
 
 
 def outcome(

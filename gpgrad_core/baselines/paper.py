@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Int
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.detectors.interpolation import interpolate
 from gpgrad_core.features import DetectorParams
 from gpgrad_core.gradient_map import MapParams

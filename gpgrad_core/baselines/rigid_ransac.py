@@ -4,9 +4,8 @@ from math import log
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gpgrad_core.arrays import Array, NDArray
 
 CONFIDENCE = 0.99
 """Probability of having drawn a sample without outliers at which RANSAC stops; the paper's."""

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.baselines.cloud_detector import CloudDetector
 from gpgrad_core.baselines.clouds import DescribedCloud, register_by_ransac, thinned
 from gpgrad_core.baselines.curvature import curved_keypoints
@@ -13,8 +13,6 @@ from gpgrad_core.baselines.neighbours import Neighbours, neighbours_within
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Submap
-
-Array = NDArray[np.float64]
 
 VOXEL = 0.4
 NORMAL_RADIUS = 1.2

@@ -6,15 +6,13 @@ It gives a map like the GP's, which then goes through the same keypoints, matchi
 import cv2
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.gradient_map import map_grid
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import MapDetector, PipelineParams
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.types import GradientMap, Grid, Submap
-
-Array = NDArray[np.float64]
 
 BLUR = 0.4
 """Standard deviation of the blur in length-scales: 12 cm at the default 0.3 m."""

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.datasets.tables import as_floats, cut_short, read_body
 from gpgrad_core.errors import InputError
 

@@ -15,12 +15,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.tables import as_floats, cut_short, read_body
 from gpgrad_core.errors import InputError
 
-Array = NDArray[np.float64]
 BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 SCALARS = {
     **dict.fromkeys(("char", "int8"), "i1"),

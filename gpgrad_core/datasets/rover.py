@@ -5,15 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.simulation_params import SimulationParams
 from gpgrad_core.datasets.terrain import HeightField
 from gpgrad_core.errors import InputError
 from gpgrad_core.types import Pose
 
-Array = NDArray[np.float64]
 STEP = 0.05  # between the points of a track [m]
 ANGULAR_STEP = 0.008  # between neighbouring rays [rad]
 RAY_STEP = 0.02  # along a ray, over the ground [m]

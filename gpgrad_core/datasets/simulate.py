@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 from numpy.random import PCG64, Generator, SeedSequence
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.rover import Stop, Track, plan_track, scan
 from gpgrad_core.datasets.simulation_params import SimulationParams
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
@@ -14,7 +14,6 @@ from gpgrad_core.progress import Progress, silent
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, Pose, Submap
 
-Array = NDArray[np.float64]
 STOP_SPACING = 1.0  # the rover looks around about once a metre [m]
 ATTITUDE_STD = 0.003  # of the gravity direction at a stop [rad]
 TERRAIN_STREAM, ODOMETRY_STREAM, SUBMAP_STREAM = 0, 1, 2

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 
-Array = NDArray[np.float64]
 COMMENT_MARKS = ("#", "//")
 
 

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.simulation_params import SimulationParams
 
-Array = NDArray[np.float64]
 RESOLUTION = 0.03
 """Side of a terrain cell [m]: finer than any submap voxel by default."""
 CRATER_DIAMETERS = (1.0, 8.0)

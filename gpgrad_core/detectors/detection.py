@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from numpy.typing import NDArray
+
+from gpgrad_core.arrays import NDArray
 
 Image = Float[NDArray[np.float64], "rows columns"]
 

@@ -5,7 +5,8 @@ from typing import Any, cast
 import cv2
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
+
+from gpgrad_core.arrays import NDArray
 
 MOST_ROWS = 16_384
 """Rows of positions at a time: OpenCV maps no more than 32766."""

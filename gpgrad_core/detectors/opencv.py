@@ -4,8 +4,8 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.detectors.detection import Detection, Image
 
 OpenCVName = Literal["akaze", "kaze", "sift", "orb"]

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.detectors.detection import Detection
 from gpgrad_core.detectors.interpolation import interpolate
 from gpgrad_core.types import GradientMap

@@ -11,8 +11,8 @@ of the mutual matches are right, of SIFT's 97.0 % (``pytest tests/quality -k tur
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.detectors.detection import Detection, Image
 from gpgrad_core.detectors.fast_hessian import Integral, find_blobs, integral_image
 from gpgrad_core.detectors.interpolation import interpolate

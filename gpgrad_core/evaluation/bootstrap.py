@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Mask
 from gpgrad_core.evaluation.overlap import TruePairs
 from gpgrad_core.types import Array
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

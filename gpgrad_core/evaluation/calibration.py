@@ -10,9 +10,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.baselines.smoothed import smooth
 from gpgrad_core.evaluation.report import Section
 from gpgrad_core.fitting import fit_parameters
@@ -20,8 +20,6 @@ from gpgrad_core.gradient_map import MapParams, infer_gradient_map, ordinary_noi
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.progress import Progress, part, silent
 from gpgrad_core.types import Dataset, GradientMap, Submap
-
-Array = NDArray[np.float64]
 
 HELD_OUT = 0.1
 """Share of the points of a submap that its map does not see."""

@@ -7,7 +7,6 @@ from itertools import count
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.bootstrap import Interval, Resamples, draw_weights, resample
@@ -34,8 +33,6 @@ from gpgrad_core.outputs import ClosureReport
 from gpgrad_core.pipeline import DetectionResult
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.types import Array, Dataset
-
-Mask = NDArray[np.bool_]
 
 OVERLAP_EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0)
 YAW_EDGES = tuple(np.radians([0.0, 30.0, 60.0, 120.0, 150.0, 180.0]).tolist())

@@ -5,8 +5,8 @@ from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.datasets.folder import index_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.progress import Progress, silent

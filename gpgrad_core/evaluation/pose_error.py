@@ -6,12 +6,10 @@ from math import radians
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Mask
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array
-
-Mask = NDArray[np.bool_]
 
 NEAR_OFFSET = 0.5
 """A pair is placed right if it lies within this of the truth [m] …"""

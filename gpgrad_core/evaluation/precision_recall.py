@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Mask, NDArray
 from gpgrad_core.types import Array, read_only
 
-Mask = NDArray[np.bool_]
 Counts = NDArray[np.intp]
 
 

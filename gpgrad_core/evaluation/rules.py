@@ -5,14 +5,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 from typing_extensions import Doc
 
+from gpgrad_core.arrays import Mask
 from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.evaluation.overlap import CELL, TruePairs
 from gpgrad_core.types import Array, read_only
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

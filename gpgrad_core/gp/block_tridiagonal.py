@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtri, spotrf, strtri
+
+from gpgrad_core.arrays import NDArray
 
 Array = NDArray[np.floating]
 

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gpgrad_core.arrays import Array, NDArray
 
 POINTS_TOGETHER = 256
 """Points of a square patch that are sorted next to each other: chunks for matrix products."""

@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.gp.kernel import SquaredExponential
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,14 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.spacing import gaussian_reach, lattice_spacing
 from gpgrad_core.gp.splat import Axis, Splat, gaussian, gaussian_slope
-
-Array = NDArray[np.float64]
 
 RIPPLE = 1e-3
 """Ripple of the lattice kernel times information of the data: the mean is then as near to exact,

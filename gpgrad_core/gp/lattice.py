@@ -13,8 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.accuracy import EXACT, Accuracy
 from gpgrad_core.gp.block_tridiagonal import NotPositiveDefiniteError
@@ -27,8 +27,6 @@ from gpgrad_core.gp.weight_space import MARGIN, VarianceReduction, WeightSpace, 
 from gpgrad_core.progress import Cancelled, Progress, silent
 from gpgrad_core.threads import num_workers, single_threaded_blas
 from gpgrad_core.types import Grid
-
-Array = NDArray[np.float64]
 
 PANEL_HALO = 7.0
 """Length-scales of neighbouring points that a panel's mean is solved with beside its own: at the

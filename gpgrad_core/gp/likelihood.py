@@ -4,12 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.types import read_only
-
-Array = NDArray[np.float64]
 
 JITTER = 1e-10
 """Added to the covariance's diagonal, times signal_std²: without it the Cholesky factor fails

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.special import ndtr
 
-Array = NDArray[np.float64]
+from gpgrad_core.arrays import Array, NDArray
 
 POINTS_A_CELL = 9.0
 """Wanted: a plane takes three of them, and the ground must not bend over a cell."""

@@ -2,10 +2,10 @@
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-Array = NDArray[np.float64]
+from gpgrad_core.arrays import Array, NDArray
+
 Members = Int[NDArray[np.intp], "_"]
 
 PATCH_POINTS = 500

@@ -4,12 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.types import Grid
-
-Array = NDArray[np.float64]
 
 
 class TerrainFields(NamedTuple):

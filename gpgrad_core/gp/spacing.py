@@ -2,12 +2,10 @@
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.kernel import SquaredExponential
-
-Array = NDArray[np.float64]
 
 SPACINGS = (0.4, 0.8)
 """Least and largest spacing, in length-scales; at the least the ripple is 8e-14."""

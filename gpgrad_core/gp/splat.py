@@ -6,9 +6,9 @@ from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gpgrad_core.arrays import Array, NDArray
+
 Real: TypeAlias = NDArray[np.floating]
 Digits: TypeAlias = type[np.float32] | type[np.float64]
 

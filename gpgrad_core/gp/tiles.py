@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.gp.accuracy import EXACT, Accuracy
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
@@ -24,7 +24,6 @@ from gpgrad_core.progress import Progress, silent
 from gpgrad_core.threads import num_workers, single_threaded_blas
 from gpgrad_core.types import Grid
 
-Array = NDArray[np.float64]
 Floats = NDArray[np.floating]
 Indices = NDArray[np.intp]
 Group = tuple[tuple[int, int], Indices]

@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import check_output, replacing
 from gpgrad_core.types import Array, GradientMap, Grid

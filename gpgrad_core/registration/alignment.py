@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.registration.relief import Image, Relief
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array

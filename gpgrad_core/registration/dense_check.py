@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Float, Float32
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.registration.relief import MAX_STD_RATIO
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array, GradientMap, Grid

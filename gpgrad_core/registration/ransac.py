@@ -4,8 +4,8 @@ from math import cos
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array, Matches

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.registration.alignment import DRIFTED, Alignments, align
 from gpgrad_core.registration.dense_check import DenseCheck, ThinMap, thin_out

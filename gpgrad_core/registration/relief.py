@@ -8,8 +8,8 @@ from typing import TypeAlias
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import GradientMap, Grid, read_only
 
 Image: TypeAlias = NDArray[np.float32]

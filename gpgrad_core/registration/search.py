@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import scipy.fft
 from jaxtyping import Complex64, Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.registration.relief import Image, Relief, level_octaves
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.about import About, write_about
 from gpgrad_core.datasets.folder import ABOUT_FILE, ODOMETRY_FILES, TRUTH_FILE, check_vacant
 from gpgrad_core.datasets.ply import write_ply
@@ -34,7 +34,6 @@ from gpgrad_core.scans.voxels import Voxels, VoxelSums, reach
 from gpgrad_core.types import Pose, Submap
 from gpgrad_core.version import VERSION
 
-Array = NDArray[np.float64]
 LOOKED_AT = 24
 """Scans, spread over the recording, whose ground tells what is up."""
 TRAJECTORIES = "trajectory"

@@ -2,13 +2,12 @@
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.trajectory import Poses
 
-Array = NDArray[np.float64]
 SHORTEST_STEP = 0.05
 """Length is counted in steps of this [m] or more: else a robot that stands still and whose pose
 trembles would drive on and on."""

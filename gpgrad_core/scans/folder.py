@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.clouds import READERS, read_points
 from gpgrad_core.errors import InputError
 from gpgrad_core.scans.params import BuildParams
@@ -23,7 +23,6 @@ from gpgrad_core.scans.recording import (
 )
 from gpgrad_core.scans.trajectory import Poses
 
-Array = NDArray[np.float64]
 CLOUD_FOLDERS = ("", "scans", "velodyne", "velodyne_points", "clouds")
 POSE_NAMES = ("poses.txt", "poses.tum", "poses_odom.txt", "odometry.txt", "trajectory.txt")
 TRUTH_NAMES = ("poses_gt.txt",)

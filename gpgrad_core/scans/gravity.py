@@ -4,14 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.scans.voxels import Voxels
 from gpgrad_core.types import Pose
 
-Array = NDArray[np.float64]
 GROUND_VOXEL = 0.2
 """Points are thinned to this [m] first: else the dense ground at the robot's feet decides."""
 TRIM = 2.5

@@ -5,15 +5,14 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.poses import make_pose, parse_numbers
 from gpgrad_core.datasets.tables import read_text
 from gpgrad_core.errors import InputError
 from gpgrad_core.scans.trajectory import Poses, Trajectory
 
-Array = NDArray[np.float64]
 TUM, TUM_WITH_COVARIANCE, KITTI = 8, 44, 12
 ROTATION_TOLERANCE = 0.01
 """A matrix further from a rotation than this is no rounding: its columns are something else."""

@@ -5,13 +5,12 @@ from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.types import Pose
 
-Array = NDArray[np.float64]
 Stack: TypeAlias = Float[Array, "n 3"]
 
 

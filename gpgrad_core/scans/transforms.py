@@ -6,15 +6,13 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.poses import make_pose
 from gpgrad_core.errors import InputError
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gpgrad_core.arrays import Array, NDArray
+
 BITS = 21
 """Of a key, for each axis; z holds the lowest, so that the voxels of a column stand together."""
 HALF = 1 << (BITS - 1)

@@ -4,10 +4,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app.state import ViewState
 from app.survey import Survey
+from gpgrad_core.arrays import Array
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.pipeline import DetectionResult, PairResult, PipelineParams
@@ -24,8 +24,6 @@ from gpgrad_core.types import (
     Registration,
     Submap,
 )
-
-Array = NDArray[np.float64]
 
 T_DATABASE_QUERY = SE2(1.0, -0.5, np.pi / 2)
 

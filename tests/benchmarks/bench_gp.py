@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from pytest_benchmark.fixture import BenchmarkFixture
 from threadpoolctl import threadpool_info
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.gp.dense import fit_dense, infer_elevation, infer_slope, infer_variance
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gradient_map import MapParams, infer_gradient_map
@@ -23,7 +23,6 @@ from gpgrad_core.threads import num_workers
 from gpgrad_core.types import GradientMap, Submap
 from tests.core.ground import cloud
 
-Array = NDArray[np.float64]
 SIZE = (10.0, 10.0)
 NOISE = 0.05
 ORACLE_TILE = 2000  # cells at once: 80 MB of kernel rows

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, sync_playwright
 
 from app.stage import VIEW_WIDTH
+from gpgrad_core.arrays import NDArray
 
 # Software rendering that works without a graphics card, and no request of the browser's own.
 FLAGS = [

@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.types import Submap
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import fit_lattice
@@ -25,7 +25,6 @@ from gpgrad_core.progress import Cancelled
 from gpgrad_core.types import GradientMap, Submap
 from tests.core.ground import Ground, cloud, submap
 
-Array = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 FIELDS = ("elevation", "variance", "slope")
 PARAMS = MapParams(resolution=0.1)

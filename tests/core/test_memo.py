@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.memo import Memo, array_bytes
 from gpgrad_core.progress import Cancelled, Progress, silent
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

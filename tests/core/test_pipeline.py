@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import DetectorParams
@@ -23,7 +23,6 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, Submap
 from tests.core.ground import Ground
 
-Array = NDArray[np.float64]
 PARAMS = PipelineParams(map=MapParams(resolution=0.05))
 
 

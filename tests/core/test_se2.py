@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from gpgrad_core.se2 import SE2, fit_se2
-
-Array = NDArray[np.float64]
 
 offsets = st.floats(-100, 100, allow_subnormal=False)
 motions = st.builds(SE2, offsets, offsets, st.floats(-np.pi, np.pi))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import (
@@ -23,7 +23,6 @@ from gpgrad_core.types import (
 )
 from tests.core.ground import cloud, submap
 
-Array = NDArray[np.float64]
 coordinates = st.floats(-1000, 1000)
 
 

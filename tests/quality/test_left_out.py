@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets import SimulationParams, load_dataset, simulate_dataset
 from gpgrad_core.evaluation import EvaluationParams, evaluate
 from gpgrad_core.loop_closure import ClosureParams
@@ -59,7 +59,6 @@ LEAST = Least(0.99, 0.95, 0.94)
 LEAST_SIMULATED = Least(0.95, 0.90, 0.85)
 """Bare smooth hills, seen by a camera from one side each time, hold less than real ground does."""
 SETS = (*MEASURED, *SIMULATED)
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

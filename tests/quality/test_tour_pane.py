@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
+from gpgrad_core.arrays import NDArray
 from tests.browser.conftest import QUICK, browser, open_viewer  # noqa: F401 - fixtures
 
 if TYPE_CHECKING:

@@ -6,14 +6,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Mask
 from gpgrad_core.evaluation.figures.style import new_figure, verdicts
 from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict
 from gpgrad_core.evaluation.overlap import TruePairs
 from gpgrad_core.types import Array
-
-Mask = NDArray[np.bool_]
 
 MOST_NAMES = 15
 """More names of submaps along an axis would run into one another."""

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.evaluation.figures.style import COLOURS, new_figure, style_of
 from gpgrad_core.evaluation.judge import Evaluation, Ranked, RuleVerdict, Summary
 from gpgrad_core.evaluation.rules import Labels, Rule

@@ -2,18 +2,14 @@
 
 from typing import TypedDict
 
-import numpy as np
 from jaxtyping import Bool
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Mask
 from gpgrad_core.evaluation.judge import MethodVerdict
 from gpgrad_core.evaluation.rules import Labels
 
-Mask = NDArray[np.bool_]
-
-# Okabe and Ito's colours: told apart by colour-blind readers too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31")
 DASHES = ("-", "--", "-.", ":")
 TRUE, FALSE, GREY, MISSED = "#009E73", "#D7191C", "#E69F00", "#0072B2"

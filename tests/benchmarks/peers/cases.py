@@ -4,12 +4,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.types import Grid
 from tests.core.ground import cloud
-
-Array = NDArray[np.float64]
 
 NOISE = 0.05
 """Standard deviation of a point's height [m]."""

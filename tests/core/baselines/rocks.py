@@ -1,12 +1,10 @@
 """Ground strewn with rocks, seen twice without noise: what any method should recognise."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Submap
-
-Array = NDArray[np.float64]
 
 
 def rocks(seed: int, xy: Array) -> Array:

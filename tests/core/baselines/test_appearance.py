@@ -6,8 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.baselines.appearance import AppearanceDetector, nearest_words, see
 from gpgrad_core.errors import InputError
 from gpgrad_core.memo import Memo

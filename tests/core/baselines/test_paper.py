@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from gpgrad_core.baselines.paper import paper_params, register_as_printed, ssd_metric
 from gpgrad_core.pipeline import PipelineParams
@@ -16,7 +15,6 @@ from gpgrad_core.types import GradientMap, Grid, Matches
 from tests.core.detectors.maps import seen_from
 from tests.core.ground import Ground
 
-Array = NDArray[np.float64]
 GRID = Grid((-2.0, -2.0), 0.1, (41, 41))
 RADIUS = 0.15
 

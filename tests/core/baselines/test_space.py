@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.baselines.cshot import color_shot, describe_cshot
 from gpgrad_core.baselines.curvature import curved_keypoints, surface_variation
 from gpgrad_core.baselines.outcome import seen_from_above
@@ -17,7 +17,6 @@ from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Submap
 
-Array = NDArray[np.float64]
 SEEDS = st.integers(0, 2**32 - 1)
 
 

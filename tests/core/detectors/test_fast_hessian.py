@@ -4,13 +4,11 @@ import cv2
 import numpy as np
 import pytest
 from mahotas.features import surf as mahotas_surf
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.detectors import fast_hessian
 from gpgrad_core.detectors.fast_hessian import filter_sides, find_blobs
 from tests.core.detectors.maps import ground_turned_by
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.detectors.slope_field import detect_slope_field
 from gpgrad_core.features import DetectorParams, FeatureParams, detect_features, extract_features
 from gpgrad_core.matching import match_features
@@ -14,7 +14,6 @@ from gpgrad_core.types import Features, GradientMap, Grid
 from tests.core.detectors.maps import SIGNAL_STD, ground_turned_by, seen_from
 from tests.core.ground import Ground
 
-Array = NDArray[np.float64]
 SLOPE = DetectorParams("slope")
 
 

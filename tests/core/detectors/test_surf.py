@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.detectors.fast_hessian import find_blobs, integral_image
 from gpgrad_core.detectors.surf import (
     SIGMA_OF_SIDE,
@@ -14,8 +14,6 @@ from gpgrad_core.detectors.surf import (
     find_headings,
 )
 from tests.core.detectors.maps import ground_turned_by, right_matches
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.gp.binning import bin_points
 from gpgrad_core.gp.dense import (
     fit_dense,
@@ -16,8 +16,6 @@ from gpgrad_core.gp.dense import (
 from gpgrad_core.gp.inference import Posterior, Solver, fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.types import Grid
-
-Array = NDArray[np.float64]
 
 TRUSTED = 0.3
 """Cells whose standard deviation is at most this share of signal_std."""

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.gp.block_tridiagonal import Factor, NotPositiveDefiniteError, invert_pivot
 
-Array = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 sizes = st.lists(st.integers(1, 6), min_size=1, max_size=7)
 

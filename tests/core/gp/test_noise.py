@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.gp.noise import find_outliers, measure_noise
 from tests.core.ground import Ground, scatter
 
-Array = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 SIZE = (6.0, 6.0)
 

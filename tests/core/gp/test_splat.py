@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.gp.splat import POINTS_PER_CHUNK, Axis, Splat, gaussian, gaussian_slope
 
-Array = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.progress import Cancelled
 from gpgrad_core.registration import RegistrationParams, register
 from gpgrad_core.registration.dense_check import DenseCheck, thin_out
@@ -18,7 +18,6 @@ from gpgrad_core.types import Grid, Matches, Registration
 from tests.core.ground import Ground
 from tests.core.registration.synthetic import DATABASE, GRID, map_of
 
-Array = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 motions = st.builds(SE2, st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-math.pi, math.pi))
 KEYPOINTS = RegistrationParams(searched=0)
