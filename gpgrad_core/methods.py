@@ -16,6 +16,7 @@ from gpgrad_core.baselines.paper import PaperDetector, paper_params
 from gpgrad_core.baselines.shot import shot_detector
 from gpgrad_core.baselines.smoothed import smoothed_detector
 from gpgrad_core.errors import InputError
+from gpgrad_core.libraries import load_library
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import MapDetector, PipelineParams
 from gpgrad_core.types import LoopDetector
@@ -34,8 +35,9 @@ class Method:
         summary: What it does, in a line.
         detector: Makes its detector, which keeps what it makes of each submap in the memo.
         adapt: Turns the parameters asked for into those that the method runs with.
-        package: Module that it needs beyond gpgrad's own dependencies.
-        extra: Extra of gpgrad that brings the package.
+        package: Module that it needs and that may not load: of an extra, or for want of a shared
+            library of the system.
+        install: What pip installs to bring the package.
     """
 
     name: str
@@ -43,7 +45,7 @@ class Method:
     detector: Callable[[PipelineParams, Memo], LoopDetector]
     adapt: Callable[[PipelineParams], PipelineParams] = _as_given
     package: str = ""
-    extra: str = ""
+    install: str = "gpgrad"
 
     @property
     def installed(self) -> bool:
@@ -63,10 +65,34 @@ METHODS: dict[str, Method] = {
             elevation_params,
         ),
         Method("smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector),
-        Method("fpfh", "FPFH and RANSAC.", fpfh_detector, judged_by_inliers),
-        Method("fgr", "FPFH and fast global registration.", fgr_detector, judged_by_inliers),
-        Method("shot", "SHOT on curved keypoints, RANSAC.", shot_detector, judged_by_inliers),
-        Method("cshot", "SHOT with colours, RANSAC.", cshot_detector, judged_by_inliers),
+        Method(
+            "fpfh",
+            "FPFH and RANSAC.",
+            fpfh_detector,
+            judged_by_inliers,
+            package="open3d",
+        ),
+        Method(
+            "fgr",
+            "FPFH and fast global registration.",
+            fgr_detector,
+            judged_by_inliers,
+            package="open3d",
+        ),
+        Method(
+            "shot",
+            "SHOT on curved keypoints, RANSAC.",
+            shot_detector,
+            judged_by_inliers,
+            package="open3d",
+        ),
+        Method(
+            "cshot",
+            "SHOT with colours, RANSAC.",
+            cshot_detector,
+            judged_by_inliers,
+            package="open3d",
+        ),
         Method(
             "appearance",
             "ORB and a bag of words, on the dataset's images.",
@@ -79,7 +105,7 @@ METHODS: dict[str, Method] = {
             kiss_matcher_detector,
             judged_by_inliers,
             package="kiss_matcher",
-            extra="peers",
+            install="gpgrad[peers]",
         ),
         Method(
             "map-closures",
@@ -87,7 +113,7 @@ METHODS: dict[str, Method] = {
             map_closures_detector,
             judged_by_inliers,
             package="map_closures",
-            extra="peers",
+            install="gpgrad[peers]",
         ),
         Method("chance", "A score at random.", chance_detector, judged_by_inliers),
     )
@@ -104,9 +130,9 @@ def find_method(name: str) -> Method:
     method = METHODS.get(name)
     if method is None:
         raise InputError(f"unknown --method {name!r}; known: {', '.join(METHODS)}")
-    if not method.installed:
-        raise InputError(
-            f"--method {name} needs the package {method.package}: "
-            f"pip install 'gpgrad[{method.extra}]'"
-        )
+    if method.package:
+        try:
+            load_library(method.package, method.install)
+        except InputError as error:
+            raise InputError(f"--method {name}: {error}") from None
     return method

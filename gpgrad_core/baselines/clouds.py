@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.baselines.outcome import outcome, seen_from_above
 from gpgrad_core.baselines.rigid_ransac import ransac_se3
+from gpgrad_core.libraries import load_library
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Registration, Submap
-
-Array = NDArray[np.float64]
 
 NORMAL_NEIGHBOURS = 30
 
@@ -37,8 +36,7 @@ def thinned(submap: Submap, voxel: float, normal_radius: float) -> Any:
     Returns:
         An Open3D cloud.
     """
-    import open3d as o3d  # noqa: PLC0415 - takes seconds to load, and few need it
-
+    o3d: Any = load_library("open3d")
     points = np.array(submap.points)  # Open3D refuses arrays that are read-only
     cloud: Any = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     if submap.colors is not None:

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.baselines.cloud_detector import CloudDetector
 from gpgrad_core.baselines.clouds import (
     DescribedCloud,
@@ -15,11 +15,10 @@ from gpgrad_core.baselines.clouds import (
     thinned,
 )
 from gpgrad_core.baselines.outcome import outcome, seen_from_above
+from gpgrad_core.libraries import load_library
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Registration, Submap
-
-Array = NDArray[np.float64]
 
 VOXEL = 0.5
 """Side of a voxel in length-scales: 15 cm at the default 0.3 m."""
@@ -45,7 +44,7 @@ def describe_fpfh(submap: Submap, params: PipelineParams) -> DescribedCloud:
     """Describe every voxel of a submap."""
     voxel = VOXEL * params.map.length_scale
     cloud = thinned(submap, voxel, NORMAL_RADIUS * voxel)
-    o3d = _open3d()
+    o3d: Any = load_library("open3d")
     search = o3d.geometry.KDTreeSearchParamHybrid(
         radius=FEATURE_RADIUS * voxel, max_nn=FEATURE_NEIGHBOURS
     )
@@ -68,7 +67,7 @@ def register_by_fgr(
     if len(pairs) < 3:
         return outcome(None, np.zeros(len(pairs), bool))
     radius = params.registration.inlier_radius
-    o3d = _open3d()
+    o3d: Any = load_library("open3d")
     option = o3d.pipelines.registration.FastGlobalRegistrationOption(
         use_absolute_scale=True, maximum_correspondence_distance=radius
     )
@@ -88,12 +87,5 @@ def register_by_fgr(
 
 
 def _cloud(points: Float[Array, "n 3"]) -> Any:
-    o3d = _open3d()
+    o3d: Any = load_library("open3d")
     return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(points)))
-
-
-def _open3d() -> Any:
-    """Load Open3D when it is asked for: it takes seconds, and its stubs are wrong in places."""
-    import open3d  # noqa: PLC0415
-
-    return open3d

@@ -1,15 +1,15 @@
 """KISS-Matcher (Lim 2025): faster point feature histograms and a solver without RANSAC."""
 
-import importlib
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.baselines.cloud_detector import CloudDetector
 from gpgrad_core.baselines.outcome import outcome, seen_from_above
+from gpgrad_core.libraries import load_library
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Registration, Submap
@@ -38,8 +38,7 @@ def _cloud(submap: Submap, params: PipelineParams) -> Cloud:  # noqa: ARG001 - a
 
 def _register(query: Cloud, database: Cloud, params: PipelineParams) -> Registration:
     """Match and solve; its score is the number of its final inliers."""
-    # By name, because it is an extra: the default install does without.
-    package: Any = importlib.import_module(PACKAGE)
+    package: Any = load_library(PACKAGE, "gpgrad[peers]")
     # Quatro turns about the vertical alone: both clouds are gravity-aligned.
     config = package.KISSMatcherConfig(VOXEL * params.map.length_scale, use_quatro=True)
     matcher = package.KISSMatcher(config)

@@ -1,20 +1,18 @@
 """MapClosures (Gupta 2024): ORB on images of the density of points, and RANSAC in the plane."""
 
-import importlib
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.baselines.cloud_detector import CloudDetector
 from gpgrad_core.baselines.outcome import outcome, seen_from_above
+from gpgrad_core.libraries import load_library
 from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Registration, Submap
-
-Array = NDArray[np.float64]
 
 PACKAGE = "map_closures"
 RESOLUTION = 1 / 6
@@ -42,8 +40,7 @@ def _cloud(submap: Submap, params: PipelineParams) -> Cloud:  # noqa: ARG001 - a
 
 def _register(query: Cloud, database: Cloud, params: PipelineParams) -> Registration:
     """Ask a database of one map for the query; the score is the number of inliers."""
-    # By name, because it is an extra: the default install does without.
-    module: Any = importlib.import_module(f"{PACKAGE}.map_closures")
+    module: Any = load_library(f"{PACKAGE}.map_closures", "gpgrad[peers]")
     config = module.MapClosuresConfig(density_map_resolution=RESOLUTION * params.map.length_scale)
     finder = module.MapClosures(config)
     finder.get_closures(DATABASE_ID, database.points)

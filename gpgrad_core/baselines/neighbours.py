@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.libraries import load_library
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +31,7 @@ def neighbours_within(
     points: Float[Array, "n 3"], queries: Float[Array, "q 3"], radius: float
 ) -> Neighbours:
     """Find the points within a radius [m] of each query, itself included if it is one."""
-    import open3d as o3d  # noqa: PLC0415 - takes seconds to load, and few need it
-
-    core: Any = o3d.core  # its stubs do not know that a tensor can be made of an array
+    core: Any = load_library("open3d").core
     search = core.nns.NearestNeighborSearch(core.Tensor(points))
     search.fixed_radius_index(radius)
     found, _, splits = search.fixed_radius_search(core.Tensor(queries), radius, False)

@@ -1,6 +1,5 @@
 """One cloud file -> one submap."""
 
-import importlib
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -9,12 +8,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.datasets.pcd import read_pcd, read_pcd_colors
 from gpgrad_core.datasets.ply import read_ply, read_ply_colors, read_ply_property
 from gpgrad_core.datasets.tables import as_floats, read_table
 from gpgrad_core.errors import InputError
+from gpgrad_core.libraries import load_library
 from gpgrad_core.types import Submap
 
 Points: TypeAlias = Float[NDArray[np.floating], "n 3"]
@@ -164,12 +164,9 @@ def _read_bin(path: Path) -> Points:
 
 def _read_las(path: Path) -> Points:
     try:
-        # By name, because it is an extra: the default install does without.
-        laspy: Any = importlib.import_module("laspy")
-    except ModuleNotFoundError:
-        raise InputError(
-            f"{path}: reading {path.suffix} needs the extra 'las': pip install 'gpgrad[las]'"
-        ) from None
+        laspy: Any = load_library("laspy", "gpgrad[las]")
+    except InputError as error:
+        raise InputError(f"{path}: to read {path.suffix}, {error}") from None
     try:
         return np.asarray(laspy.read(path).xyz, dtype=np.float64)
     except OSError:

@@ -1,7 +1,6 @@
 """A ROS 1 or ROS 2 bag -> a recording."""
 
 import contextlib
-import importlib
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,11 +8,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.poses import make_pose
 from gpgrad_core.errors import InputError
+from gpgrad_core.libraries import load_library
 from gpgrad_core.progress import Cancelled
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.point_cloud2 import points_of
@@ -30,7 +30,6 @@ from gpgrad_core.scans.recording import (
 from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
 from gpgrad_core.scans.transforms import FrameRows, FrameTree, plain, seconds
 
-Array = NDArray[np.float64]
 CLOUDS = ("sensor_msgs/msg/PointCloud2",)
 ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -275,13 +274,10 @@ def _reading(path: Path) -> Generator[Any]:
         InputError: If the extra is not installed, or the bag is broken.
     """
     try:
-        # By name, because it is an extra: the default install does without.
-        highlevel: Any = importlib.import_module("rosbags.highlevel")
-        typesys: Any = importlib.import_module("rosbags.typesys")
-    except ModuleNotFoundError:
-        raise InputError(
-            f"{path}: reading bags needs the extra 'ros': pip install 'gpgrad[ros]'"
-        ) from None
+        highlevel: Any = load_library("rosbags.highlevel", "gpgrad[ros]")
+        typesys: Any = load_library("rosbags.typesys", "gpgrad[ros]")
+    except InputError as error:
+        raise InputError(f"{path}: to read bags, {error}") from None
     # Bags of early ROS 2 do not say how their messages are laid out.
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     try:

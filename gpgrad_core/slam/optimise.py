@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from typing_extensions import Doc
 
 from gpgrad_core.bounds import Bounds, check_bounds
-from gpgrad_core.errors import InputError
+from gpgrad_core.libraries import load_library
 from gpgrad_core.progress import Progress, silent
 from gpgrad_core.slam.graph import Edge, PoseGraph
 from gpgrad_core.types import Array, Pose, read_only
@@ -181,12 +181,9 @@ def check_solver() -> ModuleType:
         InputError: If it is not installed: it has no wheels for Windows.
     """
     try:
-        import gtsam  # noqa: PLC0415 - heavy, and for this verb only
-    except ImportError as error:
-        raise InputError(
-            "pose graphs need GTSAM, which is not installed: pip install 'gtsam>=4.3'"
-        ) from error
-    return gtsam
+        return load_library("gtsam", "gtsam>=4.3")
+    except InputError as error:
+        raise InputError(f"pose graphs need GTSAM: {error}") from None
 
 
 class _Problem:

@@ -32,7 +32,7 @@ def test_a_missing_package_is_named_with_the_extra_that_brings_it(
 ) -> None:
     absent = replace(METHODS["kiss-matcher"], package="no_such_package")
     monkeypatch.setitem(METHODS, "kiss-matcher", absent)
-    with pytest.raises(InputError, match=r"needs the package no_such_package: .*gpgrad\[peers\]"):
+    with pytest.raises(InputError, match=r"no_such_package is not installed: .*gpgrad\[peers\]"):
         find_method("kiss-matcher")
 
 

@@ -1,0 +1,56 @@
+"""Libraries that are loaded only when asked for, and what to install where one is missing.
+
+Extras may be missing altogether; others take seconds to load, or need shared libraries of the
+system that a wheel does not bring.
+"""
+
+import importlib
+import re
+from types import ModuleType
+
+from gpgrad_core.errors import InputError
+
+DEBIAN_PACKAGES = {
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libEGL.so.1": "libegl1",
+    "libGL.so.1": "libgl1",
+    "libgomp.so.1": "libgomp1",
+    "libX11.so.6": "libx11-6",
+}
+"""Shared libraries that Open3D's wheel expects of the system, and the Debian package of each."""
+
+
+def load_library(name: str, install: str = "gpgrad") -> ModuleType:
+    """Import a library by its name.
+
+    Args:
+        name: Of the module, such as ``rosbags.highlevel``.
+        install: What pip installs to bring it, such as ``gpgrad[ros]``.
+
+    Raises:
+        InputError: If it cannot be imported; says in one line what to install.
+    """
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        package = name.split(".", maxsplit=1)[0]
+        if error.name is None or error.name.split(".")[0] != package:
+            raise InputError(f"{package} cannot be loaded: {_one_line(error)}") from error
+        raise InputError(f"{package} is not installed: pip install '{install}'") from error
+    except ImportError as error:
+        raise InputError(f"{name} cannot be loaded: {_remedy(error)}") from error
+
+
+def _remedy(error: ImportError) -> str:
+    missing = re.match(r"(\S+\.so\S*): cannot open shared object file", str(error))
+    if missing is None:
+        return _one_line(error)
+    library = missing[1]
+    package = DEBIAN_PACKAGES.get(library)
+    if package is None:
+        return f"the system library {library} is missing; install the package that holds it"
+    return f"the system library {library} is missing; on Debian: apt-get install {package}"
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
