@@ -26,8 +26,10 @@ if os.environ.get("GPGRAD_SHAPE_CHECKS", "1") == "1":
         "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))",
     )
 
-# How long an example takes says more about the machine's load than about the law; and the same
-# examples everywhere make a red run one that can be repeated. GPGRAD_EXPLORE=1 draws new ones.
+# How long an example takes says more about the machine's load than about the law. A red run can be
+# repeated on its machine, but other machines draw other examples: Hypothesis also draws constants
+# from the modules that are loaded, and changes with its releases. So a law must hold for every
+# example, and one that must be tried everywhere stands in an @example. GPGRAD_EXPLORE=1 draws anew.
 settings.register_profile("repeat", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("explore" if os.environ.get("GPGRAD_EXPLORE") == "1" else "repeat")

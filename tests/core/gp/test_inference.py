@@ -4,9 +4,8 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from gpgrad_core.errors import InputError
@@ -19,7 +18,6 @@ from gpgrad_core.types import Grid
 from tests.core.gp.oracle import Fields, compare, grid_beyond, rms
 from tests.core.ground import cloud
 
-Array = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)
 SOLVERS: list[Solver] = ["lattice", "tiles"]
 either_solver = st.sampled_from(SOLVERS)
@@ -78,6 +76,8 @@ def test_it_is_the_oracle_at_any_parameters(
 @pytest.mark.parametrize("solver", SOLVERS)
 @settings(max_examples=6)
 @given(seed=seeds, length_scale=st.floats(0.15, 0.8), spread=st.floats(1.0, 5.0))
+@example(seed=0, length_scale=0.75, spread=2.0)  # 1.6 % off, once: the solver stopped too early
+@example(seed=59, length_scale=0.15, spread=5.0)
 def test_each_point_may_have_its_own_noise(
     solver: Solver, seed: int, length_scale: float, spread: float
 ) -> None:
