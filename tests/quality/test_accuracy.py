@@ -25,9 +25,7 @@ def draw(rng: np.random.Generator) -> dict[Solver, Errors]:
     kernel, grid = SquaredExponential(0.2, length_scale), grid_beyond(points, 0.3, 0.2)
     exact = Fields.dense(points, kernel, noise, grid)
     solvers: tuple[Solver, ...] = ("lattice", "tiles")
-    return {
-        solver: compare(points, kernel, noise, grid, solver, exact=exact) for solver in solvers
-    }
+    return {solver: compare(points, kernel, noise, grid, solver, exact=exact) for solver in solvers}
 
 
 @pytest.mark.parametrize("start", [int(os.environ.get("GPGRAD_SEED", "1000"))])
