@@ -14,8 +14,8 @@ from app.state import ViewState
 from app.survey import RULES, Judged, Survey, TruthCheck, judge, survey_pairs
 from app.views.affinity import affinity_svg, highest_color
 from app.views.precision_recall import curve_svg
-from gpgrad_core.memo import Memo
-from gpgrad_core.progress import Progress
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress
 
 REPORT_EVERY = 0.01
 """Share of the whole by which the progress must grow to be shown anew."""

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from gpgrad_core.progress import Progress, silent
+from gpgrad_core.run.progress import Progress, silent
 
 FRAMES_A_SECOND = 24
 

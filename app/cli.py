@@ -35,7 +35,6 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from gpgrad_core.bounds import Bounds, bounded_fields
 from gpgrad_core.datasets import (
     SimulationParams,
     demo_path,
@@ -61,7 +60,6 @@ from gpgrad_core.evaluation import (
 )
 from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.gradient_map import MapParams, TerrainParams, infer_gradient_map, point_noise
-from gpgrad_core.memo import Memo
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import (
     MAP_ENDINGS,
@@ -73,10 +71,13 @@ from gpgrad_core.outputs import (
     write_fitted,
     write_map,
 )
-from gpgrad_core.parallel import workers
-from gpgrad_core.parameters import preferred_parameters, read_parameters
+from gpgrad_core.params.bounds import Bounds, bounded_fields
+from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
-from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run.threads import num_workers
 from gpgrad_core.scans import BuildParams, RecordingSources, build_dataset, simulate_recording
 from gpgrad_core.slam import (
     GraphParams,
@@ -96,7 +97,6 @@ from gpgrad_core.slam import (
     write_merged,
     write_solution,
 )
-from gpgrad_core.threads import num_workers
 from gpgrad_core.types import Dataset, LoopClosure
 from gpgrad_core.version import VERSION
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from app.settings import get_path, settings_of
 from app.state import ViewState
-from gpgrad_core.parameters import preferred_parameters
+from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
 
 

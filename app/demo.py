@@ -23,7 +23,7 @@ from app.views.placement import Camera
 from app.views.scene import PairScene
 from app.views.world import WorldScene
 from gpgrad_core.pipeline import PairResult
-from gpgrad_core.progress import Progress
+from gpgrad_core.run.progress import Progress
 
 GLIDING_SECONDS = 3.5
 FLIGHT_SECONDS = 1.2

@@ -30,10 +30,10 @@ from app.world import (
     poses_of,
     statistics_rows,
 )
-from gpgrad_core.memo import Memo
-from gpgrad_core.progress import Progress, part
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, part
+from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import OptimisedGraph
-from gpgrad_core.types import Pose
 
 RELAXING_SECONDS = 4.0
 

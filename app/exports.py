@@ -19,7 +19,6 @@ from app.runner import Runner
 from app.state import ViewState
 from gpgrad_core.datasets.poses import write_poses
 from gpgrad_core.errors import InputError
-from gpgrad_core.memo import Memo
 from gpgrad_core.outputs import (
     report_closures,
     write_closure_table,
@@ -27,10 +26,11 @@ from gpgrad_core.outputs import (
     write_map,
 )
 from gpgrad_core.pipeline import DetectionResult, detect_loop_closures, infer_map
-from gpgrad_core.progress import Progress
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress
+from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import build_pose_graph, optimise_pose_graph, write_graph
 from gpgrad_core.slam.g2o import vertex_numbers
-from gpgrad_core.threads import num_workers
 
 CLOSURES = {
     "JSON": "closures.json",

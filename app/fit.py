@@ -9,10 +9,10 @@ from app.panels.fit import FitPanel
 from app.part import Part
 from app.runner import Runner
 from app.state import ViewState
-from gpgrad_core.bounds import Bounds, bounded_fields
 from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.gradient_map import MapParams, TerrainParams
-from gpgrad_core.progress import Progress
+from gpgrad_core.params.bounds import Bounds, bounded_fields
+from gpgrad_core.run.progress import Progress
 
 
 class Fit(Part):

@@ -17,7 +17,7 @@ from app.views.pane import MASKED, Image, draw_pane
 from app.views.placement import z_offset_of
 from app.views.readout import Reading, other_place, read, reading_of, significant_digits
 from gpgrad_core.pipeline import PairResult
-from gpgrad_core.progress import Progress
+from gpgrad_core.run.progress import Progress
 
 _Job = tuple[ViewState, PairResult]
 

@@ -16,8 +16,8 @@ from app.state import ViewState
 from app.views.placement import Extent, Placement, height_offset, place
 from app.views.scene import PAIR, PairScene
 from gpgrad_core.pipeline import PairResult
-from gpgrad_core.progress import Progress
 from gpgrad_core.registration import refine
+from gpgrad_core.run.progress import Progress
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Registration
 

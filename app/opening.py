@@ -18,9 +18,9 @@ from app.unpacking import MOST_GROWTH, check_cloud, unpack
 from app.upload_limit import limit_uploads
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.errors import InputError
-from gpgrad_core.parameters import preferred_parameters
+from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.progress import Progress, part
+from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.types import Dataset
 
 CLOUDS = "uploaded clouds"

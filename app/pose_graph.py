@@ -31,7 +31,8 @@ from gpgrad_core.datasets.folder import index_of
 from gpgrad_core.datasets.poses import write_poses
 from gpgrad_core.outputs import report_closures, write_closures
 from gpgrad_core.pipeline import DetectionResult
-from gpgrad_core.progress import Progress
+from gpgrad_core.run.progress import Progress
+from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import (
     OptimisedGraph,
     build_pose_graph,
@@ -39,7 +40,7 @@ from gpgrad_core.slam import (
     write_graph,
 )
 from gpgrad_core.slam.trajectory import trajectory_error, true_poses
-from gpgrad_core.types import Dataset, LoopClosure, Pose, Registration
+from gpgrad_core.types import Dataset, LoopClosure, Registration
 
 FILES: dict[Format, str] = {
     "closures": "closures.json",

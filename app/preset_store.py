@@ -5,12 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from gpgrad_core.baselines.paper import paper_params
 from gpgrad_core.errors import InputError
+from gpgrad_core.methods.paper import paper_params
 from gpgrad_core.outputs import replacing
-from gpgrad_core.parameters import read_parameters, to_tables, with_tables
+from gpgrad_core.params.files import read_parameters, to_tables, with_tables
+from gpgrad_core.params.toml import toml_lines
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.toml_text import toml_lines
 
 NAME = re.compile(r"[^\W_][\w .()+-]{0,59}")
 """What a preset may be called, so that it can be a file's name on every system."""

@@ -21,7 +21,7 @@ from app.preset_store import (
 )
 from app.state import ViewState
 from gpgrad_core.errors import InputError
-from gpgrad_core.parameters import preferred_parameters, with_tables
+from gpgrad_core.params.files import preferred_parameters, with_tables
 from gpgrad_core.pipeline import PipelineParams
 
 LARGEST = 100_000

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Generator
 from typing import Generic, TypeVar
 
-from gpgrad_core.progress import Cancelled, Progress
+from gpgrad_core.run.progress import Cancelled, Progress
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")

@@ -11,9 +11,9 @@ from app.state import ViewOptions, ViewState, with_options, with_pair, with_para
 from app.views.placement import Camera
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
-from gpgrad_core.parameters import to_tables, with_tables
+from gpgrad_core.params.files import to_tables, with_tables
+from gpgrad_core.params.toml import toml_lines
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.toml_text import toml_lines
 from gpgrad_core.types import Dataset
 
 ENDING = ".gpgrad.toml"

@@ -16,10 +16,10 @@ from app.places import ANYWHERE, Places
 from app.saved import Saved
 from app.session import Session
 from app.turns import Turns
-from gpgrad_core.helper import start_helper
-from gpgrad_core.memo import Memo
-from gpgrad_core.parameters import preferred_parameters
+from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.helper import start_helper
+from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset
 
 MEMO_BYTES = 1_500_000_000

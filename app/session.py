@@ -49,11 +49,11 @@ from app.views.ground import HistogramOf
 from app.views.picking import Ray
 from app.views.placement import Camera
 from app.views.scene import PairScene, Shown
-from gpgrad_core.coarse import infer_quick_maps
 from gpgrad_core.errors import InputError
-from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PairResult, PipelineParams, register_pair
-from gpgrad_core.progress import Progress
+from gpgrad_core.pipeline.coarse import infer_quick_maps
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Registration
 
 _log = logging.getLogger(__name__)

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_origin,
 
 from typing_extensions import Doc
 
-from gpgrad_core.bounds import Bounds
+from gpgrad_core.params.bounds import Bounds
 
 P = TypeVar("P")
 

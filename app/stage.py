@@ -19,7 +19,7 @@ from app.turns import Turns
 from app.views.flight import set_start, set_view, view_of
 from app.views.placement import Camera
 from app.views.scene import PairScene
-from gpgrad_core.memo import Memo
+from gpgrad_core.run.memo import Memo
 
 VIEW_WIDTH = 320
 

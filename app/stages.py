@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
-from gpgrad_core.memo import Memo
+from gpgrad_core.run.memo import Memo
 
 P = ParamSpec("P")
 R = TypeVar("R")

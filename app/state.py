@@ -5,9 +5,10 @@ from typing import Annotated, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from gpgrad_core.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds, check_bounds
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.types import Dataset, Pose, Submap
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset, Submap
 
 Layer: TypeAlias = Literal[
     "elevation", "std", "gradient", "slope_x", "slope_y", "mask", "difference"

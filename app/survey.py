@@ -17,10 +17,10 @@ from gpgrad_core.evaluation.precision_recall import (
 from gpgrad_core.evaluation.ranking import rank_pairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
 from gpgrad_core.loop_closure import ClosureParams, classify
-from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
-from gpgrad_core.progress import Progress, part, silent
-from gpgrad_core.threads import num_workers
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run.threads import num_workers
 from gpgrad_core.types import Dataset, LoopClosure
 
 RULES: dict[str, Rule] = {rule.name: rule for rule in EvaluationParams().rules}

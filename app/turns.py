@@ -3,8 +3,8 @@
 import threading
 from dataclasses import dataclass, field
 
-from gpgrad_core.helper import Helper
-from gpgrad_core.threads import num_workers
+from gpgrad_core.run.helper import Helper
+from gpgrad_core.run.threads import num_workers
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 
 from gpgrad_core.datasets.clouds import READERS
 from gpgrad_core.errors import InputError
-from gpgrad_core.progress import Progress, silent
+from gpgrad_core.run.progress import Progress, silent
 
 MOST_GROWTH = 8
 """An archive may unpack to so many times the largest upload; text clouds shrink to a quarter."""

@@ -7,7 +7,8 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from gpgrad_core.types import Dataset, Pose, Submap
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset, Submap
 
 PoseSource: TypeAlias = Literal["corrected", "true", "odometry", "in rows"]
 WorldColor: TypeAlias = Literal["submap", "elevation", "deviation", "gradient"]

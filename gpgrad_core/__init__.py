@@ -25,7 +25,6 @@ from gpgrad_core.fitting import FitResult, fit_parameters
 from gpgrad_core.gradient_map import MapParams, infer_gradient_map, infer_slope_variance
 from gpgrad_core.loop_closure import ClosureParams, classify
 from gpgrad_core.matching import MatchParams, match_features
-from gpgrad_core.memo import Memo
 from gpgrad_core.outputs import (
     read_closures,
     report_closures,
@@ -34,7 +33,7 @@ from gpgrad_core.outputs import (
     write_fitted,
     write_map,
 )
-from gpgrad_core.parameters import preferred_parameters, read_parameters
+from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import (
     DetectionResult,
     PairResult,
@@ -43,8 +42,9 @@ from gpgrad_core.pipeline import (
     register_pair,
 )
 from gpgrad_core.registration import RegistrationParams, refine, register
+from gpgrad_core.run.memo import Memo
 from gpgrad_core.scans import BuildParams, BuildReport, RecordingSources, build_dataset
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import (
     Edge,
     EdgeFit,
@@ -67,7 +67,6 @@ from gpgrad_core.types import (
     LoopClosure,
     LoopDetector,
     Matches,
-    Pose,
     Registration,
     Submap,
 )

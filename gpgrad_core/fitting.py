@@ -9,7 +9,6 @@ from jaxtyping import Float
 from scipy.optimize import Bounds, minimize
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.bounds import bounded_fields
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.likelihood import Hyperparameters, Patch, log_marginal_likelihood
@@ -22,8 +21,9 @@ from gpgrad_core.gradient_map import (
     point_noise,
     signal_std_of,
 )
-from gpgrad_core.progress import Progress, silent
-from gpgrad_core.threads import num_workers, single_threaded_blas
+from gpgrad_core.params.bounds import bounded_fields
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run.threads import num_workers, single_threaded_blas
 from gpgrad_core.types import Submap
 
 PATCHES = 16

@@ -8,14 +8,14 @@ from jaxtyping import Bool, Float, Int
 from typing_extensions import Doc
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.accuracy import EXACT, Accuracy
 from gpgrad_core.gp.binning import thin_dense
 from gpgrad_core.gp.inference import Posterior, fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.noise import find_outliers, measure_noise
-from gpgrad_core.progress import Progress, silent
+from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Array, GradientMap, Grid, Submap
 
 NoiseModel = Literal["constant", "range", "measured", "file"]

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, Pose
 
 MAX_GRID_CELLS = 25_000_000
 """More cells than this are refused: four float64 fields of it fill 1 GB."""
@@ -19,65 +19,6 @@ MAX_GRID_CELLS = 25_000_000
 def read_only(array: NDArray[np.generic]) -> None:
     """Make an array of a frozen type as frozen as the type."""
     array.flags.writeable = False
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """A rigid motion in space, as a TUM row has it: ``p_world = R p_submap + t``."""
-
-    translation: Float[Array, "3"]  # [m]
-    quaternion: Float[Array, "4"]  # (x, y, z, w), of unit length
-
-    @property
-    def rotation(self) -> Float[Array, "3 3"]:
-        """Matrix of the turn."""
-        x, y, z, w = self.quaternion
-        return np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-
-    def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        """Map points of the submap's frame [m] into the world [m]."""
-        return points @ self.rotation.T + self.translation
-
-    @property
-    def planar(self) -> SE2:
-        """The pose seen from above: ``T_world_submap`` of a gravity-aligned frame."""
-        rotation = self.rotation
-        yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-        return SE2(float(self.translation[0]), float(self.translation[1]), yaw)
-
-    @classmethod
-    def from_planar(cls, motion: SE2, z: float = 0.0) -> "Pose":
-        """Make the motion between two gravity-aligned frames, whose turn is all yaw.
-
-        Args:
-            motion: What is seen from above.
-            z: Offset upwards [m].
-        """
-        half = 0.5 * motion.yaw
-        return cls(
-            np.array([motion.x, motion.y, z], dtype=np.float64),
-            np.array([0.0, 0.0, np.sin(half), np.cos(half)]),
-        )
-
-    def inverse(self) -> "Pose":
-        """``T_a_b.inverse()`` is ``T_b_a``."""
-        return Pose(
-            -(self.translation @ self.rotation), self.quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
-        )
-
-    def __matmul__(self, other: "Pose") -> "Pose":
-        """Compose: ``T_a_b @ T_b_c`` is ``T_a_c``; the quaternion's w comes out at 0 or above."""
-        u, w = self.quaternion[:3], self.quaternion[3]
-        v, r = other.quaternion[:3], other.quaternion[3]
-        turn = np.array([*(w * v + r * u + np.cross(u, v)), w * r - u @ v])
-        turn *= np.copysign(1.0, turn[3]) / np.linalg.norm(turn)
-        return Pose(self.rotation @ other.translation + self.translation, turn)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ import viser
 
 from app.host import Host
 from app.settings import Setting, get_path, settings_of, with_path, with_unit
-from gpgrad_core.bounds import Bounds
 from gpgrad_core.errors import InputError
+from gpgrad_core.params.bounds import Bounds
 
 P = TypeVar("P")
 

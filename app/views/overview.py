@@ -18,12 +18,13 @@ from app.views.layers import Scale, shared_scale
 from app.views.surfels import Surfels, make_surfels, stride_for
 from app.world import WorldColor, footprint
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.baselines.smoothed import smoothed_map
-from gpgrad_core.coarse import infer_quick_map
-from gpgrad_core.memo import Memo
+from gpgrad_core.methods.smoothed import smoothed_map
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.progress import Progress, silent
-from gpgrad_core.types import GradientMap, Pose, Submap
+from gpgrad_core.pipeline.coarse import infer_quick_map
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import GradientMap, Submap
 
 MAX_CELLS = 200_000
 """Of all submaps together: what a browser draws and a network carries in a moment."""

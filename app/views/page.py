@@ -15,7 +15,7 @@ import viser
 from app.animation import Animation, frames
 from app.views.flight import set_start
 from app.views.placement import Camera
-from gpgrad_core.progress import Progress, silent
+from gpgrad_core.run.progress import Progress, silent
 
 DARK, LIGHT = ("#e6e6e6", "rgba(30,30,30,.82)"), ("#222", "rgba(255,255,255,.85)")
 

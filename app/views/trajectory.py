@@ -11,7 +11,7 @@ from app.views.associations import arcs
 from app.views.colors import Rgb, colorize
 from app.world import PoseSource
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.types import Pose
+from gpgrad_core.se2 import Pose
 
 LinePoints = Float[NDArray[np.float32], "n 2 3"]
 

@@ -31,7 +31,8 @@ from app.views.trajectory import (
 )
 from app.world import PoseSource, WorldOptions
 from gpgrad_core.arrays import Array
-from gpgrad_core.types import Dataset, Pose
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset
 
 WORLD = "/world"
 SELECTED: Rgb = (235, 40, 140)

@@ -7,7 +7,7 @@ from typing import cast
 
 from gpgrad_core.datasets.tables import read_text
 from gpgrad_core.errors import InputError
-from gpgrad_core.toml_text import toml_lines, toml_value
+from gpgrad_core.params.toml import toml_lines, toml_value
 
 TEXT_KEYS = ("name", "description", "licence")
 SENSOR_KEYS = ("constant", "quadratic")

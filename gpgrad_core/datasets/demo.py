@@ -6,7 +6,7 @@ from pathlib import Path
 from gpgrad_core.datasets.simulate import simulate_dataset
 from gpgrad_core.datasets.simulation_params import SimulationParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.progress import Progress, silent
+from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Dataset
 
 

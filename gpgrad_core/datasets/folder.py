@@ -13,8 +13,9 @@ from gpgrad_core.datasets.clouds import READERS, load_cloud_with_notes
 from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import read_poses, write_poses
 from gpgrad_core.errors import InputError
-from gpgrad_core.progress import Progress, silent
-from gpgrad_core.types import Dataset, Pose, Submap
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset, Submap
 
 TRUTH_FILE = "poses_gt.txt"
 ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first that is there is read

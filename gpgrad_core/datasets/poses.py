@@ -7,7 +7,7 @@ import numpy as np
 
 from gpgrad_core.datasets.tables import read_text
 from gpgrad_core.errors import InputError
-from gpgrad_core.types import Pose
+from gpgrad_core.se2 import Pose
 
 QUATERNION_TOLERANCE = 0.01
 """A length further from 1 than this is no rounding: columns are swapped or missing."""

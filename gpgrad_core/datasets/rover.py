@@ -11,7 +11,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.simulation_params import SimulationParams
 from gpgrad_core.datasets.terrain import HeightField
 from gpgrad_core.errors import InputError
-from gpgrad_core.types import Pose
+from gpgrad_core.se2 import Pose
 
 STEP = 0.05  # between the points of a track [m]
 ANGULAR_STEP = 0.008  # between neighbouring rays [rad]

@@ -10,9 +10,9 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.rover import Stop, Track, plan_track, scan
 from gpgrad_core.datasets.simulation_params import SimulationParams
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
-from gpgrad_core.progress import Progress, silent
-from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset, Pose, Submap
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.types import Dataset, Submap
 
 STOP_SPACING = 1.0  # the rover looks around about once a metre [m]
 ATTITUDE_STD = 0.003  # of the gravity direction at a stop [rad]

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from typing_extensions import Doc
 
-from gpgrad_core.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds, check_bounds
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.baselines.smoothed import smooth
 from gpgrad_core.evaluation.report import Section
 from gpgrad_core.fitting import fit_parameters
 from gpgrad_core.gradient_map import MapParams, infer_gradient_map, ordinary_noise
+from gpgrad_core.methods.smoothed import smooth
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.types import Dataset, GradientMap, Submap
 
 HELD_OUT = 0.1

@@ -5,11 +5,11 @@ from concurrent.futures import Executor
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.memo import Memo
 from gpgrad_core.methods import Method
 from gpgrad_core.outputs import ClosureReport, read_closures, report_closures
 from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
-from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.types import Dataset
 
 

@@ -31,7 +31,7 @@ from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
 from gpgrad_core.outputs import ClosureReport
 from gpgrad_core.pipeline import DetectionResult
-from gpgrad_core.progress import Progress, silent
+from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Array, Dataset
 
 OVERLAP_EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0)

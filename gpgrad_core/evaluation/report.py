@@ -17,7 +17,7 @@ from gpgrad_core.evaluation.precision_recall import PrecisionRecall
 from gpgrad_core.evaluation.rules import Labels, Rule
 from gpgrad_core.evaluation.text import describe
 from gpgrad_core.outputs import ClosureReport, replacing, write_closures
-from gpgrad_core.progress import Progress, silent
+from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.version import VERSION
 
 

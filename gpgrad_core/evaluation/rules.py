@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 from typing_extensions import Doc
 
 from gpgrad_core.arrays import Mask
-from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.evaluation.overlap import CELL, TruePairs
+from gpgrad_core.params.bounds import Bounds, check_bounds
 from gpgrad_core.types import Array, read_only
 
 

@@ -11,7 +11,7 @@ from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import LatticePosterior, fit_lattice
 from gpgrad_core.gp.spacing import check_solvable, information
 from gpgrad_core.gp.tiles import TilePosterior, fit_tiles
-from gpgrad_core.progress import Progress, silent
+from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Array
 
 Solver = Literal["auto", "lattice", "tiles"]

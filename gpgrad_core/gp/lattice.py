@@ -24,8 +24,8 @@ from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import TerrainFields, clip_variance
 from gpgrad_core.gp.spacing import check_solvable, information, lattice_spacing
 from gpgrad_core.gp.weight_space import MARGIN, VarianceReduction, WeightSpace, band_of
-from gpgrad_core.progress import Cancelled, Progress, silent
-from gpgrad_core.threads import num_workers, single_threaded_blas
+from gpgrad_core.run.progress import Cancelled, Progress, silent
+from gpgrad_core.run.threads import num_workers, single_threaded_blas
 from gpgrad_core.types import Grid
 
 PANEL_HALO = 7.0

@@ -20,8 +20,8 @@ from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import TerrainFields, clip_variance
 from gpgrad_core.gp.spacing import check_solvable, information
-from gpgrad_core.progress import Progress, silent
-from gpgrad_core.threads import num_workers, single_threaded_blas
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run.threads import num_workers, single_threaded_blas
 from gpgrad_core.types import Grid
 
 Floats = NDArray[np.floating]

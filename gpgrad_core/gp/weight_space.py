@@ -42,7 +42,7 @@ from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.spacing import gaussian_reach
 from gpgrad_core.gp.splat import Axis, Splat, gaussian
-from gpgrad_core.progress import Progress
+from gpgrad_core.run.progress import Progress
 
 Array = NDArray[np.floating]
 

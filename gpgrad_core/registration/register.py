@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.progress import Progress, silent
 from gpgrad_core.registration.alignment import DRIFTED, Alignments, align
 from gpgrad_core.registration.dense_check import DenseCheck, ThinMap, thin_out
 from gpgrad_core.registration.evidence import closure_score, weigh
@@ -14,6 +13,7 @@ from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.ransac import find_motions, one_to_one
 from gpgrad_core.registration.relief import Relief, make_relief, sharp_relief
 from gpgrad_core.registration.search import Spectra, make_spectra, search_motions
+from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array, GradientMap, Matches, Registration
 

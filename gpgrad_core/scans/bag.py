@@ -14,7 +14,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.poses import make_pose
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
-from gpgrad_core.progress import Cancelled
+from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.point_cloud2 import points_of
 from gpgrad_core.scans.pose_files import read_mount, read_pose_file

@@ -15,7 +15,7 @@ from gpgrad_core.datasets.folder import ABOUT_FILE, ODOMETRY_FILES, TRUTH_FILE, 
 from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import pose_row, write_poses
 from gpgrad_core.errors import InputError
-from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.scans.bag import is_bag, open_bag
 from gpgrad_core.scans.cutting import cut
 from gpgrad_core.scans.folder import open_folder
@@ -31,7 +31,8 @@ from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.recording import Reader, Recording, RecordingSources
 from gpgrad_core.scans.trajectory import Located, Poses
 from gpgrad_core.scans.voxels import Voxels, VoxelSums, reach
-from gpgrad_core.types import Pose, Submap
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Submap
 from gpgrad_core.version import VERSION
 
 LOOKED_AT = 24

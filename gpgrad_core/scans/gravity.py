@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.scans.voxels import Voxels
-from gpgrad_core.types import Pose
+from gpgrad_core.se2 import Pose
 
 GROUND_VOXEL = 0.2
 """Points are thinned to this [m] first: else the dense ground at the robot's feet decides."""

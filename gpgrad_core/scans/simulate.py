@@ -20,8 +20,8 @@ from gpgrad_core.datasets.simulate import (
 from gpgrad_core.datasets.simulation_params import SimulationParams
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
 from gpgrad_core.errors import InputError
-from gpgrad_core.progress import Progress, silent
-from gpgrad_core.types import Pose
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.se2 import Pose
 
 SCAN_STREAM = 3
 START, PERIOD = 1_700_000_000.0, 0.1

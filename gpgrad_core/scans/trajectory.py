@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.scans.params import BuildParams
-from gpgrad_core.types import Pose
+from gpgrad_core.se2 import Pose
 
 Stack: TypeAlias = Float[Array, "n 3"]
 

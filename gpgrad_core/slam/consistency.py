@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpgrad_core.evaluation.overlap import compare_footprints, make_footprint
-from gpgrad_core.types import Pose, Submap
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Submap
 
 FEWEST_SHARE = 0.2
 """Of the smaller submap's cells that must be common: less is an edge, seen from afar by both."""

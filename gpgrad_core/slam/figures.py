@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gpgrad_core.evaluation.figures.style import COLOURS, FALSE, new_figure
+from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.optimise import OptimisedGraph
 from gpgrad_core.slam.trajectory import align_points
-from gpgrad_core.types import Array, Pose
+from gpgrad_core.types import Array
 
 TRUE_PATH = "#999999"
 MOST_NAMES = 60

@@ -10,8 +10,9 @@ from jaxtyping import Float
 from gpgrad_core.datasets.folder import index_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import replacing
+from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, EdgeKind, GraphParams, PoseGraph
-from gpgrad_core.types import Array, Pose
+from gpgrad_core.types import Array
 
 HALVED = np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
 """g2o's error of a turn is the quaternion's vector part: half of a small angle."""

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float
 from typing_extensions import Doc
 
-from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.errors import InputError
-from gpgrad_core.types import Array, Dataset, LoopClosure, Pose, Registration, read_only
+from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Array, Dataset, LoopClosure, Registration, read_only
 
 EdgeKind = Literal["odometry", "loop"]
 

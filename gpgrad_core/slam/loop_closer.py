@@ -13,16 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from gpgrad_core.all_pairs import StagedDetector, side_by_side
 from gpgrad_core.errors import InputError
 from gpgrad_core.loop_closure import classify
-from gpgrad_core.memo import Memo, array_bytes
 from gpgrad_core.pipeline import MapDetector, PipelineParams
-from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.pipeline.all_pairs import StagedDetector, side_by_side
+from gpgrad_core.run.memo import Memo, array_bytes
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
 from gpgrad_core.slam.sessions import place_traverses
-from gpgrad_core.types import Dataset, LoopClosure, Pose, Registration, Submap
+from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 
 VIEWS_IN_MEMORY = 1_000_000_000
 """Bytes of maps and keypoints of earlier submaps; the rest waits on disk."""

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from typing_extensions import Doc
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.binning import thin_dense
 from gpgrad_core.gradient_map import (
@@ -20,9 +19,11 @@ from gpgrad_core.gradient_map import (
     ordinary_noise,
     signal_std_of,
 )
-from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.tiling import Tile, TileStore
-from gpgrad_core.types import Array, Grid, Pose, Submap
+from gpgrad_core.types import Array, Grid, Submap
 
 Floats = NDArray[np.float32]
 

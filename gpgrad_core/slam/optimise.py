@@ -9,11 +9,13 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from typing_extensions import Doc
 
-from gpgrad_core.bounds import Bounds, check_bounds
+from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
-from gpgrad_core.progress import Progress, silent
+from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, PoseGraph
-from gpgrad_core.types import Array, Pose, read_only
+from gpgrad_core.types import Array, read_only
 
 if TYPE_CHECKING:
     import gtsam

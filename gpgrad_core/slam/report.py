@@ -16,7 +16,8 @@ from gpgrad_core.evaluation.report import check_directory
 from gpgrad_core.gradient_map import TerrainParams
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.outputs.maps import write_arrays, write_raster
-from gpgrad_core.progress import Progress, part, silent
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.consistency import Consistency, measure_consistency
 from gpgrad_core.slam.g2o import vertex_numbers, write_graph
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
@@ -24,7 +25,7 @@ from gpgrad_core.slam.merge import MergeParams, gather, merge_clouds, merge_maps
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
 from gpgrad_core.slam.sessions import Placed, Sessions, place_traverses
 from gpgrad_core.slam.trajectory import TrajectoryError, align_points, trajectory_error, true_poses
-from gpgrad_core.types import LoopClosure, Pose, Submap
+from gpgrad_core.types import LoopClosure, Submap
 from gpgrad_core.version import VERSION
 
 

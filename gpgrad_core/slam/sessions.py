@@ -7,9 +7,9 @@ import numpy as np
 
 from gpgrad_core.datasets.folder import Outline, index_of
 from gpgrad_core.errors import InputError
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.graph import Edge, PoseGraph
-from gpgrad_core.types import Dataset, Pose, Submap
+from gpgrad_core.types import Dataset, Submap
 
 AGREEMENT = 4.0
 """Two closures agree on how two frames lie up to this many standard deviations of what odometry

@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.types import Array, Dataset, Pose
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Array, Dataset
 
 
 @dataclass(frozen=True)

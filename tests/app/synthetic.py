@@ -11,8 +11,8 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.pipeline import DetectionResult, PairResult, PipelineParams
-from gpgrad_core.progress import Progress, silent
-from gpgrad_core.se2 import SE2
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import (
     Dataset,
     Features,
@@ -20,7 +20,6 @@ from gpgrad_core.types import (
     Grid,
     LoopClosure,
     Matches,
-    Pose,
     Registration,
     Submap,
 )

@@ -12,9 +12,9 @@ from app.state import ViewState, open_dataset, with_pair, with_params
 from app.survey import Survey
 from gpgrad_core.errors import InputError
 from gpgrad_core.loop_closure import ClosureParams
-from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.progress import Progress
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Dataset
 from tests.app.synthetic import make_dataset, make_survey
 from tests.app.widgets import find, user_presses, user_sets

@@ -12,7 +12,7 @@ from typing_extensions import Doc
 
 import app.cli
 from app.cli import FAILED, INTERRUPTED, run
-from gpgrad_core.bounds import Bounds
+from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset, Submap
 

@@ -10,7 +10,7 @@ from app.cli import Detect, _flags
 from app.command_line import detect_command, flags
 from app.settings import Setting, get_path, settings_of, with_path
 from app.state import open_dataset, with_pair, with_params
-from gpgrad_core.parameters import preferred_parameters
+from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.synthetic import make_dataset
 

@@ -11,9 +11,9 @@ from app import exports as exports_module
 from app.exports import CLOSURES, MAPS, Exports
 from app.state import open_dataset
 from gpgrad_core.loop_closure import classify
-from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
-from gpgrad_core.progress import Progress
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Dataset
 from tests.app.page import FakePage
 from tests.app.synthetic import make_dataset, make_map, make_survey

@@ -12,7 +12,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.fitting import FitResult, fit_parameters
 from gpgrad_core.gradient_map import MapParams, TerrainParams
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.progress import Progress
+from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Submap
 from tests.app.synthetic import make_dataset
 from tests.app.widgets import find, user_presses

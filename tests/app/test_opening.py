@@ -15,7 +15,7 @@ from app.places import Places
 from app.recent import recent_datasets
 from app.saved import Saved
 from gpgrad_core.datasets import load_dataset, write_dataset
-from gpgrad_core.progress import Progress, silent
+from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Dataset
 from tests.app.page import ProtocolPage
 from tests.app.synthetic import make_dataset

@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.preset_store import BUILT_IN, delete_preset, own_presets, preset_text, save_preset
-from gpgrad_core.baselines.paper import paper_params
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.parameters import read_parameters
+from gpgrad_core.methods.paper import paper_params
+from gpgrad_core.params.files import read_parameters
 from gpgrad_core.pipeline import PipelineParams
 
 OTHERS = PipelineParams(map=MapParams(length_scale=0.42, signal_std=0.3, max_points=7000))

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from app.runner import Runner
-from gpgrad_core.progress import Cancelled, Progress
+from gpgrad_core.run.progress import Cancelled, Progress
 
 
 class Record:

@@ -13,11 +13,11 @@ from app.session import MAIN_PARAMETERS, Session, message_of
 from app.state import ViewState
 from app.turns import Turns
 from app.views.surfels import OVERLAP
-from gpgrad_core.coarse import COARSER
 from gpgrad_core.datasets import write_dataset
 from gpgrad_core.errors import InputError
-from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PairResult, PipelineParams
+from gpgrad_core.pipeline.coarse import COARSER
+from gpgrad_core.run.memo import Memo
 from tests.app.synthetic import FakePipeline, make_dataset, make_result, needing
 from tests.app.widgets import find, user_presses, user_sets
 

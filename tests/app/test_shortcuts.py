@@ -12,7 +12,7 @@ from app.panels.commands import CAMERA_KEYS
 from app.session import Opened, Session
 from app.state import LAYERS
 from app.turns import Turns
-from gpgrad_core.memo import Memo
+from gpgrad_core.run.memo import Memo
 from tests.app.synthetic import FakePipeline, make_dataset, needing
 from tests.app.widgets import find
 

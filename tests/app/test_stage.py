@@ -17,10 +17,10 @@ from app.session import Session
 from app.state import ViewState
 from app.survey import Judged, Survey
 from app.turns import Turns
-from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import DetectionResult, PairResult, PipelineParams
-from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset, LoopClosure, Pose, Registration
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.types import Dataset, LoopClosure, Registration
 from tests.app.synthetic import FakePipeline, make_dataset, make_result
 from tests.app.widgets import find, user_presses, user_sets
 

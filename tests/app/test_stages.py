@@ -2,10 +2,10 @@ import time
 
 from app.stages import STAGE_OF, TimedMemo
 from app.state import open_dataset
-from gpgrad_core.coarse import infer_quick_map
 from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PipelineParams, register_pair
+from gpgrad_core.pipeline.coarse import infer_quick_map
+from gpgrad_core.run.memo import Memo
 from tests.app.synthetic import make_dataset
 
 

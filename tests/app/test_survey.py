@@ -18,9 +18,9 @@ from app.survey import (
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.evaluation.rules import Rule
 from gpgrad_core.loop_closure import ClosureParams
-from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.progress import Cancelled
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Cancelled
 from tests.app.synthetic import PAIR_SCORES, make_dataset, make_survey
 
 BOX = next(iter(RULES.values()))

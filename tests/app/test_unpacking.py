@@ -7,7 +7,7 @@ import pytest
 
 from app.unpacking import MOST_FILES, check_cloud, unpack
 from gpgrad_core.errors import InputError
-from gpgrad_core.progress import Cancelled
+from gpgrad_core.run.progress import Cancelled
 
 MOST = 100_000
 

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from app.animation import Animation, ease, frames, play
 from app.world import measure, pose_sources, poses_of, statistics_rows
-from gpgrad_core.progress import Cancelled
-from gpgrad_core.types import Dataset, Pose, Submap
+from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset, Submap
 from tests.app.synthetic import make_dataset
 
 DATASET = make_dataset()

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import tyro
 
-from gpgrad_core.threads import num_workers
+from gpgrad_core.run.threads import num_workers
 from tests.benchmarks.bench_gp import machine
 from tests.benchmarks.peers import tables
 from tests.benchmarks.peers.adapters import DENSE

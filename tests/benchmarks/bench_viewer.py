@@ -27,7 +27,7 @@ from app.settings import with_path
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.gradient_map import MapParams, kept_points
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.progress import silent
+from gpgrad_core.run.progress import silent
 from gpgrad_core.types import Dataset, Submap
 from tests.browser.chromium import find_chromium
 from tests.browser.unwatched import UnwatchedPage, open_unwatched

@@ -16,9 +16,9 @@ from app.server import Viewer
 from app.state import ViewOptions, open_dataset
 from app.views.scene import PairScene
 from gpgrad_core.datasets import demo_path, load_dataset
-from gpgrad_core.memo import Memo
-from gpgrad_core.parameters import preferred_parameters
+from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, register_pair
+from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Matches
 from tests.browser.chromium import ViewerPage, find_chromium, launch
 

@@ -21,7 +21,7 @@ from gpgrad_core.gradient_map import (
     point_noise,
     sample_map,
 )
-from gpgrad_core.progress import Cancelled
+from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.types import GradientMap, Submap
 from tests.core.ground import Ground, cloud, submap
 

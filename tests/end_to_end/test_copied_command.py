@@ -11,9 +11,9 @@ from app.command_line import detect_command
 from app.settings import with_path
 from app.state import open_dataset, with_pair
 from gpgrad_core.datasets import load_dataset
-from gpgrad_core.memo import Memo
-from gpgrad_core.parameters import preferred_parameters
+from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, register_pair
+from gpgrad_core.run.memo import Memo
 from tests.end_to_end.process import Run
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.outputs import read_closures
-from gpgrad_core.parallel import WORTH_PROCESSES
+from gpgrad_core.run.parallel import WORTH_PROCESSES
 from tests.end_to_end.process import Run, run_on_terminal
 
 

@@ -12,9 +12,9 @@ import pytest
 
 from gpgrad_core.datasets import load_dataset
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, RuleVerdict, evaluate
-from gpgrad_core.parallel import workers
 from gpgrad_core.pipeline import detect_loop_closures
-from gpgrad_core.threads import num_workers
+from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.threads import num_workers
 
 LEAST_AVERAGE_PRECISION = {"marsyard2021": 0.95, "sthelens": 0.90, "apollo15": 0.97}
 MOST_SECONDS = 60.0

@@ -19,7 +19,8 @@ import pytest
 from gpgrad_core.datasets import Outline, load_dataset, outline_dataset
 from gpgrad_core.outputs import read_closures, report_closures, restore_closures, write_closures
 from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
-from gpgrad_core.se2 import SE2
+from gpgrad_core.run.threads import num_workers
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import (
     LoopCloser,
     build_pose_graph,
@@ -31,8 +32,7 @@ from gpgrad_core.slam import (
     trajectory_error,
     true_poses,
 )
-from gpgrad_core.threads import num_workers
-from gpgrad_core.types import Dataset, LoopClosure, Pose, Submap
+from gpgrad_core.types import Dataset, LoopClosure, Submap
 from tests.core.ground import Ground
 from tests.core.slam.traverses import simulate
 from tests.end_to_end.process import ROOT, environment

@@ -28,7 +28,7 @@ from app.places import Places
 from app.server import Viewer
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.outputs import read_closures
-from gpgrad_core.parameters import read_parameters
+from gpgrad_core.params.files import read_parameters
 from gpgrad_core.pipeline import PipelineParams
 from tests.browser.chromium import BETWEEN_INPUTS_MS, ViewerPage, find_chromium, launch
 from tests.browser.conftest import QUICK

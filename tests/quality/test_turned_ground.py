@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.core.detectors.maps import right_matches
+from tests.core.features.maps import right_matches
 
 GROUNDS = list(range(2, 14))
 

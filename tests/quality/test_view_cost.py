@@ -19,8 +19,8 @@ from app.session import Opened, Session
 from app.state import ViewState
 from app.turns import Turns
 from app.views.scene import PairScene
-from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PairResult, PipelineParams
+from gpgrad_core.run.memo import Memo
 from tests.app.synthetic import make_dataset, make_map, make_result
 
 RESOLUTION = 5.0 / 299

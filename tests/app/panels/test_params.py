@@ -7,9 +7,9 @@ from typing_extensions import Doc
 
 from app.panels.params import ParamsPanel
 from app.settings import get_path, settings_of, with_path
-from gpgrad_core.bounds import Bounds, check_bounds
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.params.bounds import Bounds, check_bounds
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.widgets import find, labels, user_sets
 

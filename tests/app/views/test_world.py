@@ -8,9 +8,9 @@ from app.views.overview import MAX_CELLS, Sight, pick, quick_sight, submap_color
 from app.views.trajectory import LOOP_PIECES, Loop, arches, drawable, way
 from app.views.world import World, WorldScene
 from app.world import PoseSource, WorldColor, WorldOptions, poses_of
-from gpgrad_core.memo import Memo
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.types import Pose
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.se2 import Pose
 from tests.app.synthetic import make_dataset, make_map
 
 DATASET = make_dataset()

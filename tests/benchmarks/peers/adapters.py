@@ -225,7 +225,7 @@ def gstools(task: Task) -> Answer:
     from gstools import Gaussian, config
     from gstools.krige import Simple
 
-    from gpgrad_core.threads import num_workers
+    from gpgrad_core.run.threads import num_workers
 
     # With this rescaling its correlation exp(-(rescale d / len_scale)²) is ours. The noise goes
     # in as an error of the measurements: as a nugget, it would be counted as terrain.

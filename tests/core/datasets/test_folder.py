@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from gpgrad_core.datasets import load_dataset, write_dataset
 from gpgrad_core.datasets.folder import index_of
-from gpgrad_core.progress import Cancelled
-from gpgrad_core.types import Dataset, Pose, Submap
+from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset, Submap
 from tests.core.datasets.refusal import assert_refused
 
 REAL_COUNTS = {"marsyard2021": 29, "sthelens": 24, "apollo15": 25}

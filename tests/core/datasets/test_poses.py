@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gpgrad_core.datasets.poses import read_poses, write_poses
-from gpgrad_core.types import Pose
+from gpgrad_core.se2 import Pose
 from tests.core.datasets.refusal import assert_refused
 
 KNOWN = {0: "000", 1: "001", 7: "007"}

@@ -5,8 +5,8 @@ import pytest
 
 from gpgrad_core.outputs import ClosureReport, PairRecord
 from gpgrad_core.pipeline import DetectionResult
-from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset, LoopClosure, Pose, Registration, Submap
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 
 SIDE = 4.0
 

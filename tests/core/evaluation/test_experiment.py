@@ -7,10 +7,10 @@ import pytest
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import read_rivals, run_methods
-from gpgrad_core.memo import Memo
 from gpgrad_core.methods import Method
 from gpgrad_core.outputs import write_closures
 from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, LoopDetector, Registration, Submap
 from tests.core.evaluation.conftest import record, registration, report

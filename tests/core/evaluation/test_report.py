@@ -21,7 +21,7 @@ from gpgrad_core.evaluation import (
 from gpgrad_core.evaluation.text import describe
 from gpgrad_core.outputs import read_closures
 from gpgrad_core.pipeline import DetectionResult
-from gpgrad_core.progress import Cancelled
+from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.types import Dataset
 from tests.core.evaluation.conftest import RIGHT, record, report
 

@@ -4,16 +4,8 @@ import numpy as np
 import pytest
 
 from gpgrad_core.pipeline import DetectionResult
-from gpgrad_core.se2 import SE2
-from gpgrad_core.types import (
-    Dataset,
-    GradientMap,
-    Grid,
-    LoopClosure,
-    Pose,
-    Registration,
-    Submap,
-)
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.types import Dataset, GradientMap, Grid, LoopClosure, Registration, Submap
 
 
 def pose(x: float, y: float, z: float, yaw: float) -> Pose:

@@ -8,7 +8,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.fitting import FitResult
 from gpgrad_core.gradient_map import TerrainParams
 from gpgrad_core.outputs import write_fitted
-from gpgrad_core.parameters import read_parameters
+from gpgrad_core.params.files import read_parameters
 from gpgrad_core.pipeline import PipelineParams
 
 

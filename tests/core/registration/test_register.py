@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.progress import Cancelled
 from gpgrad_core.registration import RegistrationParams, register
 from gpgrad_core.registration.dense_check import DenseCheck, thin_out
 from gpgrad_core.registration.ransac import find_motions
+from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Grid, Matches, Registration
 from tests.core.ground import Ground

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.datasets import SimulationParams, load_dataset
-from gpgrad_core.progress import Cancelled
+from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.scans import BuildParams, RecordingSources, build_dataset, simulate_recording
 from gpgrad_core.scans.journal import JOURNAL, open_journal
 from gpgrad_core.scans.trajectory import Poses

@@ -13,7 +13,7 @@ from gpgrad_core.scans.gravity import (
     turned_upright,
     up_axis,
 )
-from gpgrad_core.types import Pose
+from gpgrad_core.se2 import Pose
 from tests.core.datasets.refusal import assert_refused
 
 UP = np.array([0.0, 0.0, 1.0])

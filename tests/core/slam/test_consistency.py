@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import measure_consistency
-from gpgrad_core.types import Pose, Submap
+from gpgrad_core.types import Submap
 from tests.core.ground import Ground
 
 POSES = {f"{k}": Pose.from_planar(SE2(1.5 * k, 0.0, 0.3 * k)) for k in range(3)}

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import GraphParams, build_pose_graph, odometry_poses
-from gpgrad_core.types import LoopClosure, Pose, Registration
+from gpgrad_core.types import LoopClosure, Registration
 from tests.core.slam.traverses import closure, simulate, with_odometry
 
 

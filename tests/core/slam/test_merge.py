@@ -9,7 +9,7 @@ import pytest
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import TerrainParams, fit_terrain
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.merge import (
     BLEND,
     Gathered,
@@ -20,7 +20,7 @@ from gpgrad_core.slam.merge import (
     merge_maps,
 )
 from gpgrad_core.slam.tiling import TileStore
-from gpgrad_core.types import Pose, Submap
+from gpgrad_core.types import Submap
 from tests.core.ground import Ground
 
 GROUND = Ground.random(7, shortest=1.0, std=0.2)

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.progress import Cancelled
+from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import GraphParams, SolverParams, build_pose_graph, optimise_pose_graph
-from gpgrad_core.types import Pose
 from tests.core.slam.traverses import Traverse, simulate, with_odometry
 
 

@@ -14,7 +14,7 @@ from evo.tools import file_interface
 from gpgrad_core.datasets import load_dataset, outline_dataset, write_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import TerrainParams
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import (
     Judged,
     MergeParams,
@@ -28,7 +28,7 @@ from gpgrad_core.slam import (
     write_solution,
 )
 from gpgrad_core.slam.report import used_graph
-from gpgrad_core.types import Dataset, LoopClosure, Pose, Submap
+from gpgrad_core.types import Dataset, LoopClosure, Submap
 from tests.core.ground import Ground
 from tests.core.slam.traverses import closure
 

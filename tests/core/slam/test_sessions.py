@@ -8,7 +8,7 @@ import pytest
 
 from gpgrad_core.datasets import Outline
 from gpgrad_core.errors import InputError
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import (
     Sessions,
     join_datasets,
@@ -17,7 +17,7 @@ from gpgrad_core.slam import (
     trajectory_error,
 )
 from gpgrad_core.slam.graph import build_pose_graph
-from gpgrad_core.types import Dataset, LoopClosure, Pose
+from gpgrad_core.types import Dataset, LoopClosure
 from tests.core.slam.traverses import Traverse, simulate
 
 FRAME = Pose.from_planar(SE2(300.0, -50.0, 2.0), 12.0)

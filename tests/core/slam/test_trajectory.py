@@ -7,10 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.graph import odometry_poses
 from gpgrad_core.slam.trajectory import trajectory_error, true_poses
-from gpgrad_core.types import Pose
 from tests.core.slam.traverses import simulate
 
 

@@ -7,8 +7,8 @@ from math import pi
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset, LoopClosure, Pose, Registration, Submap
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 
 STEP, ROW_WIDTH, REACH = 5.0, 4.0, 6.0
 CLOSURE_STD = np.array([0.05, 0.06, 0.014])

@@ -1,1 +1,0 @@
-"""Ways of drawing keypoints from a gradient map and describing them, one a file."""

@@ -1,0 +1,19 @@
+"""Keypoints of a gradient map and their descriptors; one detector a file."""
+
+from gpgrad_core.features.extraction import (
+    DetectorName,
+    DetectorParams,
+    FeatureParams,
+    detect_features,
+    extract_features,
+    select_trusted,
+)
+
+__all__ = [
+    "DetectorName",
+    "DetectorParams",
+    "FeatureParams",
+    "detect_features",
+    "extract_features",
+    "select_trusted",
+]

@@ -1,0 +1,200 @@
+"""SURF's detector: maxima of a Hessian's determinant made of box filters.
+
+Bay et al., *SURF: Speeded Up Robust Features*, ECCV 2006, Sec. 3. A box filter of any size
+costs the same few differences of an integral image, here of the float image itself: the paper's
+gradient maps need not be cut down to 8 bits.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.features.detection import Image
+
+OCTAVES = 4
+LAYERS = 4
+"""Layers of an octave; keypoints are maxima in the inner ones."""
+XY_WEIGHT = 0.9
+"""Makes up for boxes in place of Gaussians in Dxy: the determinant is Dxx Dyy - (0.9 Dxy)²."""
+LEAST_RESPONSE = 1e-8
+"""Of the image's peak squared: less is rounding."""
+
+Integral = Float[NDArray[np.float64], "corner_rows corner_columns"]
+Layer = Float[NDArray[np.float64], "rows columns"]
+Corners = dict[int, int]
+"""Weights of an integral image's corners, by their distance from the pixel's first corner."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blobs:
+    """Maxima over position and size; (0, 0) is the centre of the first pixel.
+
+    A filter of side L stands for a Gaussian of 1.2 L / 9 pixels.
+    """
+
+    pixels: Float[NDArray[np.float64], "k 2"]  # (column, row)
+    sides: Float[NDArray[np.float64], "k"]  # of the box filter [pixels]: the blob's diameter
+    responses: Float[NDArray[np.float64], "k"]  # determinant
+    signs: Int[NDArray[np.int8], "k"]  # of the Laplacian: -1 bright on dark, 1 dark on bright
+
+
+def integral_image(image: Image) -> Integral:
+    """Sum the image up from its first corner; the mean is left out, it only costs digits."""
+    return cv2.integral(image - image.mean(), sdepth=cv2.CV_64F)
+
+
+def filter_sides(octave: int) -> list[int]:
+    """Sides of the box filters of an octave: 9 15 21 27, then 15 27 39 51, then 27 51 75 99.
+
+    >>> filter_sides(1)
+    [15, 27, 39, 51]
+    """
+    return [3 * (2 ** (octave + 1) * (layer + 1) + 1) for layer in range(LAYERS)]
+
+
+def find_blobs(image: Image) -> Blobs:
+    """Find maxima of the approximated Hessian's determinant over position and size.
+
+    Position and size are interpolated by a quadratic (Brown and Lowe). Nothing is found within
+    half a filter of the border.
+
+    Args:
+        image: Of any scale and contrast: there is no threshold but against rounding.
+    """
+    integral = integral_image(image)
+    least = LEAST_RESPONSE * float(np.abs(image).max(initial=0.0)) ** 2
+    found = [_octave_blobs(integral, octave, least) for octave in range(OCTAVES)]
+    return Blobs(
+        np.concatenate([blobs.pixels for blobs in found]),
+        np.concatenate([blobs.sides for blobs in found]),
+        np.concatenate([blobs.responses for blobs in found]),
+        np.concatenate([blobs.signs for blobs in found]),
+    )
+
+
+def _octave_blobs(integral: Integral, octave: int, least: float) -> Blobs:
+    """Find the maxima of one octave, on every 2^octave-th pixel."""
+    step = 2**octave
+    sides = filter_sides(octave)
+    rows, columns = (len(range(0, size - 1, step)) for size in integral.shape)
+    responses, traces = np.zeros((2, LAYERS, rows, columns))
+    for layer, side in enumerate(sides):
+        _fill_hessian(integral, side, step, responses[layer], traces[layer])
+    layer, row, column = _maxima(responses, sides, step, least)
+    offset = _quadratic_offset(responses, layer, row, column)
+    # Not half a cell, as for Gaussians: responses of boxes have edges, which throw the quadratic
+    # off; on maps turned by 37 degrees, 4 % more of the associations are right with a whole cell.
+    near = (np.abs(offset) <= 1.0).all(axis=1)
+    layer, row, column, offset = layer[near], row[near], column[near], offset[near]
+    return Blobs(
+        pixels=step * np.column_stack([column + offset[:, 2], row + offset[:, 1]]),
+        sides=np.array(sides)[layer] + offset[:, 0] * (sides[1] - sides[0]),
+        responses=responses[layer, row, column],
+        signs=np.where(traces[layer, row, column] < 0, -1, 1).astype(np.int8),
+    )
+
+
+def _fill_hessian(
+    integral: Integral, side: int, step: int, determinant: Layer, trace: Layer
+) -> None:
+    """Write determinant and trace of one filter size where the filter fits, 0 elsewhere.
+
+    Each of the three filters is one along the rows times one along the columns.
+    """
+    lobe, half = side // 3, side // 2
+    bend: Corners = {half + 1: 1, -half: -1, lobe // 2 + 1: -3, -(lobe // 2): 3}  # lobes 1 -2 1
+    even: Corners = {lobe: 1, 1 - lobe: -1}  # 2 lobe - 1 pixels alike
+    odd: Corners = {lobe + 1: 1, 1: -1, 0: -1, -lobe: 1}  # lobes 1 0 -1, the 0 a pixel wide
+    # Of the step-th pixels, those that the filter fits around.
+    first = -(-half // step)
+    rows, columns = (max(0, (size - 2 - half) // step - first + 1) for size in integral.shape)
+    if rows == 0 or columns == 0:
+        return
+
+    def filtered(down: Corners, right: Corners) -> Layer:
+        strips = _weighted(integral, 0, down, first * step, step, rows)
+        return _weighted(strips, 1, right, first * step, step, columns) / side**2
+
+    yy, xx, xy = filtered(bend, even), filtered(even, bend), filtered(odd, odd)
+    window = (slice(first, first + rows), slice(first, first + columns))
+    determinant[window] = xx * yy - (XY_WEIGHT * xy) ** 2
+    trace[window] = xx + yy
+
+
+def _weighted(
+    corners: Float[NDArray[np.float64], "n m"],
+    axis: int,
+    weights: Corners,
+    start: int,
+    step: int,
+    count: int,
+) -> Float[NDArray[np.float64], "p q"]:
+    """Sum ``start + shift``, and every step-th after it, along an axis, with a weight a shift."""
+    shape = (count, corners.shape[1]) if axis == 0 else (corners.shape[0], count)
+    span = (count - 1) * step + 1
+    total = np.zeros(shape)
+    for shift, weight in weights.items():
+        line = slice(start + shift, start + shift + span, step)
+        shifted = corners[line] if axis == 0 else corners[:, line]
+        if abs(weight) == 1:  # spares a pass over the memory, which is what this costs
+            (np.add if weight > 0 else np.subtract)(total, shifted, out=total)
+        else:
+            total += weight * shifted
+    return total
+
+
+def _maxima(
+    responses: Float[NDArray[np.float64], "layers rows columns"],
+    sides: list[int],
+    step: int,
+    least: float,
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Cells above all 26 neighbours: (layer, row, column)."""
+    # Along the rows and columns by OpenCV, which is fast; then across the layers.
+    kernel = np.ones((3, 3), np.uint8)
+    highest = np.stack([cv2.dilate(layer, kernel) for layer in responses])
+    found: list[NDArray[np.intp]] = []
+    for layer in range(1, LAYERS - 1):
+        middle = responses[layer]
+        peak = (middle >= highest[layer]) & (middle > least)
+        peak &= (middle > highest[layer - 1]) & (middle > highest[layer + 1])
+        # Neighbours must be known too: the next larger filter has to fit.
+        margin = -(-(sides[layer + 1] // 2) // step) + 1
+        inside = np.zeros_like(peak)
+        inside[margin:-margin, margin:-margin] = True
+        row, column = np.nonzero(peak & inside)
+        found.append(np.stack([np.full(len(row), layer), row, column]))
+    layer, row, column = np.concatenate(found, axis=1)
+    return layer, row, column
+
+
+def _quadratic_offset(
+    responses: Float[NDArray[np.float64], "layers rows columns"],
+    layer: NDArray[np.intp],
+    row: NDArray[np.intp],
+    column: NDArray[np.intp],
+) -> Float[NDArray[np.float64], "k 3"]:
+    """Where the quadratic through a maximum and its neighbours peaks: (layer, row, column)."""
+    unit = np.eye(3, dtype=np.intp)
+
+    def at(shift: NDArray[np.intp]) -> NDArray[np.float64]:
+        return responses[layer + shift[0], row + shift[1], column + shift[2]]
+
+    centre = responses[layer, row, column]
+    slope = np.stack([(at(e) - at(-e)) / 2 for e in unit], axis=-1)
+    hessian = np.zeros((len(layer), 3, 3))
+    for i, e in enumerate(unit):
+        hessian[:, i, i] = at(e) + at(-e) - 2 * centre
+        for j in range(i):
+            f = unit[j]
+            mixed = (at(e + f) - at(e - f) - at(f - e) + at(-e - f)) / 4
+            hessian[:, i, j] = hessian[:, j, i] = mixed
+    # A peak that is flat along some line has no place of its own on it: NaN is no offset.
+    flat = np.abs(np.linalg.det(hessian)) <= 1e-12 * np.abs(centre) ** 3
+    hessian[flat] = np.eye(3)
+    offset = -np.linalg.solve(hessian, slope[..., None])[..., 0].astype(np.float64)
+    offset[flat] = np.nan
+    return offset

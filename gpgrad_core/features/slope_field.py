@@ -1,0 +1,183 @@
+"""A detector for terrain: keypoints of its curvature, described by the slope *vectors* around.
+
+A gradient image keeps how steep the ground is and forgets which way it falls. The GP knows both,
+exactly and smooth, in metres, and how far to trust them. So, unlike detectors made for photographs:
+
+- scales are physical and few: a map has no unknown zoom, and the length-scale says what detail it
+  can hold. Nothing here depends on the map's resolution;
+- keypoints are extrema of the elevation's Hessian determinant: hills, pits and saddles. Its second
+  derivatives are differences of the exact slopes, over a fifth of a length-scale;
+- a keypoint's heading is the direction in which the ground around it rises;
+- its descriptor is the slope itself on rings around, turned into that heading, and not normalised:
+  how steep the ground is, is a fact, not a matter of lighting;
+- every slope counts as far as the points have determined the elevation there: beyond the edge of
+  what was seen a descriptor says nothing, and not that the ground is flat.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.features.detection import Detection
+from gpgrad_core.features.interpolation import interpolate
+from gpgrad_core.types import GradientMap
+
+SCALES = (0.5, 1.0)
+"""Gaussians under which keypoints are sought, in length-scales: the first describes them too, the
+last gives their headings."""
+RINGS = (0.8, 1.7, 2.9, 4.5)
+"""Radii of the rings of a descriptor, in length-scales, around its centre."""
+SPOKES = 12
+"""Samples on each ring; every other ring is turned by half a step."""
+LEAST_WEIGHT = 1e-3
+"""Where less is known than this, slopes fade away instead of being divided by next to nothing."""
+LEAST_RESPONSE = 1e-4
+"""Of the steepest slope: less is rounding, as on a plane."""
+CELLS = 5
+"""Cells of the working grid along a length-scale, at least; more cost time and change nothing."""
+
+Layer = Float[NDArray[np.float32], "rows columns"]
+Slopes = Float[NDArray[np.float32], "rows columns 3"]  # weighted slope (x, y), and the weight
+Points = Float[NDArray[np.float32], "k 2"]  # (column, row) of the working grid
+
+
+@dataclass(frozen=True, eq=False)
+class _Keypoints:
+    cells: Points
+    sigmas: Float[NDArray[np.float64], "k"]  # [cells]
+    responses: Float[NDArray[np.float64], "k"]
+
+
+def detect_slope_field(gradient_map: GradientMap) -> Detection:
+    """Detect hills, pits and saddles, and describe the slope vectors around them.
+
+    Args:
+        gradient_map: Its slopes, variance and length-scale are used; not its gradient image.
+
+    Returns:
+        Descriptors of 2 (1 + 12 · 4) slopes [m/m]: along and across the keypoint's heading.
+    """
+    length = gradient_map.length_scale / gradient_map.grid.resolution  # [pixels]
+    stride = max(1, int(length / CELLS))
+    slopes = _weighted_slopes(gradient_map, stride)
+    unit = length / stride  # a length-scale in cells
+    smoothed = [_smooth(slopes, scale * unit) for scale in SCALES]
+    found = [
+        _find_keypoints(field, scale * unit) for field, scale in zip(smoothed, SCALES, strict=True)
+    ]
+    cells = np.concatenate([keypoints.cells for keypoints in found])
+    last = np.array(gradient_map.grid.shape[::-1]) - 1.0
+    return Detection(
+        # The centre of a cell of stride x stride pixels; the last ones reach beyond the image.
+        pixels=np.clip(stride * cells.astype(np.float64) + (stride - 1) / 2, 0.0, last),
+        diameters=2 * stride * np.concatenate([keypoints.sigmas for keypoints in found]),
+        responses=np.concatenate([keypoints.responses for keypoints in found]),
+        descriptors=_describe(cells, smoothed[0], smoothed[-1], unit),
+    )
+
+
+def _weighted_slopes(gradient_map: GradientMap, stride: int) -> Slopes:
+    """Average slopes over stride x stride pixels, times their weight.
+
+    The weight is the share of the terrain's variance that the points have taken away: 1 where the
+    elevation is known, 0 far from all points and beyond the image.
+    """
+    weight = 1 - np.clip(gradient_map.variance / gradient_map.signal_std**2, 0.0, 1.0)
+    weighted = np.dstack([gradient_map.slope * weight[..., None], weight]).astype(np.float32)
+    rows, columns = weight.shape
+    padded = cv2.copyMakeBorder(
+        weighted, 0, -rows % stride, 0, -columns % stride, cv2.BORDER_CONSTANT
+    )
+    size = (padded.shape[1] // stride, padded.shape[0] // stride)
+    return np.asarray(cv2.resize(padded, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _smooth(slopes: Slopes, sigma: float) -> Slopes:
+    """Smooth slopes and weights alike: their ratio is the average by weight."""
+    side = 2 * int(np.ceil(3 * sigma)) + 1
+    smoothed = cv2.GaussianBlur(slopes, (side, side), sigma, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(smoothed, np.float32)
+
+
+def _find_keypoints(smoothed: Slopes, sigma: float) -> _Keypoints:
+    """Find the extrema of the Hessian's determinant, of either sign.
+
+    The response is sigma √|det|, a slope, so that it ranks keypoints of all scales.
+    """
+    weight = np.maximum(smoothed[..., 2:], LEAST_WEIGHT)
+    slope = (smoothed[..., :2] / weight).astype(np.float32)
+    xx, xy = _derivatives(slope[..., 0])
+    yx, yy = _derivatives(slope[..., 1])
+    least = LEAST_RESPONSE * float(np.abs(slope).max(initial=0.0))
+    # The two mixed ones differ where the weights do.
+    determinant = xx * yy - ((xy + yx) / 2) ** 2
+    cells: list[Points] = []
+    responses: list[NDArray[np.float64]] = []
+    for sign in (1, -1):  # hills and pits, then saddles
+        strength = np.sqrt(np.maximum(sign * determinant, 0))
+        row, column = np.nonzero(_peaks(strength) & (sigma * strength > least))
+        offset = [_peak_offset(strength, row, column, axis) for axis in (1, 0)]
+        cells.append(np.column_stack([column, row]) + np.column_stack(offset).astype(np.float32))
+        responses.append(sigma * strength[row, column].astype(np.float64))
+    where = np.concatenate(cells).astype(np.float32)
+    return _Keypoints(where, np.full(len(where), sigma), np.concatenate(responses))
+
+
+def _derivatives(layer: Layer) -> tuple[Layer, Layer]:
+    """Central differences along x and y, each smoothed a little across."""
+    along_x = cv2.Sobel(layer, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
+    along_y = cv2.Sobel(layer, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8)
+    return np.asarray(along_x, np.float32), np.asarray(along_y, np.float32)
+
+
+def _peaks(strength: Layer) -> Bool[NDArray[np.bool_], "rows columns"]:
+    """Cells that are not below their eight neighbours; none at the border."""
+    peaks = strength >= cv2.dilate(strength, np.ones((3, 3), np.uint8))
+    peaks[[0, -1]] = False
+    peaks[:, [0, -1]] = False
+    return peaks
+
+
+def _peak_offset(
+    strength: Layer, row: NDArray[np.intp], column: NDArray[np.intp], axis: int
+) -> Float[NDArray[np.float32], "k"]:
+    """Where the parabola through a peak and its two neighbours peaks, in cells."""
+    down, right = (1, 0) if axis == 0 else (0, 1)
+    before = strength[row - down, column - right]
+    after = strength[row + down, column + right]
+    bend = np.maximum(2 * strength[row, column] - before - after, np.finfo(np.float32).tiny)
+    return np.clip((after - before) / (2 * bend), -0.5, 0.5).astype(np.float32)
+
+
+def _describe(
+    cells: Points, fine: Slopes, coarse: Slopes, unit: float
+) -> Float[NDArray[np.float32], "k d"]:
+    """Sample the weighted slopes on rings around each keypoint, in its own frame.
+
+    Args:
+        cells: Keypoints.
+        fine: What descriptors are made of.
+        coarse: What headings are taken from.
+        unit: Cells of a length-scale.
+    """
+    uphill = interpolate(coarse, cells[:, None])[:, 0]
+    heading = np.arctan2(uphill[:, 1], uphill[:, 0])
+    radius, angle = _rings()
+    around = heading[:, None] + angle
+    reach = (unit * radius)[:, None] * np.stack([np.cos(around), np.sin(around)], axis=-1)
+    slopes = interpolate(fine, cells[:, None] + reach)
+    c, s = np.cos(heading)[:, None], np.sin(heading)[:, None]
+    along = c * slopes[..., 0] + s * slopes[..., 1]
+    across = c * slopes[..., 1] - s * slopes[..., 0]
+    return np.hstack([along, across]).astype(np.float32)
+
+
+def _rings() -> tuple[Float[NDArray[np.float32], "n"], Float[NDArray[np.float32], "n"]]:
+    """Radius [length-scales] and angle [rad] of a descriptor's samples, the centre first."""
+    spoke = np.arange(SPOKES)
+    radius = np.concatenate([[0.0], *(np.full(SPOKES, ring) for ring in RINGS)])
+    turned = [(spoke + (k % 2) / 2) * 2 * np.pi / SPOKES for k in range(len(RINGS))]
+    return radius.astype(np.float32), np.concatenate([[0.0], *turned]).astype(np.float32)

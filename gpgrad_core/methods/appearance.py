@@ -1,0 +1,205 @@
+"""Appearance: ORB and a binary bag of words that grows, in the manner of iBoW-LCD (Garcia 2018).
+
+For datasets with camera images of their submaps. It says whether a place was seen before, not
+where exactly: its registrations have no motion, and no pair is accepted; what counts is how it
+ranks them.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.methods.outcome import outcome
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.types import Registration, Submap
+
+NUM_FEATURES = 1500
+"""ORB features of an image; the paper's Sec. VII-B."""
+RATIO = 0.8
+"""A descriptor is a known word if its nearest is so much nearer than the second nearest."""
+MIN_SIMILARITY = 0.3
+"""Share of the best candidate's similarity from which on the geometry is checked."""
+MIN_MATCHES = 8
+"""Associations that a fundamental matrix needs."""
+EPIPOLAR_DISTANCE = 2.0
+"""Of an inlier from its epipolar line [pixels]."""
+
+Descriptors = UInt8[NDArray[np.uint8], "_ 32"]
+
+
+@dataclass(frozen=True, eq=False)
+class ImageFeatures:
+    """ORB features of one image."""
+
+    pixels: Float[NDArray[np.float64], "k 2"]
+    descriptors: Descriptors
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What was seen from a submap, and how much of it had been seen before.
+
+    Attributes:
+        place: Fingerprint of the submap.
+        images: Features of its images.
+        similarity: Of earlier submaps, by fingerprint; the most similar has 1.
+    """
+
+    place: str
+    images: tuple[ImageFeatures, ...]
+    similarity: dict[str, float] = field(default_factory=dict[str, float])
+
+
+@dataclass(frozen=True, eq=False)
+class AppearanceDetector:
+    """An `OrderedDetector`: its words are those of the submaps before."""
+
+    params: PipelineParams
+    memo: Memo
+
+    def __call__(self, query: Submap, database: Submap) -> Registration:
+        """Compare two submaps with no others known."""
+        sights = self.gather([self.extract(database), self.extract(query)])
+        return self.compare(sights[1], sights[0])
+
+    def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
+        """Nothing comes before the features."""
+        progress(1.0)
+        return submap
+
+    def extract(self, made: Submap, progress: Progress = silent) -> Sight:
+        """Draw features from the submap's images."""
+        sight = self.memo(see, made)
+        progress(1.0)
+        return sight
+
+    def gather(self, views: list[Sight]) -> list[Sight]:
+        """Let each submap know how similar those before it are."""
+        vocabulary = Vocabulary()
+        return [Sight(s.place, s.images, vocabulary.look_up_and_learn(s)) for s in views]
+
+    def compare(self, query: Sight, database: Sight) -> Registration:
+        """Score a pair by its similarity, and by epipolar inliers where it is similar enough."""
+        similarity = query.similarity.get(database.place, 0.0)
+        if similarity < MIN_SIMILARITY:
+            return outcome(None, np.zeros(0, bool), similarity)
+        counts = [
+            epipolar_inliers(a, b, self.params.registration.seed)
+            for a in query.images
+            for b in database.images
+        ]
+        most = max(counts)
+        return outcome(None, np.ones(most, bool), similarity + most)
+
+
+def see(submap: Submap) -> Sight:
+    """Draw ORB features from all images of a submap.
+
+    Raises:
+        InputError: If it has none, or one cannot be read.
+    """
+    if not submap.images:
+        raise InputError(
+            f"{submap.id}: appearance needs camera images, and the dataset has none of this "
+            "submap: put them into images/, in a folder of the submap's number"
+        )
+    return Sight(submap.fingerprint, tuple(_features(file) for file in submap.images))
+
+
+def _features(file: Path) -> ImageFeatures:
+    data = np.fromfile(file, np.uint8)
+    image: Any = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    if image is None:
+        raise InputError(f"{file}: is no image that can be read")
+    keypoints, descriptors = cv2.ORB.create(nfeatures=NUM_FEATURES).detectAndCompute(image, None)
+    pixels = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64).reshape(-1, 2)
+    found = np.zeros((0, 32), np.uint8) if len(pixels) == 0 else np.asarray(descriptors, np.uint8)
+    return ImageFeatures(pixels, found)
+
+
+class Vocabulary:
+    """Words that grow with what is seen, and who saw them."""
+
+    def __init__(self) -> None:
+        """Know nothing."""
+        self._words: Descriptors = np.zeros((0, 32), np.uint8)
+        self._seen_at: list[dict[str, int]] = []  # of each word: how often, by place
+        self._num_words_at: dict[str, int] = {}
+
+    def look_up_and_learn(self, sight: Sight) -> dict[str, float]:
+        """Tell how similar each earlier place is, then learn this one.
+
+        The similarity is the sum of tf-idf over the words in common, stretched so that the most
+        similar place has 1 and the least 0. A word takes the bits that all its descriptors have
+        in common; what resembles no word becomes one.
+        """
+        descriptors = np.concatenate([image.descriptors for image in sight.images])
+        nearest = nearest_words(descriptors, self._words)
+        known = np.flatnonzero(nearest >= 0)
+        scores = dict.fromkeys(self._num_words_at, 0.0)
+        for word in nearest[known]:
+            places = self._seen_at[word]
+            idf = np.log1p(len(self._num_words_at) / len(places))
+            for place, count in places.items():
+                scores[place] += count / self._num_words_at[place] * idf
+        for descriptor, word in zip(descriptors[known], nearest[known], strict=True):
+            self._words[word] &= descriptor
+            self._note(int(word), sight.place)
+        new = np.setdiff1d(np.arange(len(descriptors)), known)
+        self._words = np.concatenate([self._words, descriptors[new]])
+        self._seen_at += [{sight.place: 1} for _ in new]
+        self._num_words_at[sight.place] = max(1, len(descriptors))
+        return _stretched(scores)
+
+    def _note(self, word: int, place: str) -> None:
+        self._seen_at[word][place] = self._seen_at[word].get(place, 0) + 1
+
+
+def nearest_words(descriptors: Descriptors, words: Descriptors) -> Int[NDArray[np.intp], "k"]:
+    """Index of the word that each descriptor is, by the ratio of the two nearest; -1: of none."""
+    found = np.full(len(descriptors), -1, dtype=np.intp)
+    if len(words) < 2 or len(descriptors) == 0:
+        return found
+    for k, pair in enumerate(cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(descriptors, words, 2)):
+        first, second = pair
+        if first.distance < RATIO * second.distance:
+            found[k] = first.trainIdx
+    return found
+
+
+def _stretched(scores: dict[str, float]) -> dict[str, float]:
+    if not scores:
+        return {}
+    low, high = min(scores.values()), max(scores.values())
+    if high <= 0:
+        return dict.fromkeys(scores, 0.0)
+    low = low if high > low else 0.0  # one place alone is the most similar
+    return {place: (score - low) / (high - low) for place, score in scores.items()}
+
+
+def epipolar_inliers(query: ImageFeatures, database: ImageFeatures, seed: int) -> int:
+    """Count the associations of two images that one fundamental matrix explains."""
+    nearest = nearest_words(query.descriptors, database.descriptors)
+    matched = np.flatnonzero(nearest >= 0)
+    if len(matched) < MIN_MATCHES:
+        return 0
+    usac = cv2.UsacParams()
+    usac.threshold = EPIPOLAR_DISTANCE
+    usac.randomGeneratorState = seed
+    found: Any = cv2.findFundamentalMat(
+        query.pixels[matched], database.pixels[nearest[matched]], usac
+    )
+    return 0 if found[1] is None else int(np.sum(found[1]))
+
+
+def appearance_detector(params: PipelineParams, memo: Memo) -> AppearanceDetector:
+    """Make the appearance baseline; for datasets with images."""
+    return AppearanceDetector(params, memo)

@@ -1,0 +1,80 @@
+"""What rivals in space share: thinned clouds with normals, descriptors, their associations."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.libraries import load_library
+from gpgrad_core.methods.outcome import outcome, seen_from_above
+from gpgrad_core.methods.rigid_ransac import ransac_se3
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.types import Registration, Submap
+
+NORMAL_NEIGHBOURS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class DescribedCloud:
+    """Keypoints of a cloud with their descriptors."""
+
+    points: Float[Array, "k 3"]  # [m]
+    descriptors: Float[NDArray[np.float32], "k d"]
+    middle: Float[Array, "1 3"]  # of the whole cloud [m]
+
+
+def thinned(submap: Submap, voxel: float, normal_radius: float) -> Any:
+    """Thin a cloud to one mean a voxel, with normals that point up.
+
+    Args:
+        submap: Its points, and colours where it has them.
+        voxel: Side of a voxel [m].
+        normal_radius: Neighbourhood that a normal is fitted to [m].
+
+    Returns:
+        An Open3D cloud.
+    """
+    o3d: Any = load_library("open3d")
+    points = np.array(submap.points)  # Open3D refuses arrays that are read-only
+    cloud: Any = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    if submap.colors is not None:
+        cloud.colors = o3d.utility.Vector3dVector(np.array(submap.colors))
+    cloud = cloud.voxel_down_sample(voxel)
+    cloud.estimate_normals(
+        o3d.geometry.KDTreeSearchParamHybrid(radius=normal_radius, max_nn=NORMAL_NEIGHBOURS)
+    )
+    cloud.orient_normals_to_align_with_direction(np.array([0.0, 0.0, 1.0]))
+    return cloud
+
+
+def mutual_matches(query: DescribedCloud, database: DescribedCloud) -> Int[NDArray[np.intp], "m 2"]:
+    """Associate the keypoints that are each other's nearest by descriptor."""
+    if len(query.points) == 0 or len(database.points) == 0:
+        return np.zeros((0, 2), np.intp)
+    a, b = query.descriptors, database.descriptors
+    squared = (b * b).sum(axis=1) - 2 * (a @ b.T)
+    nearest = squared.argmin(axis=1)
+    # The query's own lengths do not change its order of neighbours, but the database's.
+    squared += (a * a).sum(axis=1)[:, None]
+    rows = np.arange(len(a))
+    kept = squared.argmin(axis=0)[nearest] == rows
+    return np.column_stack([rows, nearest])[kept]
+
+
+def register_by_ransac(
+    query: DescribedCloud, database: DescribedCloud, params: PipelineParams
+) -> Registration:
+    """Associate mutually, find the motion by RANSAC, score it by its inliers."""
+    pairs = mutual_matches(query, database)
+    found = ransac_se3(
+        query.points[pairs[:, 0]],
+        database.points[pairs[:, 1]],
+        params.registration.inlier_radius,
+        params.registration.seed,
+    )
+    if found is None:
+        return outcome(None, np.zeros(len(pairs), bool))
+    motion, inliers = found
+    return outcome(seen_from_above(motion, query.middle), inliers)

@@ -1,0 +1,138 @@
+"""The ways of detecting loop closures, by the names that users give them."""
+
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.libraries import load_library
+from gpgrad_core.methods.appearance import appearance_detector
+from gpgrad_core.methods.chance import chance_detector
+from gpgrad_core.methods.cshot import cshot_detector
+from gpgrad_core.methods.elevation import elevation_detector, elevation_params
+from gpgrad_core.methods.fpfh import fgr_detector, fpfh_detector
+from gpgrad_core.methods.kiss_matcher import kiss_matcher_detector
+from gpgrad_core.methods.map_closures import map_closures_detector
+from gpgrad_core.methods.outcome import judged_by_inliers
+from gpgrad_core.methods.paper import PaperDetector, paper_params
+from gpgrad_core.methods.shot import shot_detector
+from gpgrad_core.methods.smoothed import smoothed_detector
+from gpgrad_core.pipeline import MapDetector, PipelineParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.types import LoopDetector
+
+
+def _as_given(params: PipelineParams) -> PipelineParams:
+    return params
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """A way of detecting loop closures.
+
+    Attributes:
+        name: What ``--method`` calls it.
+        summary: What it does, in a line.
+        detector: Makes its detector, which keeps what it makes of each submap in the memo.
+        adapt: Turns the parameters asked for into those that the method runs with.
+        package: Module that it needs and that may not load: of an extra, or for want of a shared
+            library of the system.
+        install: What pip installs to bring the package.
+    """
+
+    name: str
+    summary: str
+    detector: Callable[[PipelineParams, Memo], LoopDetector]
+    adapt: Callable[[PipelineParams], PipelineParams] = _as_given
+    package: str = ""
+    install: str = "gpgrad"
+
+    @property
+    def installed(self) -> bool:
+        """Whether the package it needs is there."""
+        return not self.package or importlib.util.find_spec(self.package) is not None
+
+
+METHODS: dict[str, Method] = {
+    method.name: method
+    for method in (
+        Method("gradient", "Keypoints on Gaussian-process gradient maps.", MapDetector),
+        Method("paper", "The paper to the letter.", PaperDetector, paper_params),
+        Method(
+            "elevation",
+            "The same, keypoints on the elevation image.",
+            elevation_detector,
+            elevation_params,
+        ),
+        Method("smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector),
+        Method(
+            "fpfh",
+            "FPFH and RANSAC.",
+            fpfh_detector,
+            judged_by_inliers,
+            package="open3d",
+        ),
+        Method(
+            "fgr",
+            "FPFH and fast global registration.",
+            fgr_detector,
+            judged_by_inliers,
+            package="open3d",
+        ),
+        Method(
+            "shot",
+            "SHOT on curved keypoints, RANSAC.",
+            shot_detector,
+            judged_by_inliers,
+            package="open3d",
+        ),
+        Method(
+            "cshot",
+            "SHOT with colours, RANSAC.",
+            cshot_detector,
+            judged_by_inliers,
+            package="open3d",
+        ),
+        Method(
+            "appearance",
+            "ORB and a bag of words, on the dataset's images.",
+            appearance_detector,
+            judged_by_inliers,
+        ),
+        Method(
+            "kiss-matcher",
+            "KISS-Matcher, of the extra 'peers'.",
+            kiss_matcher_detector,
+            judged_by_inliers,
+            package="kiss_matcher",
+            install="gpgrad[peers]",
+        ),
+        Method(
+            "map-closures",
+            "MapClosures, of the extra 'peers'.",
+            map_closures_detector,
+            judged_by_inliers,
+            package="map_closures",
+            install="gpgrad[peers]",
+        ),
+        Method("chance", "A score at random.", chance_detector, judged_by_inliers),
+    )
+}
+"""Every method by its name."""
+
+
+def find_method(name: str) -> Method:
+    """Find a method by its name.
+
+    Raises:
+        InputError: If there is none of that name, or the package it needs is not installed.
+    """
+    method = METHODS.get(name)
+    if method is None:
+        raise InputError(f"unknown --method {name!r}; known: {', '.join(METHODS)}")
+    if method.package:
+        try:
+            load_library(method.package, method.install)
+        except InputError as error:
+            raise InputError(f"--method {name}: {error}") from None
+    return method

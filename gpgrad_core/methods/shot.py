@@ -1,0 +1,163 @@
+"""Signatures of histograms of orientations: SHOT-352 (Tombari 2010)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import Array
+from gpgrad_core.methods.cloud_detector import CloudDetector
+from gpgrad_core.methods.clouds import DescribedCloud, register_by_ransac, thinned
+from gpgrad_core.methods.curvature import curved_keypoints
+from gpgrad_core.methods.neighbours import Neighbours, neighbours_within
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.types import Submap
+
+VOXEL = 0.4
+NORMAL_RADIUS = 1.2
+CURVATURE_RADIUS = 0.9
+KEYPOINT_SPACING = 0.45
+SUPPORT_RADIUS = 5.0
+"""All in length-scales: 12, 36, 27, 14 and 150 cm at the default 0.3 m."""
+MAX_KEYPOINTS = 600
+
+AZIMUTHS, ELEVATIONS, SHELLS = 8, 2, 2
+COSINES = 11
+SECTORS = AZIMUTHS * ELEVATIONS * SHELLS
+MIN_NEIGHBOURS = 5
+
+
+def shot_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedCloud]:
+    """Make SHOT-352 on keypoints of high curvature, with RANSAC."""
+    return CloudDetector(describe_shot, register_by_ransac, params, memo)
+
+
+def describe_shot(submap: Submap, params: PipelineParams) -> DescribedCloud:
+    """Describe a submap's keypoints by SHOT-352."""
+    surface = curved_surface(submap, params)
+    described = shot(surface.points, surface.normals, surface.keypoints, surface.radius)
+    middle = submap.points.mean(axis=0, keepdims=True)
+    return DescribedCloud(surface.keypoints, described.astype(np.float32), middle)
+
+
+@dataclass(frozen=True, eq=False)
+class CurvedSurface:
+    """A thinned cloud and its keypoints."""
+
+    points: Float[Array, "n 3"]  # [m]
+    normals: Float[Array, "n 3"]
+    colors: Float[Array, "n 3"] | None  # in [0, 1]
+    keypoints: Float[Array, "k 3"]  # [m]
+    radius: float  # of the descriptors' support [m]
+
+
+def curved_surface(submap: Submap, params: PipelineParams) -> CurvedSurface:
+    """Thin a submap and choose its keypoints."""
+    scale = params.map.length_scale
+    cloud = thinned(submap, VOXEL * scale, NORMAL_RADIUS * scale)
+    points = np.array(cloud.points, dtype=np.float64)
+    chosen = curved_keypoints(
+        points, CURVATURE_RADIUS * scale, KEYPOINT_SPACING * scale, MAX_KEYPOINTS
+    )
+    return CurvedSurface(
+        points,
+        np.array(cloud.normals, dtype=np.float64),
+        np.array(cloud.colors, dtype=np.float64) if cloud.has_colors() else None,
+        points[chosen],
+        SUPPORT_RADIUS * scale,
+    )
+
+
+def shot(
+    points: Float[Array, "n 3"],
+    normals: Float[Array, "n 3"],
+    keypoints: Float[Array, "k 3"],
+    radius: float,
+) -> Float[Array, "k 352"]:
+    """Describe keypoints by where their neighbours lie, and how these are turned.
+
+    Each neighbour counts in one of 32 sectors of the keypoint's own frame, by the cosine
+    between its normal and the frame's z; shared linearly with the bins beside it along all four
+    coordinates. The whole is of unit length.
+
+    Args:
+        points: Of the cloud [m].
+        normals: Of the points, all to one side of the surface.
+        keypoints: Where to describe [m].
+        radius: Of the support [m].
+    """
+    near = neighbours_within(points, keypoints, radius)
+    frames = local_frames(points, keypoints, near, radius)
+    cosine = np.einsum("pi,pi->p", normals[near.index], frames[near.query, 2])
+    sectors = sectors_of(points, keypoints, near, frames, radius)
+    return sector_histograms(near, sectors, (np.clip(cosine, -1, 1) + 1) / 2 * COSINES, COSINES)
+
+
+def local_frames(
+    points: Float[Array, "n 3"], keypoints: Float[Array, "k 3"], near: Neighbours, radius: float
+) -> Float[Array, "k 3 3"]:
+    """Find each keypoint's own frame; its rows are x, y and z.
+
+    The eigenvectors of the covariance about the keypoint, nearer points weighing more; x and z
+    point to where most of the neighbours lie.
+    """
+    offsets = points[near.index] - keypoints[near.query]
+    weights = radius - np.linalg.norm(offsets, axis=1)
+    products = weights[:, None, None] * offsets[:, :, None] * offsets[:, None, :]
+    total = np.maximum(near.sum_up(weights[:, None]), 1e-12)
+    covariance = (near.sum_up(products.reshape(-1, 9)) / total).reshape(-1, 3, 3)
+    _, vectors = np.linalg.eigh(covariance)
+    z, x = (_to_the_many(vectors[:, :, k], offsets, near) for k in (0, 2))
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def _to_the_many(
+    axis: Float[Array, "k 3"], offsets: Float[Array, "p 3"], near: Neighbours
+) -> Float[Array, "k 3"]:
+    side = np.sign(np.einsum("pi,pi->p", offsets, axis[near.query]))
+    return np.where(near.sum_up(side[:, None]) >= 0, axis, -axis)
+
+
+def sectors_of(
+    points: Float[Array, "n 3"],
+    keypoints: Float[Array, "k 3"],
+    near: Neighbours,
+    frames: Float[Array, "k 3 3"],
+    radius: float,
+) -> Float[Array, "p 3"]:
+    """Place each neighbour: (azimuth, elevation, shell), in bins."""
+    offsets = points[near.index] - keypoints[near.query]
+    x, y, z = np.einsum("pij,pj->ip", frames[near.query], offsets)
+    distance = np.maximum(np.linalg.norm(offsets, axis=1), 1e-12)
+    azimuth = (np.arctan2(y, x) / (2 * np.pi) + 0.5) * AZIMUTHS
+    elevation = (np.arcsin(np.clip(z / distance, -1, 1)) / np.pi + 0.5) * ELEVATIONS
+    return np.column_stack([azimuth, elevation, distance / radius * SHELLS])
+
+
+def sector_histograms(
+    near: Neighbours,
+    sectors: Float[Array, "p 3"],
+    values: Float[Array, "p"],
+    num_values: int,
+) -> Float[Array, "k d"]:
+    """Count neighbours by sector and value, each shared among the nearest bins: at most 16."""
+    counted = near.counts[near.query] >= MIN_NEIGHBOURS
+    coordinates = np.column_stack([sectors, values])[counted]
+    sizes = np.array([AZIMUTHS, ELEVATIONS, SHELLS, num_values])
+    low = np.floor(coordinates - 0.5).astype(np.int64)
+    share = coordinates - 0.5 - low
+    query = near.query[counted]
+    length = SECTORS * num_values
+    histograms = np.zeros(len(near.counts) * length)
+    for corner in np.ndindex(2, 2, 2, 2):
+        step = np.array(corner)
+        weight = np.where(step, share, 1 - share).prod(axis=1)
+        bins = low + step
+        bins[:, 0] %= AZIMUTHS  # all around; the others end at their last bin
+        bins = np.clip(bins, 0, sizes - 1)
+        at = np.ravel_multi_index(tuple(bins.T), tuple(sizes))
+        histograms += np.bincount(query * length + at, weight, len(histograms))
+    histograms = histograms.reshape(-1, length)
+    norms = np.linalg.norm(histograms, axis=1, keepdims=True)
+    return histograms / np.maximum(norms, 1e-12)

@@ -1,0 +1,30 @@
+"""The order of the stages: one map, one pair, or all pairs of a dataset.
+
+Nothing else knows this order. What a changed parameter does not touch is not computed again.
+"""
+
+from gpgrad_core.pipeline.detection import (
+    DetectionResult,
+    MapDetector,
+    PairResult,
+    PipelineParams,
+    View,
+    detect_loop_closures,
+    extract_kept,
+    infer_features,
+    infer_map,
+    register_pair,
+)
+
+__all__ = [
+    "DetectionResult",
+    "MapDetector",
+    "PairResult",
+    "PipelineParams",
+    "View",
+    "detect_loop_closures",
+    "extract_kept",
+    "infer_features",
+    "infer_map",
+    "register_pair",
+]

@@ -1,0 +1,131 @@
+"""A coarse map, quickly: what there is to see while a slider moves and the full one is made."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gpgrad_core.gp.accuracy import ROUGH
+from gpgrad_core.gp.binning import bin_points
+from gpgrad_core.gp.inference import Posterior
+from gpgrad_core.gradient_map import (
+    MapParams,
+    TerrainParams,
+    fit_terrain,
+    kept_rows,
+    map_grid,
+    ordinary_noise,
+    sample_map,
+    signal_std_of,
+)
+from gpgrad_core.run.helper import Helper, beside
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.types import GradientMap, Submap, read_only
+
+COARSER = 3.0
+"""Side of a cell of the coarse map, in cells of the full one."""
+THINNED_TO = 0.7
+"""Cells of this many length-scales keep one point each: more would hardly change the picture.
+
+Even thinning leaves the trusted area as it is, where thinning at random tears holes. Measured at
+length-scales from 0.15 to 0.5 m and a noise of 5 cm: heights within 2 cm rms of the full map's,
+the trusted area within 2 % of the map, in under half the time.
+"""
+FEWEST_CELLS = 50
+"""Along the longer side of the submap: long length-scales are cheap with more points too."""
+LEAST_SIGNAL_STD = 0.001
+"""What the params allow [m]; perfectly flat ground has less."""
+
+
+def infer_coarse_map(
+    submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
+) -> GradientMap:
+    """Infer the map of fewer points on larger cells; of the full fit where there already is one.
+
+    Args:
+        submap: Gravity-aligned points [m].
+        params: Those of the full map.
+        memo: Shared with the pipeline.
+        progress: Called now and then; may raise Cancelled.
+
+    Raises:
+        InputError: If the GP would be too large or cannot be solved.
+    """
+    resolution = COARSER * params.resolution
+    map_grid(submap, resolution)  # refuse a cloud that is too wide before the long work
+    if memo.holds(fit_terrain, submap, params.terrain):
+        posterior = memo(fit_terrain, submap, params.terrain)
+    else:
+        of_all = signal_std_of(submap.points[kept_rows(submap, params.max_points)], params)
+        fewer = replace(
+            params.terrain,
+            signal_std=max(of_all, LEAST_SIGNAL_STD),
+            max_points=None,
+            noise_model="file",
+            noise_factor=1.0,
+        )
+        thinned = memo(thin_evenly, submap, params.terrain)
+        posterior = memo(fit_roughly, thinned, fewer, progress=progress)
+    return memo(sample_map, submap, posterior, resolution)
+
+
+def fit_roughly(submap: Submap, params: TerrainParams, progress: Progress = silent) -> Posterior:
+    """Fit the GP to points [m], not quite exactly.
+
+    Raises:
+        InputError: If the GP would be too large or cannot be solved.
+    """
+    return fit_terrain(submap, params, progress, ROUGH)
+
+
+def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
+    """Replace the points of every cell of `THINNED_TO` length-scales by their weighted mean.
+
+    Outliers are not looked for here, but by the fit, among the means: it costs less.
+
+    Args:
+        submap: What is thinned, after what `max_points` asks for.
+        params: Of the full map.
+    """
+    kept = kept_rows(submap, params.max_points)
+    points, noise_std = submap.points[kept], ordinary_noise(submap, submap, params)[kept]
+    longest = float(np.ptp(points[:, :2], axis=0).max())
+    cell = min(THINNED_TO * params.length_scale, longest / FEWEST_CELLS)
+    means, _ = bin_points(points, cell, noise_std)
+    # A mean stands for ground that bends over its cell: it is not believed more than a point.
+    of_cell = bin_points(np.column_stack([points[:, :2], noise_std]), cell)[0][:, 2]
+    read_only(means)
+    # Its own key in the memo, without hashing the points anew.
+    return Submap(submap.id, means, f"{submap.fingerprint}-{hash(params)}", noise_std=of_cell)
+
+
+def infer_quick_maps(
+    query: Submap,
+    database: Submap,
+    params: MapParams,
+    memo: Memo,
+    helper: Helper | None = None,
+    progress: Progress = silent,
+) -> tuple[GradientMap, GradientMap]:
+    """Give `infer_quick_map` of two submaps, at once if there is a helper.
+
+    Raises:
+        InputError: If the GP would be too large or cannot be solved.
+    """
+    pair = (query, database)
+    if helper is None or any(memo.holds(fit_terrain, submap, params.terrain) for submap in pair):
+        made, other = (infer_quick_map(submap, params, memo, progress) for submap in pair)
+        return made, other
+    here, there = (query, params, memo), (database, params, Memo())
+    return beside(helper, infer_coarse_map, here, there, progress)
+
+
+def infer_quick_map(
+    submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
+) -> GradientMap:
+    """Give the full map if it is in the memo, and else a coarse one."""
+    if memo.holds(fit_terrain, submap, params.terrain):
+        posterior = memo(fit_terrain, submap, params.terrain)
+        if memo.holds(sample_map, submap, posterior, params.resolution):
+            return memo(sample_map, submap, posterior, params.resolution)
+    return infer_coarse_map(submap, params, memo, progress)

@@ -1,0 +1,277 @@
+"""The order of the stages; the only file that knows it."""
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from gpgrad_core.features import FeatureParams, detect_features, select_trusted
+from gpgrad_core.gp.inference import Posterior
+from gpgrad_core.gradient_map import MapParams, fit_terrain, map_grid, sample_map
+from gpgrad_core.loop_closure import ClosureParams, classify
+from gpgrad_core.matching import MatchParams, match_features
+from gpgrad_core.pipeline.all_pairs import compare_all
+from gpgrad_core.registration import (
+    Prepared,
+    RegistrationParams,
+    prepare,
+    register_prepared,
+)
+from gpgrad_core.run.helper import Helper, beside
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.types import (
+    Dataset,
+    Features,
+    GradientMap,
+    LoopClosure,
+    LoopDetector,
+    Matches,
+    Registration,
+    Submap,
+)
+
+
+@dataclass(frozen=True)
+class PipelineParams:
+    """All parameters, a group a stage."""
+
+    map: MapParams = field(default_factory=MapParams)
+    features: FeatureParams = field(default_factory=FeatureParams)
+    matching: MatchParams = field(default_factory=MatchParams)
+    registration: RegistrationParams = field(default_factory=RegistrationParams)
+    closure: ClosureParams = field(default_factory=ClosureParams)
+
+
+@dataclass(frozen=True, eq=False)
+class PairResult:
+    """Everything between two submaps and the verdict on them, for whoever wants to look."""
+
+    query_map: GradientMap
+    database_map: GradientMap
+    query_features: Features
+    database_features: Features
+    matches: Matches
+    registration: Registration
+    closure: LoopClosure
+
+
+@dataclass(frozen=True, eq=False)
+class DetectionResult:
+    """All pairs of a dataset, each with its verdict.
+
+    Attributes:
+        closures: Every unordered pair once; the database submap is the earlier one.
+        seconds: Time spent, by stage: maps, features, pairs, total.
+    """
+
+    closures: tuple[LoopClosure, ...]
+    seconds: dict[str, float]
+
+
+def infer_map(
+    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> GradientMap:
+    """Make a submap's gradient map, keeping the fitted GP and the map apart."""
+    map_grid(submap, params.map.resolution)  # refuse a cloud that is too wide before the long work
+    posterior = memo(fit_terrain, submap, params.map.terrain, progress=progress)
+    return memo(sample_map, submap, posterior, params.map.resolution)
+
+
+def infer_features(
+    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> Features:
+    """Make a submap's keypoints."""
+    return extract_kept(infer_map(submap, params, memo, progress), params, memo)
+
+
+def extract_kept(gradient_map: GradientMap, params: PipelineParams, memo: Memo) -> Features:
+    """Draw a map's keypoints, keeping the untrusted ones apart for when the mask moves."""
+    detected = memo(detect_features, gradient_map, params.features.detector)
+    return memo(select_trusted, detected, params.features)
+
+
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """All that is made of one submap before it meets the other."""
+
+    posterior: Posterior
+    gradient_map: GradientMap
+    detected: Features
+    prepared: Prepared
+
+
+def _infer_side(
+    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> _Side:
+    """Run the stages of one submap."""
+    gradient_map = infer_map(submap, params, memo, progress)
+    posterior = memo(fit_terrain, submap, params.map.terrain)
+    detected = memo(detect_features, gradient_map, params.features.detector)
+    return _Side(posterior, gradient_map, detected, memo(prepare, gradient_map))
+
+
+def _infer_both(
+    query: Submap,
+    database: Submap,
+    params: PipelineParams,
+    memo: Memo,
+    helper: Helper,
+    progress: Progress,
+) -> None:
+    """Run the stages of both submaps at once, into the memo."""
+    here, there = (query, params, memo), (database, params, Memo())
+    _, side = beside(helper, _infer_side, here, there, progress)
+    # What came from the other process is known from now on by how it was made.
+    posterior = memo.keep(side.posterior, fit_terrain, database, params.map.terrain)
+    gradient_map = memo.keep(
+        side.gradient_map, sample_map, database, posterior, params.map.resolution
+    )
+    memo.keep(side.detected, detect_features, gradient_map, params.features.detector)
+    memo.keep(side.prepared, prepare, gradient_map)
+
+
+def register_pair(
+    query: Submap,
+    database: Submap,
+    params: PipelineParams,
+    memo: Memo,
+    progress: Progress = silent,
+    helper: Helper | None = None,
+) -> PairResult:
+    """Run every stage for one pair; what is in the memo is not run again.
+
+    Args:
+        query: Submap to be placed.
+        database: Submap it is placed on.
+        params: Of all stages.
+        memo: Shared by all calls that may ask for the same again.
+        progress: Called with the fraction done; may raise Cancelled.
+        helper: Takes one of the submaps where both are new; the answer is the same.
+
+    Raises:
+        InputError: If a submap's map cannot be made.
+    """
+    terrain = params.map.terrain
+    if helper is not None and not any(
+        memo.holds(fit_terrain, submap, terrain) for submap in (query, database)
+    ):
+        _infer_both(query, database, params, memo, helper, part(progress, 0.0, 0.8))
+    query_features = infer_features(query, params, memo, part(progress, 0.0, 0.4))
+    database_features = infer_features(database, params, memo, part(progress, 0.4, 0.8))
+    query_map = infer_map(query, params, memo)
+    database_map = infer_map(database, params, memo)
+    matches = memo(match_features, query_features, database_features, params.matching)
+    registration = memo(
+        register_prepared,
+        memo(prepare, query_map),
+        memo(prepare, database_map),
+        matches,
+        params.registration,
+        progress=part(progress, 0.8, 1.0),
+    )
+    closure = classify(registration, params.closure, query_id=query.id, database_id=database.id)
+    return PairResult(
+        query_map,
+        database_map,
+        query_features,
+        database_features,
+        matches,
+        registration,
+        closure,
+    )
+
+
+MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], GradientMap]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """All that the comparison needs of one submap; little of it, for it may go to a process."""
+
+    features: Features
+    prepared: Prepared
+
+
+@dataclass(frozen=True, eq=False)
+class MapDetector:
+    """The pipeline as a `LoopDetector`; and, with other maps or images, some of its rivals.
+
+    Attributes:
+        params: Of all stages.
+        memo: Keeps what was made of each submap; empty at first in another process.
+        make_map: Makes a submap's map; a function of a module, so that it can be pickled.
+        drawn_from: The map whose ``gradient`` is the image that keypoints are drawn from.
+    """
+
+    params: PipelineParams
+    memo: Memo
+    make_map: MapMaker = infer_map
+    drawn_from: Callable[[GradientMap], GradientMap] | None = None
+
+    def __call__(self, query: Submap, database: Submap) -> Registration:
+        """Register the query to the database."""
+        return self.compare(self.extract(self.infer(query)), self.extract(self.infer(database)))
+
+    def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
+        """Make the map."""
+        return self.make_map(submap, self.params, self.memo, progress)
+
+    def extract(self, made: GradientMap, progress: Progress = silent) -> View:
+        """Draw the keypoints."""
+        image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
+        features = extract_kept(image, self.params, self.memo)
+        progress(1.0)
+        return View(features, self.memo(prepare, made))
+
+    def compare(self, query: View, database: View) -> Registration:
+        """Match and register."""
+        matches = self.memo(match_features, query.features, database.features, self.params.matching)
+        return self.memo(
+            register_prepared,
+            query.prepared,
+            database.prepared,
+            matches,
+            self.params.registration,
+        )
+
+
+def detect_loop_closures(
+    dataset: Dataset,
+    params: PipelineParams | None = None,
+    *,
+    detector: LoopDetector | None = None,
+    executor: Executor | None = None,
+    memo: Memo | None = None,
+    progress: Progress = silent,
+) -> DetectionResult:
+    """Compare every submap with all earlier ones.
+
+    Args:
+        dataset: Submaps in order.
+        params: Of all stages; of the verdict only, where a detector is given.
+        detector: Another way to register pairs; None is the pipeline.
+        executor: Threads or processes to share the work out to; None does it all here. The
+            answer is the same. For processes the detector must be picklable.
+        memo: To share results with other calls; None keeps what this call needs. Processes do
+            not fill it.
+        progress: Called from this thread now and then; may raise Cancelled.
+
+    Raises:
+        InputError: If a submap's map cannot be made.
+    """
+    params = params or PipelineParams()
+    if detector is None:
+        detector = MapDetector(params, memo or Memo())
+    submaps = dataset.submaps
+    found, seconds = compare_all(submaps, detector, executor, progress)
+    closures = tuple(
+        classify(
+            registration,
+            params.closure,
+            query_id=submaps[query].id,
+            database_id=submaps[database].id,
+        )
+        for (query, database), registration in found
+    )
+    return DetectionResult(closures, seconds)

@@ -1,0 +1,172 @@
+"""Keypoints: in metres, at the right place, found again on turned ground, masked afterwards."""
+
+from dataclasses import replace
+from typing import Literal
+
+import cv2
+import numpy as np
+import pytest
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.features import (
+    DetectorParams,
+    FeatureParams,
+    detect_features,
+    extract_features,
+    select_trusted,
+)
+from gpgrad_core.matching import match_features
+from gpgrad_core.pipeline import PipelineParams, infer_features
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import GradientMap, Grid
+from tests.core.features.maps import ground_turned_by, seen_from
+from tests.core.ground import Ground, submap
+
+Name = Literal["akaze", "kaze", "sift", "orb", "surf", "slope"]
+DETECTORS: list[Name] = ["akaze", "kaze", "sift", "orb", "surf", "slope"]
+IMAGE_BLOBS: list[Name] = ["akaze", "kaze", "sift", "surf"]
+"""Those that seek blobs of the gradient image: ORB seeks corners, slope hills and saddles."""
+GRID = ground_turned_by(0)[0].grid
+
+
+@pytest.mark.parametrize(
+    ("name", "share"),
+    [
+        ("akaze", 0.9),
+        ("kaze", 0.9),
+        ("sift", 0.9),
+        ("orb", 0.8),
+        ("surf", 0.9),
+        ("slope", 0.95),
+    ],
+)
+@pytest.mark.parametrize("degrees", [360, 37, 180])  # 360: shifted only
+def test_they_match_on_turned_ground(name: Name, share: float, degrees: float) -> None:
+    query, T_database_query = ground_turned_by(degrees)
+    database, _ = ground_turned_by(0)
+    params = FeatureParams(detector=DetectorParams(name))
+    matches = match_features(extract_features(query, params), extract_features(database, params))
+    there = T_database_query.apply(matches.query_xy)
+    # Where the other map ends there is nothing to be right about.
+    known = (np.abs(there) < 4.7).all(axis=1)
+    right = np.hypot(*(there - matches.database_xy).T) <= 0.15
+    assert known.sum() > 100
+    assert right[known].mean() >= share
+
+
+@pytest.mark.parametrize("name", IMAGE_BLOBS)
+@pytest.mark.parametrize("place", [(1.3, -2.1), (-3.05, 2.0)])
+def test_a_bump_is_found_where_it_is_and_as_wide_as_it_is(
+    name: Name, place: tuple[float, float]
+) -> None:
+    width = 0.25
+    grid = Grid((-6.0, -5.0), 0.05, (201, 251))
+    offsets = grid.positions - np.array(place)
+    # A patch that is steep all over: a blob in the gradient image.
+    steep = 1.2 * np.exp(-np.sum(offsets**2, axis=1) / (2 * width**2)).reshape(grid.shape)
+    slope = np.stack([steep, np.zeros(grid.shape)], axis=-1)
+    flat = np.full(grid.shape, 1e-4)
+    features = detect_features(
+        GradientMap(grid, np.zeros(grid.shape), flat, slope, 0.15, 0.3),
+        DetectorParams(name),
+    )
+    strongest = int(np.argmax(features.responses))
+    np.testing.assert_allclose(features.positions[strongest], place, atol=0.03)
+    assert width < features.scales[strongest] < 10 * width
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_position_is_that_of_the_grid(name: Name) -> None:
+    made, _ = ground_turned_by(0)
+    here = detect_features(made, DetectorParams(name))
+    moved = Grid((95.0, -205.0), 0.05, GRID.shape)
+    there = detect_features(replace(made, grid=moved), DetectorParams(name))
+    assert len(here) > 50
+    np.testing.assert_allclose(
+        here.positions + np.array([100.0, -200.0]), there.positions, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_the_std_ratio_is_that_of_the_cell(name: Name) -> None:
+    made = ground_turned_by(0)[0]
+    ramp = np.linspace(0.01, 1.0, GRID.shape[1]) * made.signal_std
+    variance = np.broadcast_to(ramp**2, GRID.shape).copy()
+    ramped = replace(made, variance=variance)
+    features = detect_features(ramped, DetectorParams(name))
+    column = np.rint(GRID.to_pixel(features.positions)[:, 0]).astype(int)
+    np.testing.assert_allclose(features.std_ratios, ramp[column] / made.signal_std)
+    for ratio in (0.3, 0.6):
+        kept = select_trusted(features, FeatureParams(max_std_ratio=ratio, max_keypoints=20_000))
+        assert kept.std_ratios.max() <= ratio
+        assert len(kept) == np.sum(features.std_ratios <= ratio)
+
+
+def test_the_strongest_are_kept_in_their_order() -> None:
+    features = detect_features(ground_turned_by(0)[0], DetectorParams("akaze"))
+    kept = select_trusted(features, FeatureParams(max_std_ratio=1.0, max_keypoints=50))
+    assert len(features) > 100
+    assert len(kept) == 50
+    assert kept.responses.min() >= np.sort(features.responses)[-50]
+    order = [int(np.flatnonzero((features.positions == p).all(1))[0]) for p in kept.positions]
+    assert order == sorted(order)
+
+
+def test_moving_the_mask_detects_nothing_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    memo, ground = Memo(), submap(1)
+    params = PipelineParams()
+    all_of_them = infer_features(ground, params, memo)
+
+    def never(*_: object) -> None:
+        raise AssertionError
+
+    for name in ("AKAZE_create", "SIFT_create"):
+        for home in (cv2, getattr(cv2, "xfeatures2d", cv2)):
+            if hasattr(home, name):
+                monkeypatch.setattr(home, name, never)
+    masked = PipelineParams(features=FeatureParams(max_std_ratio=0.2))
+    fewer = infer_features(ground, masked, memo)
+    assert 0 < len(fewer) < len(all_of_them)
+    assert infer_features(ground, params, memo) is all_of_them
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+@pytest.mark.parametrize("shape", [(1, 1), (2, 300), (300, 3), (15, 15), (16, 16), (17, 60)])
+def test_tiny_maps_have_few_keypoints_or_none(name: Name, shape: tuple[int, int]) -> None:
+    tiny = seen_from(Ground.random(2), SE2(), Grid((0.0, 0.0), 0.05, shape))
+    params = FeatureParams(detector=DetectorParams(name))
+    features = extract_features(tiny, params)
+    # Slopes are known at single cells already; blobs of an image need room.
+    assert len(features) == 0 or min(shape) >= (3 if name == "slope" else 16)
+    assert features.positions.shape == (len(features), 2)
+    whole = extract_features(ground_turned_by(0)[0], params)
+    assert features.descriptors.shape[1] == whole.descriptors.shape[1]
+    assert len(features) == 0 or features.descriptors.dtype == whole.descriptors.dtype
+    match_features(features, whole)  # either way round, and of nothing with nothing
+    match_features(whole, features)
+    match_features(features, features)
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_flat_ground_has_no_keypoints(name: Name) -> None:
+    zeros = np.zeros(GRID.shape)
+    flat = GradientMap(GRID, zeros, zeros + 1e-4, np.zeros((*GRID.shape, 2)), 0.15, 0.3)
+    assert len(extract_features(flat, FeatureParams(detector=DetectorParams(name)))) == 0
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_the_same_map_gives_the_same_keypoints(name: Name) -> None:
+    made = ground_turned_by(0)[0]
+    params = FeatureParams(detector=DetectorParams(name))
+    a, b = extract_features(made, params), extract_features(made, params)
+    np.testing.assert_array_equal(a.positions, b.positions)
+    np.testing.assert_array_equal(a.descriptors, b.descriptors)
+
+
+def test_the_gradient_range_is_what_an_8_bit_image_shows_as_white() -> None:
+    made = ground_turned_by(0)[0]
+    clipped = detect_features(made, DetectorParams("sift", gradient_range=0.05))
+    assert len(clipped) != len(detect_features(made, DetectorParams("sift")))
+    with pytest.raises(InputError, match="gradient_range"):
+        DetectorParams("sift", gradient_range=0.0)

@@ -1,0 +1,35 @@
+"""Every rival recognises rocks that it has seen before: none is a straw man."""
+
+import numpy as np
+import pytest
+
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.methods import METHODS, find_method
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.se2 import SE2
+from tests.core.methods.rocks import look
+
+PARAMS = PipelineParams(map=MapParams(resolution=0.05))
+T_WORLD_DATABASE = SE2(0.5, -0.3, 0.4)
+T_WORLD_QUERY = SE2(1.1, 0.6, -2.1)
+DATABASE = look(T_WORLD_DATABASE, "database", seed=1)
+QUERY = look(T_WORLD_QUERY, "query", seed=2)
+STRANGER = look(SE2(), "stranger", seed=3, ground=4)
+ELSEWHERE = {"chance", "appearance"}
+"""What guesses, and what looks at images."""
+
+
+@pytest.mark.parametrize("name", sorted(METHODS.keys() - ELSEWHERE))
+def test_a_rocky_place_seen_again_is_found_and_ranks_above_another(name: str) -> None:
+    if not METHODS[name].installed:
+        pytest.skip(f"{METHODS[name].package} is not installed")
+    method = find_method(name)
+    detector = method.detector(method.adapt(PARAMS), Memo())
+    again, other = detector(QUERY, DATABASE), detector(STRANGER, DATABASE)
+    found = again.T_database_query
+    assert found is not None
+    error = (T_WORLD_DATABASE.inverse() @ T_WORLD_QUERY).inverse() @ found
+    assert np.hypot(error.x, error.y) < 0.2
+    assert abs(np.degrees(error.yaw)) < 3
+    assert again.score > 1.5 * other.score

@@ -1,0 +1,103 @@
+"""Bounds: rounding that makes equal slider positions equal keys, and checks that name the rule."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typing_extensions import Doc
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.features import FeatureParams
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.loop_closure import ClosureParams
+from gpgrad_core.matching import MatchParams
+from gpgrad_core.params.bounds import Bounds, bounded_fields, check_bounds
+from gpgrad_core.registration import RegistrationParams
+
+PARAMS = (MapParams, FeatureParams, MatchParams, RegistrationParams, ClosureParams)
+steps = st.sampled_from([1e-3, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 1.0, 10.0])
+
+
+@dataclass(frozen=True)
+class Oven:
+    heat: Annotated[float, Bounds(20.0, 250.0, 5.0, "°C"), Doc("How hot.")] = 180.0
+    minutes: Annotated[int | None, Bounds(1, 90, 1)] = None
+    fan: Annotated[bool, Doc("Whether it blows.")] = False
+    name: str = "oven"
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+
+@given(steps, st.integers(-10_000, 10_000), st.floats(-0.4, 0.4))
+def test_all_values_near_a_step_become_one_value(step: float, k: int, off: float) -> None:
+    bounds = Bounds(-1e6, 1e6, step)
+    assert bounds.round((k + off) * step) == bounds.round(k * step)
+
+
+@given(steps, st.floats(-1000, 1000))
+def test_rounding_twice_changes_nothing(step: float, value: float) -> None:
+    bounds = Bounds(-1e6, 1e6, step)
+    once = bounds.round(value)
+    assert bounds.round(once) == once
+    assert abs(once - value) <= step * 0.5000001 + 1e-6
+
+
+@given(st.integers(0, 10_000))
+def test_it_is_the_number_that_a_person_would_type(k: int) -> None:
+    assert Bounds(0.0, 100.0, 0.01).round(k * 0.01) == float(f"{k / 100:.2f}")
+
+
+def test_a_slider_offers_all_unless_told() -> None:
+    assert Bounds(0.0, 2.0, 0.1).slider_range == (0.0, 2.0)
+    assert Bounds(0.0, 2.0, 0.1, slider=(0.5, 1.0)).slider_range == (0.5, 1.0)
+
+
+def test_bounded_fields_are_found_in_order() -> None:
+    heat, minutes = bounded_fields(Oven)
+    assert (heat.name, heat.default, heat.doc, heat.bounds.unit) == (
+        "heat",
+        180.0,
+        "How hot.",
+        "°C",
+    )
+    assert (minutes.name, minutes.default, minutes.doc) == ("minutes", None, "")
+
+
+@pytest.mark.parametrize("heat", [20.0, 250.0, 33])
+def test_values_within_bounds_pass_and_none_means_unset(heat: float) -> None:
+    assert Oven(heat=heat, minutes=None).heat == heat
+
+
+@pytest.mark.parametrize("heat", [19.999, 250.001, float("nan"), float("inf"), -float("inf")])
+def test_values_outside_are_refused_by_name_rule_and_value(heat: float) -> None:
+    with pytest.raises(InputError) as caught:
+        Oven(heat=heat)
+    assert str(caught.value) == f"heat must be from 20 to 250 °C, got {heat!r}"
+
+
+def test_only_objects_can_be_checked() -> None:
+    for wrong in (Oven, 3.0):
+        with pytest.raises(TypeError, match="dataclass object"):
+            check_bounds(wrong)
+
+
+@pytest.mark.parametrize("params", PARAMS, ids=lambda params: params.__name__)
+def test_every_parameter_of_the_pipeline_is_sound(params: type) -> None:
+    default = params()
+    assert default == params()
+    assert hash(default) == hash(params())
+    for field in bounded_fields(params):
+        bounds = field.bounds
+        low, high = bounds.slider_range
+        assert bounds.low <= low < high <= bounds.high
+        assert 0 < bounds.step <= high - low
+        assert field.doc.endswith(".")
+        if field.default is not None:
+            assert low <= field.default <= high
+            assert bounds.round(field.default) == field.default
+        for wrong in (bounds.low - bounds.step, bounds.high + bounds.step):
+            with pytest.raises(InputError, match=field.name):
+                params(**{field.name: wrong})

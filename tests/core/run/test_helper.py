@@ -1,0 +1,165 @@
+"""A second process beside this one: it answers, it stops, and nothing is lost when it dies."""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import pytest
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.pipeline import PipelineParams, register_pair
+from gpgrad_core.pipeline.coarse import infer_quick_maps
+from gpgrad_core.run.helper import Answer, Helper, beside
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Cancelled, Progress, silent
+from tests.app.synthetic import make_dataset
+
+R = TypeVar("R")
+PARAMS = PipelineParams(map=MapParams(resolution=0.1))
+PATIENCE = 30.0
+
+
+def where(word: str, progress: Progress) -> tuple[str, int]:
+    """Say in which process this is."""
+    progress(0.5)
+    return word, os.getpid()
+
+
+def refuse(word: str, progress: Progress) -> None:  # noqa: ARG001
+    raise InputError(f"{word}: not like that")
+
+
+def count_until_told(file: Path, progress: Progress) -> int:
+    """Write how often it has reported, until it is told to stop."""
+    for count in range(10_000):
+        file.write_text(str(count))
+        progress(count / 10_000)
+        time.sleep(0.002)
+    return 0
+
+
+def die(word: str, progress: Progress) -> None:  # noqa: ARG001
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(PATIENCE)
+
+
+def ask(helper: Helper, function: Callable[..., R], *arguments: object) -> Answer[R]:
+    """Ask as soon as it has started, or has done with what was asked before."""
+    end = time.monotonic() + PATIENCE
+    while (answer := helper.ask(function, *arguments)) is None:
+        assert time.monotonic() < end, "the other process was never free"
+        time.sleep(0.01)
+    return answer
+
+
+def started() -> Helper:
+    helper = Helper()
+    ask(helper, where, "ready").wait()
+    return helper
+
+
+@pytest.fixture(scope="module")
+def helper() -> Iterator[Helper]:
+    made = started()
+    yield made
+    made.close()
+
+
+def test_one_call_is_made_here_and_one_there(helper: Helper) -> None:
+    heard: list[float] = []
+    (first, here), (second, there) = beside(helper, where, ("a",), ("b",), heard.append)
+    assert (first, second) == ("a", "b")
+    assert here == os.getpid() != there
+    assert heard == sorted(heard)
+    assert max(heard) <= 1.0
+
+
+def test_without_a_helper_or_with_a_busy_one_both_are_made_here(
+    helper: Helper, tmp_path: Path
+) -> None:
+    assert beside(None, where, ("a",), ("b",))[1] == ("b", os.getpid())
+    busy = ask(helper, count_until_told, tmp_path / "count")
+    assert helper.ask(where, "c") is None
+    assert beside(helper, where, ("a",), ("b",))[1] == ("b", os.getpid())
+    busy.drop()
+    with pytest.raises(Cancelled):
+        busy.wait()
+
+
+def test_what_is_raised_there_is_raised_here(helper: Helper) -> None:
+    with pytest.raises(InputError, match="no: not like that"):
+        ask(helper, refuse, "no").wait()
+    assert ask(helper, where, "next").wait()[0] == "next"  # it goes on
+
+
+def test_what_is_cancelled_here_stops_there(helper: Helper, tmp_path: Path) -> None:
+    file = tmp_path / "count"
+
+    def enough(fraction: float) -> None:  # noqa: ARG001
+        if file.exists():
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        ask(helper, count_until_told, file).wait(enough)
+    assert ask(helper, where, "free").wait()[0] == "free"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_when_it_dies_the_work_is_done_here() -> None:
+    helper = started()
+    ask(helper, die, "now")
+    time.sleep(0.2)
+    assert beside(helper, where, ("a",), ("b",))[1] == ("b", os.getpid())
+    helper.close()
+
+
+def test_it_ends_when_it_is_closed() -> None:
+    helper = started()
+    _, process = ask(helper, where, "which").wait()
+    helper.close()
+    with pytest.raises(ProcessLookupError):
+        os.kill(process, 0)
+    assert helper.ask(where, "nobody") is None
+
+
+def test_a_pair_is_registered_the_same_with_and_without(helper: Helper) -> None:
+    query, database = make_dataset(num_points=600).submaps[:2]
+    memo = Memo()
+    alone = register_pair(query, database, PARAMS, Memo())
+    both = register_pair(query, database, PARAMS, memo, silent, helper)
+    assert both.registration.score == alone.registration.score
+    assert both.registration.T_database_query == alone.registration.T_database_query
+    for one, other in (
+        (both.query_map, alone.query_map),
+        (both.database_map, alone.database_map),
+    ):
+        np.testing.assert_array_equal(one.elevation, other.elevation)
+        np.testing.assert_array_equal(one.variance, other.variance)
+    # What came from the other process is in the memo like all else.
+    again = register_pair(query, database, PARAMS, memo, silent, helper)
+    assert again.database_map is both.database_map
+    assert again.registration is both.registration
+
+
+def test_quick_maps_are_the_same_with_and_without(helper: Helper) -> None:
+    query, database = make_dataset(num_points=600).submaps[:2]
+    alone = infer_quick_maps(query, database, PARAMS.map, Memo())
+    both = infer_quick_maps(query, database, PARAMS.map, Memo(), helper)
+    for one, other in zip(both, alone, strict=True):
+        np.testing.assert_array_equal(one.elevation, other.elevation)
+
+
+def test_cancelling_a_pair_leaves_the_helper_free(helper: Helper) -> None:
+    query, database = make_dataset(num_points=600).submaps[:2]
+
+    def stop(fraction: float) -> None:  # noqa: ARG001
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        register_pair(query, database, PARAMS, Memo(), stop, helper)
+    assert ask(helper, where, "free").wait()[0] == "free"

@@ -1,0 +1,105 @@
+"""Jobs in order, progress from one thread, and an end that leaves nothing running."""
+
+import pickle
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from gpgrad_core.run.parallel import run_jobs
+from gpgrad_core.run.progress import Cancelled, Progress, silent
+
+
+@pytest.fixture
+def threads() -> Iterator[ThreadPoolExecutor]:
+    with ThreadPoolExecutor(2) as executor:
+        yield executor
+
+
+def doubled(job: int, progress: Progress) -> int:
+    time.sleep(0.002 * (job % 3))  # so that they do not end in the order they began
+    progress(0.5)
+    progress(1.0)
+    return 2 * job
+
+
+@pytest.mark.parametrize("count", [0, 1, 9])
+def test_results_come_in_the_order_of_the_jobs(threads: ThreadPoolExecutor, count: int) -> None:
+    expected = [2 * job for job in range(count)]
+    assert run_jobs(doubled, range(count)) == expected
+    assert run_jobs(doubled, range(count), threads) == expected
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_progress_rises_to_one_and_is_heard_in_the_callers_thread(
+    threads: ThreadPoolExecutor, parallel: bool
+) -> None:
+    heard: list[tuple[float, threading.Thread]] = []
+    run_jobs(
+        doubled,
+        range(9),
+        threads if parallel else None,
+        lambda done: heard.append((done, threading.current_thread())),
+    )
+    fractions = [fraction for fraction, _ in heard]
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == pytest.approx(1.0)
+    assert {thread for _, thread in heard} == {threading.current_thread()}
+
+
+class Endless:
+    """Work that ends only when it is told to."""
+
+    def __init__(self) -> None:
+        self.begun: list[int] = []
+        self.stopped: list[int] = []
+
+    def __call__(self, job: int, progress: Progress) -> None:
+        self.begun.append(job)
+        deadline = time.monotonic() + 20
+        while time.monotonic() < deadline:
+            try:
+                progress(0.1)
+            except Cancelled:
+                self.stopped.append(job)
+                raise
+            time.sleep(0.002)
+
+
+@pytest.mark.parametrize("error", [Cancelled, KeyboardInterrupt])
+def test_a_hook_that_raises_stops_what_runs_and_drops_the_rest(
+    threads: ThreadPoolExecutor, error: type[BaseException]
+) -> None:
+    work = Endless()
+
+    def stop(_: float) -> None:
+        if len(work.begun) == 2:
+            raise error
+
+    with pytest.raises(error):
+        run_jobs(work, range(50), threads, stop)
+    assert sorted(work.stopped) == sorted(work.begun) == [0, 1]
+    assert threads.submit(int, "7").result(timeout=5) == 7  # the executor is still the caller's
+
+
+def test_a_job_that_fails_ends_the_others(threads: ThreadPoolExecutor) -> None:
+    endless = Endless()
+
+    def work(job: int, progress: Progress) -> None:
+        if job == 1:
+            raise ValueError("job 1")
+        endless(job, progress)
+
+    with pytest.raises(ValueError, match="job 1"):
+        run_jobs(work, range(50), threads)
+    assert endless.stopped == endless.begun
+
+
+def test_the_hook_of_a_job_is_silent_in_another_process() -> None:
+    hooks: list[Progress] = []
+
+    with ThreadPoolExecutor(1) as executor:
+        run_jobs(lambda _, progress: hooks.append(progress), [0], executor)
+    assert pickle.loads(pickle.dumps(hooks[0])) is silent

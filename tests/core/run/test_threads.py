@@ -1,0 +1,80 @@
+"""BLAS is held to one thread while we work, and gets its own back, whoever leaves last."""
+
+import threading
+
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from gpgrad_core.run.threads import num_workers, single_threaded_blas
+
+
+def blas_threads() -> list[int]:
+    return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+
+def test_blas_is_held_and_let_go() -> None:
+    with threadpool_limits(2, user_api="blas"):
+        before = blas_threads()
+        assert set(before) == {2}
+        with single_threaded_blas():
+            assert set(blas_threads()) == {1}
+            with single_threaded_blas():
+                assert set(blas_threads()) == {1}
+            assert set(blas_threads()) == {1}
+        assert blas_threads() == before
+
+
+def test_an_error_lets_go_too() -> None:
+    with threadpool_limits(2, user_api="blas"):
+        with pytest.raises(RuntimeError), single_threaded_blas():
+            raise RuntimeError
+        assert set(blas_threads()) == {2}
+
+
+def test_the_last_to_leave_lets_go() -> None:
+    entered, leave = threading.Event(), threading.Event()
+
+    def linger() -> None:
+        with single_threaded_blas():
+            entered.set()
+            leave.wait(10)
+
+    with threadpool_limits(2, user_api="blas"):
+        other = threading.Thread(target=linger)
+        with single_threaded_blas():
+            other.start()
+            entered.wait(10)
+        assert set(blas_threads()) == {1}  # the first has left, the other still works
+        leave.set()
+        other.join()
+        assert set(blas_threads()) == {2}
+
+
+def test_any_thread_may_hold_it_after_another() -> None:
+    seen: list[int] = []
+
+    def work() -> None:
+        with single_threaded_blas():
+            seen.extend(blas_threads())
+
+    with threadpool_limits(2, user_api="blas"):
+        work()
+        other = threading.Thread(target=work)
+        other.start()
+        other.join()
+        assert set(seen) == {1}
+        assert set(blas_threads()) == {2}
+
+
+@pytest.mark.parametrize(("asked", "given"), [("1", 1), ("3", 3)])
+def test_workers_are_as_many_as_asked(
+    monkeypatch: pytest.MonkeyPatch, asked: str, given: int
+) -> None:
+    monkeypatch.setenv("GPGRAD_THREADS", asked)
+    assert num_workers() == given
+
+
+@pytest.mark.parametrize("asked", ["", "0", "-2", "many"])
+def test_what_is_no_number_is_passed_over(monkeypatch: pytest.MonkeyPatch, asked: str) -> None:
+    monkeypatch.setenv("GPGRAD_THREADS", asked)
+    assert num_workers() >= 1
