@@ -22,7 +22,7 @@ from jaxtyping import install_import_hook
 # An int where a float is annotated is what Python means by it (PEP 484), and beartype does not.
 if os.environ.get("GPGRAD_SHAPE_CHECKS", "1") == "1":
     install_import_hook(
-        ["gpgrad_core", "app.views"],
+        ["gpgrad_core", "app.viewer"],
         "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))",
     )
 

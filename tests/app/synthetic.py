@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.state import ViewState
-from app.survey import Survey
+from app.viewer.all_pairs.judging import Survey
+from app.viewer.state import ViewState
 from gpgrad_core.arrays import Array
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.loop_closure import ClosureParams

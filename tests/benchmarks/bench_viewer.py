@@ -20,12 +20,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from app import state as states
-from app.server import Viewer
-from app.session import MAIN_PARAMETERS
-from app.settings import with_path
+from app.viewer import state as states
+from app.viewer.server import Viewer
+from app.viewer.session import MAIN_PARAMETERS
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.gradient_map import MapParams, kept_points
+from gpgrad_core.params.fields import with_path
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.progress import silent
 from gpgrad_core.types import Dataset, Submap

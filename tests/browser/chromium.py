@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, sync_playwright
 
-from app.stage import VIEW_WIDTH
+from app.viewer.modes import VIEW_WIDTH
 from gpgrad_core.arrays import NDArray
 
 # Software rendering that works without a graphics card, and no request of the browser's own.

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from app.server import Viewer
+from app.viewer.server import Viewer
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams

@@ -11,10 +11,10 @@ import viser
 from PIL import Image
 from playwright.sync_api import Browser
 
-from app.animation import ease
-from app.server import Viewer
-from app.state import ViewOptions, open_dataset
-from app.views.scene import PairScene
+from app.viewer.draw.animation import ease
+from app.viewer.pair.scene import PairScene
+from app.viewer.server import Viewer
+from app.viewer.state import ViewOptions, open_dataset
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, register_pair

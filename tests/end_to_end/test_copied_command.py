@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from app.command_line import detect_command
-from app.settings import with_path
-from app.state import open_dataset, with_pair
+from app.viewer.save.command_line import detect_command
+from app.viewer.state import open_dataset, with_pair
 from gpgrad_core.datasets import load_dataset
+from gpgrad_core.params.fields import with_path
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, register_pair
 from gpgrad_core.run.memo import Memo

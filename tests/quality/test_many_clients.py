@@ -13,11 +13,11 @@ from contextlib import suppress
 
 import pytest
 
-from app.server import Sessions, Viewer
-from app.session import MAIN_PARAMETERS
-from app.settings import get_path
+from app.viewer.server import Sessions, Viewer
+from app.viewer.session import MAIN_PARAMETERS
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.params.fields import get_path
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.page import ProtocolPage
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.server import Viewer
+from app.viewer.server import Viewer
 from gpgrad_core.datasets import load_dataset, write_dataset
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams

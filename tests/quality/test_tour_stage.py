@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.server import Viewer
+from app.viewer.server import Viewer
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.datasets.poses import read_poses
 from gpgrad_core.slam import read_graph

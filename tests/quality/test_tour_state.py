@@ -24,8 +24,8 @@ import pytest
 import tifffile
 import trimesh
 
-from app.places import Places
-from app.server import Viewer
+from app.viewer.permissions import Places
+from app.viewer.server import Viewer
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.outputs import read_closures
 from gpgrad_core.params.files import read_parameters

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 import viser
 
-from app import state as states
-from app.session import Opened, Session
-from app.state import ViewState
-from app.turns import Turns
-from app.views.scene import PairScene
+from app.viewer import state as states
+from app.viewer.capacity import Turns
+from app.viewer.pair.scene import PairScene
+from app.viewer.session import Opened, Session
+from app.viewer.state import ViewState
 from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.run.memo import Memo
 from tests.app.synthetic import make_dataset, make_map, make_result
@@ -93,7 +93,7 @@ def test_the_flat_picture_comes_after_the_scene_and_only_the_last(
     server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result = fine_result()
-    monkeypatch.setattr("app.session.register_pair", lambda *args, **kwargs: result)  # noqa: ARG005
+    monkeypatch.setattr("app.viewer.session.register_pair", lambda *args, **kwargs: result)  # noqa: ARG005
     session = Session(server, Opened(STATE.dataset, STATE.params, ""), Memo(), Turns())
     assert session.wait_idle(60)
     drawn: list[int] = []

@@ -1,1 +1,0 @@
-"""The controls: widgets that report whole new values, and read-outs; they never compute."""

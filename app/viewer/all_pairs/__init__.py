@@ -1,0 +1,1 @@
+"""All pairs: every pair compared, as a matrix and as a precision-recall curve."""

@@ -1,0 +1,227 @@
+"""All pairs of a dataset: registered once, then judged anew whenever a threshold moves."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from app.viewer.state import ViewState
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
+from gpgrad_core.evaluation.precision_recall import (
+    PrecisionRecall,
+    average_precision,
+    precision_recall,
+)
+from gpgrad_core.evaluation.ranking import rank_pairs
+from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
+from gpgrad_core.loop_closure import ClosureParams, classify
+from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run.threads import num_workers
+from gpgrad_core.types import Dataset, LoopClosure
+
+RULES: dict[str, Rule] = {rule.name: rule for rule in EvaluationParams().rules}
+"""By name, when a pair counts as truly the same place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Every pair of a dataset, registered.
+
+    Attributes:
+        dataset: Whose pairs.
+        params: That they were registered with.
+        result: The registrations.
+        truth: How far the pairs truly overlap; None where fewer than two true poses are known.
+    """
+
+    dataset: Dataset
+    params: PipelineParams
+    result: DetectionResult
+    truth: TruePairs | None
+
+    def is_of(self, state: ViewState) -> bool:
+        """Say whether a state would give the same registrations: thresholds do not matter."""
+        params = replace(state.params, closure=self.params.closure)
+        return state.dataset is self.dataset and params == self.params
+
+
+@dataclass(frozen=True, eq=False)
+class TruthCheck:
+    """How the verdicts agree with the truth by one rule.
+
+    Attributes:
+        rule: When a pair is true.
+        labels: What it says of the pairs, in the order of the truth.
+        curve: Over the threshold on the score, the one on inliers as it is; None where no pair
+            is true.
+        precision: At the thresholds as they are; NaN where no judged pair is accepted.
+        recall: At the thresholds as they are.
+        average_precision: Area under the curve.
+    """
+
+    rule: Rule
+    labels: Labels
+    curve: PrecisionRecall | None
+    precision: float
+    recall: float
+    average_precision: float
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A survey at some thresholds.
+
+    Attributes:
+        survey: What was judged.
+        closures: Every pair with its verdict, as `DetectionResult` orders them.
+        check: Beside the truth, where that is known.
+        outcomes: Of each closure: `RIGHT` or `WRONG` if it was accepted and the truth decides,
+            `MISSED` if it was wrongly refused, and else `ACCEPTED` or `REFUSED`.
+    """
+
+    survey: Survey
+    closures: tuple[LoopClosure, ...]
+    check: TruthCheck | None
+    outcomes: tuple[str, ...]
+
+    @property
+    def num_accepted(self) -> int:
+        """Pairs taken for loop closures."""
+        return sum(closure.accepted for closure in self.closures)
+
+    def scores(self) -> Float[Array, "n n"]:
+        """Score of each pair by (query, database) in the dataset's order; NaN elsewhere."""
+        places = {submap.id: k for k, submap in enumerate(self.survey.dataset.submaps)}
+        scores = np.full((len(places), len(places)), np.nan)
+        for closure in self.closures:
+            at = places[closure.query_id], places[closure.database_id]
+            scores[at] = closure.registration.score
+        return scores
+
+    def overlaps(self) -> Float[Array, "n n"]:
+        """True overlap by (database, query), mirrored to `scores`; NaN where it is not known."""
+        places = {submap.id: k for k, submap in enumerate(self.survey.dataset.submaps)}
+        overlaps = np.full((len(places), len(places)), np.nan)
+        truth = self.survey.truth
+        if truth is not None and self.check is not None:
+            rows = np.array([places[name] for name in truth.ids])
+            measured = self.check.rule.measured(truth)
+            overlaps[rows[truth.database], rows[truth.query]] = measured
+        return overlaps
+
+
+ACCEPTED, REFUSED = "accepted", "refused"
+RIGHT, WRONG, MISSED = "right", "wrong", "missed"
+
+
+def survey_pairs(
+    dataset: Dataset, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> Survey:
+    """Register all pairs of a dataset, and measure how far they truly overlap.
+
+    Args:
+        dataset: Submaps in order.
+        params: Of all stages.
+        memo: Shared with whatever else needs maps of the same submaps.
+        progress: Called from this thread; may raise Cancelled.
+
+    Raises:
+        InputError: If a submap's map cannot be made.
+    """
+    with ThreadPoolExecutor(num_workers(), thread_name_prefix="all-pairs") as executor:
+        result = detect_loop_closures(
+            dataset, params, executor=executor, memo=memo, progress=part(progress, 0.0, 0.97)
+        )
+    truth = None
+    if sum(submap.pose_true is not None for submap in dataset.submaps) >= 2:
+        truth = measure_pairs(dataset, part(progress, 0.97, 1.0))
+    return Survey(dataset, params, result, truth)
+
+
+def judge(survey: Survey, thresholds: ClosureParams, rule: Rule) -> Judged:
+    """Give every pair its verdict, and set the verdicts beside the truth.
+
+    Args:
+        survey: Registered pairs.
+        thresholds: Of the verdict.
+        rule: When a pair is truly the same place.
+    """
+    closures = tuple(
+        classify(
+            closure.registration,
+            thresholds,
+            query_id=closure.query_id,
+            database_id=closure.database_id,
+        )
+        for closure in survey.result.closures
+    )
+    if survey.truth is None:
+        plain = tuple(ACCEPTED if closure.accepted else REFUSED for closure in closures)
+        return Judged(survey, closures, None, plain)
+    labels = rule.label(survey.truth)
+    check = _check(survey, survey.truth, closures, thresholds, rule, labels)
+    return Judged(survey, closures, check, _outcomes(survey.truth, closures, labels))
+
+
+def _check(
+    survey: Survey,
+    truth: TruePairs,
+    closures: tuple[LoopClosure, ...],
+    thresholds: ClosureParams,
+    rule: Rule,
+    labels: Labels,
+) -> TruthCheck:
+    ranking = rank_pairs(DetectionResult(closures, {}), survey.dataset, truth, "all pairs")
+    # A pair with too few inliers is not accepted at any score: then the curve runs through the
+    # point at which the thresholds stand.
+    could_pass = (ranking.num_inliers >= thresholds.min_inliers) & np.array(
+        [motion is not None for motion in ranking.T_database_query], dtype=np.bool_
+    )
+    score = np.where(could_pass, ranking.score, -np.inf)[labels.judged]
+    positive = labels.positive[labels.judged]
+    accepted = ranking.accepted[labels.judged]
+    right, named, total = int(np.sum(accepted & positive)), int(accepted.sum()), int(positive.sum())
+    if total == 0:
+        return TruthCheck(rule, labels, None, np.nan, np.nan, np.nan)
+    full = precision_recall(score, positive)
+    reached = full.thresholds > -np.inf
+    curve = PrecisionRecall(full.thresholds[reached], full.precision[reached], full.recall[reached])
+    return TruthCheck(
+        rule,
+        labels,
+        curve,
+        right / named if named else np.nan,
+        right / total,
+        average_precision(full),
+    )
+
+
+def _outcomes(
+    truth: TruePairs, closures: tuple[LoopClosure, ...], labels: Labels
+) -> tuple[str, ...]:
+    rows = {
+        frozenset((truth.ids[query], truth.ids[database])): row
+        for row, (query, database) in enumerate(zip(truth.query, truth.database, strict=True))
+    }
+    found: list[str] = []
+    for closure in closures:
+        row = rows.get(frozenset((closure.query_id, closure.database_id)))
+        found.append(_outcome(closure.accepted, row, labels.judged, labels.positive))
+    return tuple(found)
+
+
+def _outcome(
+    accepted: bool,
+    row: int | None,
+    judged: Bool[NDArray[np.bool_], "p"],
+    positive: Bool[NDArray[np.bool_], "p"],
+) -> str:
+    if row is None or not judged[row]:
+        return ACCEPTED if accepted else REFUSED
+    if accepted:
+        return RIGHT if positive[row] else WRONG
+    return MISSED if positive[row] else REFUSED

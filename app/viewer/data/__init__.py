@@ -1,0 +1,1 @@
+"""Data: open a dataset from a folder, a path or an upload."""

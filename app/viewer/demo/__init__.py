@@ -1,0 +1,1 @@
+"""Demo: play closures, fly cameras, and save pages that play without a server."""

@@ -1,0 +1,157 @@
+"""The associations: a flat picture of them, and the figures of the one that is pointed at."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+import viser
+from jaxtyping import UInt8
+
+from app.viewer.host import Host
+from app.viewer.widgets.html import BAD, FAINT, paragraph, table
+from gpgrad_core.arrays import NDArray
+
+PREVIOUS, NEXT, NONE = "previous", "next", "none"
+JPEG_QUALITY = 85
+NO_PICTURE = np.zeros((2, 2, 3), dtype=np.uint8)
+"""Stands in, unseen, until the first is drawn."""
+NO_MATCH = "Choose an association by its number or with the keys N and P; both pictures show it."
+
+
+@dataclass(frozen=True)
+class MatchFigures:
+    """What is known of one association.
+
+    Attributes:
+        inlier: Whether it agrees with the registration.
+        distance: Between the descriptors.
+        rank: Place among all associations by that distance, 1 being the closest.
+        count: Of all associations.
+        residual: How far it misses under the motion found [m]; None without a motion.
+        allowed: The inlier radius [m].
+        query_xy: In the query's frame [m].
+        database_xy: In the database's frame [m].
+    """
+
+    inlier: bool
+    distance: float
+    rank: int
+    count: int
+    residual: float | None
+    allowed: float
+    query_xy: tuple[float, float]
+    database_xy: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Key:
+    """One line of the picture's legend: a colour, and what has it."""
+
+    color: str
+    text: str
+
+
+class MatchesPanel:
+    """Number box, steps, figures and picture; callbacks must be quick."""
+
+    def __init__(
+        self,
+        host: Host,
+        *,
+        on_match: Callable[[int], None],
+        on_step: Callable[[int], None],
+    ) -> None:
+        """Make the widgets in the current container.
+
+        Args:
+            host: Whose GUI they join.
+            on_match: Given the number asked for; 0 for none.
+            on_step: Given 1 for the next, -1 for the previous.
+        """
+        gui = host.gui
+        self._number = gui.add_number(
+            "Match", 0, min=0, step=1, hint="Number of an association, from 1; 0 points at none."
+        )
+        self._steps = gui.add_button_group(
+            "Step match",
+            (PREVIOUS, NEXT, NONE),
+            hint="Steps through the associations whose lines are shown (keys P and N).",
+        )
+        self._figures = gui.add_html(paragraph(NO_MATCH, FAINT))
+        self._title = gui.add_html("")
+        self._image = gui.add_image(
+            NO_PICTURE, format="jpeg", jpeg_quality=JPEG_QUALITY, visible=False
+        )
+        self._key = gui.add_html("")
+
+        @self._number.on_update
+        async def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client_id is not None:
+                on_match(int(event.target.value))
+
+        @self._steps.on_click
+        async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            asked = event.target.value
+            if asked == NONE:
+                on_match(0)
+            else:
+                on_step(1 if asked == NEXT else -1)
+
+    def show_match(self, number: int, figures: MatchFigures | None) -> None:
+        """Show the figures of an association, or with None that none is pointed at."""
+        self._number.value = number
+        self._figures.content = (
+            paragraph(NO_MATCH, FAINT) if figures is None else match_html(number, figures)
+        )
+
+    def show_picture(
+        self, image: UInt8[NDArray[np.uint8], "rows columns 3"], title: str, key: tuple[Key, ...]
+    ) -> None:
+        """Show the flat picture, its title and its legend."""
+        self._image.image = image
+        self._image.visible = True
+        self._title.content = paragraph(title, FAINT)
+        self._key.content = key_html(key)
+
+    def failed(self, message: str) -> None:
+        """Say why there is no new picture; the last one stays."""
+        self._title.content = paragraph(message, f"color:{BAD}")
+
+
+def match_html(number: int, figures: MatchFigures) -> str:
+    """Write the figures of one association."""
+    kind = "inlier" if figures.inlier else "outlier"
+    rows = [("descriptor distance", f"{figures.distance:.3f} ({figures.rank}. closest)")]
+    if figures.residual is None:
+        rows.append(("residual", "no motion was found"))
+    else:
+        rows.append(("residual", f"{figures.residual:.3f} m ({figures.allowed:g} m allowed)"))
+    rows += [
+        ("in the query", _position(figures.query_xy)),
+        ("in the database", _position(figures.database_xy)),
+    ]
+    return (
+        f'<div data-testid="match" style="padding:.1em .75em .3em">'
+        f'<div style="font-size:.85em;font-weight:600">Match {number} of {figures.count:,}: '
+        f"{kind}</div>{table(tuple(rows))}</div>"
+    )
+
+
+def key_html(key: tuple[Key, ...]) -> str:
+    """Write a legend: a patch of colour and words, line by line."""
+    lines = "".join(
+        f'<div style="white-space:nowrap"><span style="display:inline-block;width:.8em;'
+        f"height:.8em;border-radius:.15em;margin-right:.45em;vertical-align:-.05em;"
+        f'background:{escape(line.color)}"></span>{escape(line.text)}</div>'
+        for line in key
+    )
+    return (
+        f'<div data-testid="pane-key" style="padding:.1em .75em .4em;font-size:.8em;'
+        f'line-height:1.5">{lines}</div>'
+    )
+
+
+def _position(xy: tuple[float, float]) -> str:
+    return f"x {xy[0]:+.2f} m, y {xy[1]:+.2f} m"

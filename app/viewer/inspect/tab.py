@@ -1,0 +1,215 @@
+"""The Inspect tab: values of a place, associations one by one, and the flat picture of the pair."""
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+
+from app.viewer.draw.associations import inlier_color, residuals, step_match
+from app.viewer.draw.colors import DATABASE, OUTLIER, QUERY, UNMATCHED, css
+from app.viewer.draw.placement import z_offset_of
+from app.viewer.feature import Part
+from app.viewer.host import Host
+from app.viewer.inspect.flat_picture import MASKED, Image, draw_pane
+from app.viewer.inspect.panel import Key, MatchesPanel, MatchFigures
+from app.viewer.inspect.reading import ReadingPanel
+from app.viewer.pair.readout import Reading, other_place, read, reading_of, significant_digits
+from app.viewer.runner import Runner
+from app.viewer.state import Role, ViewState
+from gpgrad_core.pipeline import PairResult
+from gpgrad_core.run.progress import Progress
+
+_Job = tuple[ViewState, PairResult]
+
+
+class Inspection(Part):
+    """Shows what the session points at; the picture is drawn by a worker of its own."""
+
+    def __init__(
+        self, host: Host, *, on_match: Callable[[int], None], on_clear: Callable[[], None]
+    ) -> None:
+        """Make the panels in the current container.
+
+        Args:
+            host: Whose GUI they join.
+            on_match: Given the number of the association to point at; 0 for none.
+            on_clear: Called when no place is to be read any more.
+        """
+        self._host = host
+        self._on_match = on_match
+        self._lock = threading.Lock()
+        self._shown: _Job | None = None
+        self._reading = ReadingPanel(host, on_clear)
+        self._matches = MatchesPanel(host, on_match=on_match, on_step=self.step)
+        # Drawn after the scene, and only the newest: the flat picture must cost the 3D nothing.
+        self._painter: Runner[_Job, Image] = Runner(
+            _draw,
+            self._on_drawn,
+            lambda job, error: self._matches.failed(str(error)),  # noqa: ARG005
+            name="pane",
+        )
+
+    def show(self, state: ViewState, result: PairResult) -> None:
+        """Follow what was found and what is pointed at."""
+        with self._lock:
+            self._shown = state, result
+        self._painter.submit((state, result))
+        self._show_reading(state, result)
+        figures = match_figures(state, result)
+        self._matches.show_match(state.match if figures is not None else 0, figures)
+
+    def step(self, step: int) -> None:
+        """Point at the next (1) or the previous (-1) association of those that are shown."""
+        with self._lock:
+            shown = self._shown
+        if shown is None:
+            return
+        state, result = shown
+        options = state.options
+        self._on_match(
+            step_match(
+                result,
+                state.match,
+                step,
+                inliers=options.inlier_lines,
+                outliers=options.outlier_lines,
+            )
+        )
+
+    def missed(self) -> None:
+        """Say that a click met no surface."""
+        self._reading.nothing_there()
+
+    def wait_idle(self, timeout: float) -> bool:
+        """Wait until the picture is drawn; says whether that came true within the timeout [s]."""
+        return self._painter.wait_idle(timeout)
+
+    def close(self) -> None:
+        """Stop."""
+        self._painter.close()
+
+    def _on_drawn(self, job: _Job, image: Image, seconds: float) -> None:
+        del seconds
+        with self._host.atomic():
+            self._matches.show_picture(image, title_of(*job), key_of(*job))
+        self._host.flush()
+
+    def _show_reading(self, state: ViewState, result: PairResult) -> None:
+        probe = state.probe
+        reading = reading_of(state, (result.query_map, result.database_map))
+        if probe is None or reading is None:
+            self._reading.clear()
+            return
+        submap = state.query_id if probe.role == "query" else state.database_id
+        rows = reading_rows(reading) + _other_rows(state, result, reading, probe.role)
+        self._reading.show(f"{probe.role} {submap}", rows, trusted=reading.trusted)
+
+
+def _draw(job: _Job, progress: Progress) -> Image:
+    del progress  # it takes less than the runner's patience
+    return draw_pane(*job)
+
+
+def reading_rows(reading: Reading) -> tuple[tuple[str, str], ...]:
+    """Write a reading as names and values."""
+    digits = significant_digits(reading.std)
+    aspect = "level" if reading.aspect is None else f"falls towards {reading.aspect:.0f}°"
+    return (
+        ("x, y", f"{reading.x:.3f} m, {reading.y:.3f} m"),
+        ("elevation", f"{reading.elevation:.{digits}f} ± {reading.std:.{digits}f} m"),
+        ("slope", f"{reading.slope:.1f}°"),
+        ("aspect", f"{aspect}" + ("" if reading.aspect is None else " (from +y, clockwise)")),
+    )
+
+
+def _other_rows(
+    state: ViewState, result: PairResult, reading: Reading, role: Role
+) -> tuple[tuple[str, str], ...]:
+    """Compare the place with the same one in the other submap, if a motion was found."""
+    motion = result.registration.T_database_query
+    if motion is None:
+        return ()
+    of_query = role == "query"
+    x, y = other_place(motion, reading.x, reading.y, of_query=of_query)
+    ratio = state.params.features.max_std_ratio
+    there = read(result.database_map if of_query else result.query_map, x, y, ratio)
+    if there is None or not (there.trusted and reading.trusted):
+        return (("query minus database", "only one of them saw this place"),)
+    maps = result.query_map, result.database_map
+    offset = z_offset_of(result.registration, maps, ratio)
+    query, database = (reading, there) if of_query else (there, reading)
+    difference = query.elevation + offset - database.elevation
+    std = float(np.hypot(query.std, database.std))
+    digits = significant_digits(std)
+    return (("query minus database", f"{difference:+.{digits}f} ± {std:.{digits}f} m"),)
+
+
+def match_figures(state: ViewState, result: PairResult) -> MatchFigures | None:
+    """Collect the figures of the association that the state points at, if there is one."""
+    index, matches = state.match - 1, result.matches
+    if not 0 <= index < len(matches):
+        return None
+    missed = residuals(result)
+    (query_x, query_y), (database_x, database_y) = (
+        matches.query_xy[index].tolist(),
+        matches.database_xy[index].tolist(),
+    )
+    return MatchFigures(
+        inlier=bool(result.registration.inliers[index]),
+        distance=float(matches.distances[index]),
+        rank=int(np.sum(matches.distances < matches.distances[index])) + 1,
+        count=len(matches),
+        residual=None if missed is None else float(missed[index]),
+        allowed=state.params.registration.inlier_radius,
+        query_xy=(query_x, query_y),
+        database_xy=(database_x, database_y),
+    )
+
+
+def title_of(state: ViewState, result: PairResult) -> str:
+    """Say what the flat picture shows."""
+    registered = state.options.layout == "registered"
+    if not registered or result.registration.T_database_query is None:
+        return (
+            f"Gradient seen from above, light where it is steep: query {state.query_id}, "
+            f"and below it database {state.database_id}."
+        )
+    if state.options.layer == "difference":
+        return "Height of the query above the database, in the legend's colours."
+    match state.options.compare:
+        case "query" | "database" as role:
+            return f"Gradient of the {role}, in the database's frame."
+        case "swipe":
+            return "Gradient: the database left of the line, the query right of it."
+        case "both" | "blink":
+            return "Gradients of both laid onto each other: where they are alike, they look grey."
+
+
+def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
+    """Say what the colours of the flat picture mean, with counts."""
+    options, registration = state.options, result.registration
+    inliers, total = registration.num_inliers, len(result.matches)
+    registered = options.layout == "registered" and registration.T_database_query is not None
+    overlaid = registered and options.compare in ("both", "blink")
+    key: list[Key] = []
+    if registered and options.layer == "difference":
+        key.append(Key("rgb(38,38,42)", "not trusted in both"))
+    elif overlaid:
+        key += [Key(css(QUERY), "the query alone"), Key(css(DATABASE), "the database alone")]
+    else:
+        key.append(Key(css(MASKED), "masked: no points near"))
+    hidden = "" if options.inlier_lines else " (lines are off)"
+    key.append(Key(css(inlier_color(result)), f"{inliers:,} inliers{hidden}"))
+    hidden = "" if options.outlier_lines else " (lines are off)"
+    key.append(Key(css(OUTLIER), f"{total - inliers:,} outliers{hidden}"))
+    if options.keypoints:
+        alone = sum(
+            len(features) - len(np.unique(indices))
+            for features, indices in zip(
+                (result.query_features, result.database_features),
+                result.matches.pairs.T,
+                strict=True,
+            )
+        )
+        key.append(Key(css(UNMATCHED), f"{alone:,} keypoints without partner"))
+    return tuple(key)

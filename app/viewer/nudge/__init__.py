@@ -1,0 +1,1 @@
+"""Nudge: move the query by hand, and refine the motion by the ground."""

@@ -1,0 +1,111 @@
+"""Set a pair's motion by hand, and let the ground refine it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+from app.viewer.host import Host
+from app.viewer.widgets.html import BAD, BUSY, FAINT, paragraph, table
+
+INTRODUCTION = (
+    "Did the search miss a closure, or find a wrong motion? Drag the query to where it belongs, "
+    "refine it by the ground, and give it to the pose graph."
+)
+
+
+@dataclass(frozen=True)
+class NudgeCalls:
+    """What the panel calls; all must be quick.
+
+    Attributes:
+        on_active: Given whether the query is to be moved by hand.
+        on_refine: Called when the ground is to refine where it was put.
+        on_back: Called when it is to go back to where it was found.
+        on_use: Called when the pose graph is to take the motion.
+    """
+
+    on_active: Callable[[bool], None]
+    on_refine: Callable[[], None]
+    on_back: Callable[[], None]
+    on_use: Callable[[], None]
+
+
+class NudgePanel:
+    """Widgets for a motion set by hand."""
+
+    def __init__(self, host: Host, calls: NudgeCalls) -> None:
+        """Make the widgets in the current container.
+
+        Args:
+            host: Whose GUI they join.
+            calls: What they call.
+        """
+        gui = host.gui
+        gui.add_html(paragraph(INTRODUCTION, FAINT))
+        self._active = gui.add_checkbox(
+            "Move the query",
+            initial_value=False,
+            hint="Lays it onto the database and puts handles on it: arrows shift it, the arc "
+            "turns it.",
+        )
+        self._refine = gui.add_button(
+            "Refine",
+            disabled=True,
+            hint="Aligns the two surfaces from where the query was put; it should be within a few "
+            "length-scales.",
+        )
+        self._back = gui.add_button(
+            "Put it back", disabled=True, hint="Back to the motion that was found."
+        )
+        self._use = gui.add_button(
+            "Use in the pose graph",
+            disabled=True,
+            hint="Accepts the pair by hand, with the refined motion; see Explore, Pose graph.",
+        )
+        self._figures = gui.add_html("")
+        self._message = gui.add_html("")
+
+        @self._active.on_update
+        async def _(event: Any) -> None:
+            if event.client_id is not None:
+                calls.on_active(event.target.value)
+
+        for button, call in (
+            (self._refine, calls.on_refine),
+            (self._back, calls.on_back),
+            (self._use, calls.on_use),
+        ):
+
+            @button.on_click
+            async def _(event: Any, call: Callable[[], None] = call) -> None:
+                del event
+                call()
+
+    def set_active(self, active: bool) -> None:
+        """Show whether the query can be moved; nothing is called."""
+        self._active.value = active
+        self._refine.disabled = self._back.disabled = not active
+        if not active:
+            self.offer_use(False)
+
+    def offer_use(self, offered: bool) -> None:
+        """Show whether there is a refined motion to use."""
+        self._use.disabled = not offered
+
+    def show(self, rows: tuple[tuple[str, str], ...]) -> None:
+        """Show figures of the motion."""
+        self._figures.content = (
+            f'<div data-testid="nudge-figures" style="padding:.1em .75em">{table(rows)}</div>'
+            if rows
+            else ""
+        )
+
+    def say(self, message: str, *, bad: bool = False) -> None:
+        """Say what happens or went wrong; nothing if empty."""
+        self._message.content = (
+            f'<div data-testid="nudge-message" role="status" style="padding:.1em .75em;'
+            f'font-size:.8em;color:{BAD if bad else BUSY}">{escape(message)}</div>'
+            if message
+            else ""
+        )

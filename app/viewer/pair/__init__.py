@@ -1,0 +1,1 @@
+"""The pair: two submaps as surfaces, what joins them, and the verdict."""

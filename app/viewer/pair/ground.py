@@ -1,0 +1,218 @@
+"""Both maps as the scene draws them: their colours, the cells that are seen, what a click meets."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from app.viewer.draw.colors import DATABASE, QUERY, Rgb
+from app.viewer.draw.histogram import Histogram, count_values, histogram_svg, summary
+from app.viewer.draw.layers import Scale, layer_values, shared_scale
+from app.viewer.draw.picking import Hit, Ray, first_hit
+from app.viewer.draw.placement import Placement
+from app.viewer.pair.comparison import Cells, Values, compared_cells, height_difference
+from app.viewer.state import Layer, Probe, Role, ViewState
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.types import GradientMap, Registration
+
+ROLES: tuple[Role, Role] = ("query", "database")
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """Height of the query above the database, at the cells of either map."""
+
+    maps: tuple[GradientMap, GradientMap]
+    registration: Registration
+    z_offset: float  # [m]
+    max_std_ratio: float
+    fields: tuple[Values, Values]  # [m]
+
+    @property
+    def rms(self) -> float:
+        """Root mean square over the common cells [m]; NaN if there are none."""
+        common = self.fields[1][np.isfinite(self.fields[1])]
+        return float(np.sqrt(np.mean(common**2))) if len(common) else np.nan
+
+    @classmethod
+    def between(
+        cls,
+        maps: tuple[GradientMap, GradientMap],
+        registration: Registration,
+        z_offset: float,
+        max_std_ratio: float,
+        last: "Difference | None" = None,
+    ) -> "Difference | None":
+        """Compare two registered maps, unless the last comparison was of the same.
+
+        Returns:
+            None if there is no motion to compare them under.
+        """
+        motion = registration.T_database_query
+        if motion is None:
+            return None
+        made_from = (*maps, registration, z_offset, max_std_ratio)
+        if last is not None and made_from == (
+            *last.maps,
+            last.registration,
+            last.z_offset,
+            last.max_std_ratio,
+        ):
+            return last
+        fields = height_difference(*maps, motion, z_offset, max_std_ratio)
+        return cls(maps, registration, z_offset, max_std_ratio, fields)
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The maps of (query, database) in the scene.
+
+    Attributes:
+        state: What is asked for.
+        maps: The maps.
+        placements: Where each stands.
+        lifts: Added to each map's elevation before it is coloured [m].
+        scale: What the colours mean.
+        difference: What colours them in the layer of that name; None if there is no motion.
+        swipe_at: Where the swipe stands along the scene's x [m]; None while there is none.
+    """
+
+    state: ViewState
+    maps: tuple[GradientMap, GradientMap]
+    placements: tuple[Placement, Placement]
+    lifts: tuple[float, float]
+    scale: Scale
+    difference: Difference | None
+    swipe_at: float | None
+
+    @classmethod
+    def of(
+        cls,
+        state: ViewState,
+        maps: tuple[GradientMap, GradientMap],
+        placements: tuple[Placement, Placement],
+        lifts: tuple[float, float],
+        difference: Difference | None,
+        swipe_at: float | None,
+    ) -> "Ground":
+        """Choose the scale that both maps are coloured by."""
+        options = state.options
+        scale = shared_scale(
+            maps,
+            options.layer,
+            options.color_map,
+            state.params.features.max_std_ratio,
+            lifts,
+            None if difference is None else difference.fields,
+        )
+        return cls(state, maps, placements, lifts, scale, difference, swipe_at)
+
+    def seen(self, index: int) -> Cells | None:
+        """Say which cells of the query (0) or the database (1) the swipe leaves; None for all."""
+        if self.swipe_at is None:
+            return None
+        return compared_cells(
+            self.maps[index].grid, self.placements[index], ROLES[index], self.swipe_at
+        )
+
+    def sees(
+        self, index: int, points: Float[NDArray[np.float32], "n 3"]
+    ) -> Bool[NDArray[np.bool_], "n"]:
+        """Say which points of a submap's frame the swipe leaves to be seen."""
+        if self.swipe_at is None:
+            return np.ones(len(points), dtype=bool)
+        placed = self.placements[index].apply(points.astype(np.float64))
+        right = placed[:, 0] > self.swipe_at
+        return right if ROLES[index] == "query" else ~right
+
+    def pick(self, ray: Ray) -> Probe | None:
+        """Find the place that a line of sight meets first; None if it meets nothing drawn."""
+        options, ratio = self.state.options, self.state.params.features.max_std_ratio
+        hits: list[tuple[Hit, Role]] = []
+        for index, role in enumerate(ROLES):
+            if role not in shown_roles(self.state):
+                continue
+            gradient_map = self.maps[index]
+            drawn = np.isfinite(gradient_map.elevation)
+            if options.untrusted == "hidden":
+                drawn &= gradient_map.trusted(ratio)
+            seen = self.seen(index)
+            if seen is not None:
+                drawn &= seen
+            hit = first_hit(ray, gradient_map, self.placements[index], drawn)
+            if hit is not None:
+                hits.append((hit, role))
+        if not hits:
+            return None
+        hit, role = min(hits, key=lambda found: found[0].distance)
+        return Probe(role, hit.x, hit.y)
+
+    def count(self) -> Histogram:
+        """Count the values that the layer shows."""
+        layer, ratio = self.state.options.layer, self.state.params.features.max_std_ratio
+        fields: tuple[Float[NDArray[np.floating], "_rows _columns"], ...]
+        if self.difference is not None:
+            fields = self.difference.fields
+        else:
+            fields = tuple(
+                layer_values(gradient_map, layer) + lift
+                if lift
+                else layer_values(gradient_map, layer)
+                for gradient_map, lift in zip(self.maps, self.lifts, strict=True)
+            )
+        trusted = tuple(gradient_map.trusted(ratio) for gradient_map in self.maps)
+        return count_values(fields, trusted, self.scale)
+
+
+@dataclass(frozen=True)
+class DrawnHistogram:
+    """How often each value of the shown layer occurs."""
+
+    svg: str  # a picture to stand on the colour bar
+    note: str  # a line about it
+
+
+class HistogramOf:
+    """Draws the histogram of the ground, unless the last one was of the same."""
+
+    def __init__(self) -> None:
+        """Nothing is drawn yet."""
+        self._made_from: tuple[object, ...] = ()
+        self._last = DrawnHistogram("", "")
+
+    def of(self, ground: Ground) -> DrawnHistogram:
+        """Draw it, with the mask's threshold where the layer has one."""
+        layer, ratio = ground.state.options.layer, ground.state.params.features.max_std_ratio
+        made_from = (*ground.maps, layer, ratio, ground.lifts, ground.scale, ground.difference)
+        if made_from != self._made_from:
+            counted = ground.count()
+            thresholds = _thresholds(ground.maps, layer, ratio)
+            note = summary(counted)
+            if ground.difference is not None:
+                note += f"; root mean square {ground.difference.rms:.3f} m"
+            if thresholds:
+                values = " and ".join(f"{value:.3g}" for value, _ in thresholds)
+                note += f"; dashed: the mask's threshold, {values} {ground.scale.unit}"
+            self._made_from = made_from
+            self._last = DrawnHistogram(histogram_svg(counted, ground.scale, thresholds), note)
+        return self._last
+
+
+def _thresholds(
+    maps: tuple[GradientMap, GradientMap], layer: Layer, ratio: float
+) -> tuple[tuple[float, Rgb | None], ...]:
+    """Say at which values of the layer the mask stands, and for which submap."""
+    if layer == "mask":
+        return ((ratio, None),)
+    if layer != "std":
+        return ()
+    query, database = (ratio * gradient_map.signal_std for gradient_map in maps)
+    return ((query, None),) if query == database else ((query, QUERY), (database, DATABASE))
+
+
+def shown_roles(state: ViewState) -> tuple[Role, ...]:
+    """Say whose submap is seen at all; blinking shows both in turn."""
+    compare = state.options.compare
+    if state.options.layout == "registered" and compare in ROLES:
+        return (compare,)
+    return ROLES

@@ -1,0 +1,300 @@
+"""What is drawn: layer, colours and their legend, layout, matches."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from html import escape
+from typing import Any
+
+import viser
+
+from app.viewer.host import Host
+from app.viewer.state import (
+    COLOR_MAPS,
+    COMPARE,
+    LAYERS,
+    LAYOUTS,
+    UNTRUSTED,
+    Compare,
+    Layer,
+    ViewOptions,
+)
+from app.viewer.widgets.html import FAINT
+
+LAYER_NAMES: dict[Layer, str] = {
+    "elevation": "elevation",
+    "std": "standard deviation",
+    "gradient": "gradient",
+    "slope_x": "dz/dx",
+    "slope_y": "dz/dy",
+    "mask": "mask",
+    "difference": "height difference",
+}
+COMPARE_NAMES: dict[Compare, str] = {
+    "both": "both",
+    "query": "query only",
+    "database": "database only",
+    "swipe": "swipe",
+    "blink": "blink",
+}
+
+
+class ViewPanel:
+    """Widgets for each of the view's options; reports the whole new options."""
+
+    def __init__(
+        self,
+        host: Host,
+        options: ViewOptions,
+        on_change: Callable[[ViewOptions], None],
+        on_reset_camera: Callable[[], None],
+    ) -> None:
+        """Make the widgets in the current container.
+
+        Args:
+            host: Whose GUI they join.
+            options: What they start at.
+            on_change: Given the whole new options after each change by a user.
+            on_reset_camera: Called when the user asks for the view of both submaps.
+        """
+        gui = host.gui
+        self._options = options
+        self._on_change = on_change
+        self._inputs: dict[str, tuple[viser.GuiInputHandle[Any], Callable[[Any], object]]] = {}
+        self._bind(
+            "layout",
+            gui.add_dropdown(
+                "Layout",
+                LAYOUTS,
+                initial_value=options.layout,
+                hint="Each submap by itself, or the query laid onto the database "
+                "by the registration.",
+            ),
+        )
+        self._bind_choice(
+            "compare",
+            gui.add_dropdown(
+                "Compare",
+                tuple(COMPARE_NAMES[way] for way in COMPARE),
+                initial_value=COMPARE_NAMES[options.compare],
+                hint="Registered submaps: both at once, one alone, database left and query right "
+                "of a line, or one after the other.",
+            ),
+            COMPARE_NAMES,
+        )
+        self._bind(
+            "swipe",
+            gui.add_slider(
+                "Swipe",
+                0.0,
+                1.0,
+                0.01,
+                options.swipe,
+                hint="Where the line stands: the database is left of it, the query right.",
+            ),
+        )
+        self._bind_choice(
+            "layer",
+            gui.add_dropdown(
+                "Layer",
+                tuple(LAYER_NAMES[layer] for layer in LAYERS),
+                initial_value=LAYER_NAMES[options.layer],
+                hint="What colours the surfaces. Height difference: query minus database under "
+                "the motion found; grey where only one of them saw the ground.",
+            ),
+            LAYER_NAMES,
+        )
+        self._bind(
+            "color_map",
+            gui.add_dropdown(
+                "Colours",
+                COLOR_MAPS,
+                initial_value=options.color_map,
+                hint="Colour map of the layer; automatic chooses one that suits it.",
+            ),
+        )
+        self._legend = gui.add_html("")
+        self._bind(
+            "surfaces",
+            gui.add_checkbox(
+                "Surfaces",
+                options.surfaces,
+                hint="Gaussian-process surfaces, inferred from the points.",
+            ),
+        )
+        self._bind(
+            "clouds",
+            gui.add_checkbox(
+                "Point clouds",
+                options.clouds,
+                hint="The measured points: blue of the query, orange of the database.",
+            ),
+        )
+        self._bind(
+            "keypoints",
+            gui.add_checkbox(
+                "Keypoints",
+                options.keypoints,
+                hint="Green: inlier (yellow if the pair is refused). "
+                "Red: association that does not fit. Grey: no partner.",
+            ),
+        )
+        self._bind(
+            "inlier_lines",
+            gui.add_checkbox(
+                "Inlier lines",
+                options.inlier_lines,
+                hint="Green: associations that agree with the registration.",
+            ),
+        )
+        self._bind(
+            "outlier_lines",
+            gui.add_checkbox(
+                "Outlier lines",
+                options.outlier_lines,
+                hint="Red: associations that do not agree with it.",
+            ),
+        )
+        camera = gui.add_button("Show both submaps", hint="Brings the camera back.")
+        with gui.add_folder("More view options", expand_by_default=False):
+            self._bind(
+                "untrusted",
+                gui.add_dropdown(
+                    "Masked cells",
+                    UNTRUSTED,
+                    initial_value=options.untrusted,
+                    hint="Cells that the variance mask rejects.",
+                ),
+            )
+            self._bind(
+                "hillshade",
+                gui.add_checkbox(
+                    "Hillshade",
+                    options.hillshade,
+                    hint="Light the elevation from the upper left; "
+                    "without it the colours are exactly the legend's.",
+                ),
+            )
+            self._bind(
+                "point_size",
+                gui.add_slider(
+                    "Point size [m]",
+                    0.005,
+                    0.2,
+                    0.005,
+                    options.point_size,
+                    hint="Of the point clouds.",
+                ),
+            )
+            self._bind(
+                "dark",
+                gui.add_checkbox("Dark", options.dark, hint="Light words on a dark page."),
+            )
+
+        self._show_what_applies()
+
+        @camera.on_click
+        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+            del event
+            on_reset_camera()
+
+    @property
+    def options(self) -> ViewOptions:
+        """The options as the widgets show them."""
+        return self._options
+
+    def set(self, options: ViewOptions) -> None:
+        """Show other options; ``on_change`` is not called."""
+        self._options = options
+        for name, (handle, shown) in self._inputs.items():
+            handle.value = shown(getattr(options, name))
+        self._show_what_applies()
+
+    def show_legend(
+        self,
+        bar: str,
+        label: str,
+        unit: str,
+        *,
+        low: float,
+        high: float,
+        histogram: str = "",
+        note: str = "",
+    ) -> None:
+        """Show what the colours mean.
+
+        Args:
+            bar: Address of the picture of the colour map.
+            label: Name of the layer.
+            unit: Of its values.
+            low: Value at the left end.
+            high: Value at the right end.
+            histogram: Picture of how often each value occurs, as HTML.
+            note: A line about it.
+        """
+        self._legend.content = legend_html(
+            bar, label, unit, low=low, high=high, histogram=histogram, note=note
+        )
+
+    def hide_legend(self) -> None:
+        """Show none: there is nothing coloured."""
+        self._legend.content = ""
+
+    def _bind(
+        self,
+        name: str,
+        handle: viser.GuiInputHandle[Any],
+        convert: Callable[[Any], object] = lambda value: value,
+        shown: Callable[[Any], object] = lambda value: value,
+    ) -> None:
+        self._inputs[name] = handle, shown
+
+        @handle.on_update
+        async def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client_id is None:
+                return
+            self._options = replace(self._options, **{name: convert(event.target.value)})
+            self._show_what_applies()
+            self._on_change(self._options)
+
+    def _bind_choice(
+        self, name: str, handle: viser.GuiInputHandle[str], names: Mapping[Any, str]
+    ) -> None:
+        """Bind a choice whose values have names for people."""
+        values = {text: value for value, text in names.items()}
+        self._bind(name, handle, values.__getitem__, names.__getitem__)
+
+    def _show_what_applies(self) -> None:
+        registered = self._options.layout == "registered"
+        self._inputs["compare"][0].visible = registered
+        self._inputs["swipe"][0].visible = registered and self._options.compare == "swipe"
+
+
+def legend_html(
+    bar: str,
+    label: str,
+    unit: str,
+    *,
+    low: float,
+    high: float,
+    histogram: str = "",
+    note: str = "",
+) -> str:
+    """Write the legend: name and unit, histogram, bar, values at its ends and middle, note."""
+    exponent = _exponent(high - low)
+    digits = max(0, min(4, (2 if exponent >= 0 else 1) - exponent))
+    low_text, middle, high_text = (f"{value:.{digits}f}" for value in (low, (low + high) / 2, high))
+    below = f'<div style="{FAINT};line-height:1.35">{escape(note)}</div>' if note else ""
+    return (
+        f'<div data-testid="legend" style="padding:.1em .75em .3em;font-size:.8em">'
+        f"<b>{escape(label)}</b> [{escape(unit)}]{histogram}"
+        f'<img src="{bar}" alt="colour bar" style="width:100%;height:12px;display:block;'
+        f'border-radius:2px;margin:.15em 0">'
+        f'<div style="display:flex;justify-content:space-between;'
+        f'font-variant-numeric:tabular-nums"><span>{low_text}</span><span>{middle}</span>'
+        f"<span>{high_text}</span></div>{below}</div>"
+    )
+
+
+def _exponent(span: float) -> int:
+    """Power of ten of a span; of an empty one, that of a millimetre."""
+    return int(f"{max(abs(span), 1e-3):e}".partition("e")[2])

@@ -1,0 +1,73 @@
+"""The verdict on the pair: loop closure or not, why, and the numbers behind it."""
+
+from html import escape
+from math import degrees
+
+from app.viewer.host import Host
+from app.viewer.state import ViewState
+from app.viewer.widgets.html import BAD_GROUND, BUSY_GROUND, GOOD_GROUND, badge, table
+from gpgrad_core.pipeline import PairResult
+
+
+class VerdictCard:
+    """A card that is rewritten with each result."""
+
+    def __init__(self, host: Host) -> None:
+        """Make it in the current container, empty."""
+        self._card = frame('<div style="opacity:.7">No result yet.</div>')
+        self._handle = host.gui.add_html(self._card)
+
+    def show(self, state: ViewState, result: PairResult) -> None:
+        """Show a result."""
+        self._card = verdict_html(state, result)
+        self._handle.content = self._card
+
+    def outdate(self, why: str = "") -> None:
+        """Fade the card: it is not about what is shown or set.
+
+        Args:
+            why: Written above it; empty while a new one is coming.
+        """
+        above = (
+            f'<div style="padding:0 .75em">{badge(why, BUSY_GROUND, "stale")}</div>' if why else ""
+        )
+        self._handle.content = f'{above}<div style="opacity:.4">{self._card}</div>'
+
+
+def verdict_html(state: ViewState, result: PairResult) -> str:
+    """Write the card."""
+    closure, registration = result.closure, result.registration
+    needed, lowest = state.params.closure.min_inliers, state.params.closure.min_score
+    motion = registration.T_database_query
+    rows = [
+        ("inliers", f"{registration.num_inliers}" + (f" of {needed} needed" if needed else "")),
+        ("associations", f"{len(result.matches):,}"),
+        ("score", f"{registration.score:.2f}" + (f" of {lowest:g} needed" if lowest else "")),
+    ]
+    if motion is not None:
+        rows += [
+            ("yaw", f"{degrees(motion.yaw):+.1f}°"),
+            ("offset", f"{motion.x:+.2f} m, {motion.y:+.2f} m"),
+            ("overlap", f"{registration.overlap_area:.1f} m²"),
+            ("correlation", f"{registration.correlation:.2f}"),
+        ]
+    else:
+        rows.append(("motion", "none found"))
+    headline = (
+        badge("Loop closure", GOOD_GROUND, "verdict")
+        if closure.accepted
+        else badge("No loop closure", BAD_GROUND, "verdict")
+    )
+    pair = f"query {closure.query_id} → database {closure.database_id}"
+    if closure.query_id == closure.database_id:
+        pair += " (the same submap twice)"
+    return frame(
+        f"{headline}"
+        f'<div style="font-size:.85em;margin:.4em 0 .3em"><b>{escape(pair)}</b><br>'
+        f"{escape(closure.reason)}</div>{table(tuple(rows))}"
+    )
+
+
+def frame(content: str) -> str:
+    """Give a card its margin."""
+    return f'<div style="padding:.2em .75em .4em">{content}</div>'

@@ -1,0 +1,202 @@
+"""A params dataclass -> sliders: bounds, unit, tooltip and default all come from its fields."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, TypeVar
+
+import viser
+
+from app.viewer.host import Host
+from gpgrad_core.errors import InputError
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import Setting, get_path, settings_of, with_path, with_unit
+
+P = TypeVar("P")
+
+
+class ParamsPanel(Generic[P]):
+    """A widget for each parameter of a params object; reports the whole new value.
+
+    The main ones stand where the panel is made; the others lie below in a folded folder, a
+    group a stage. Callbacks run in the server's event loop: ``on_change`` must only hand the
+    value on.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        value: P,
+        on_change: Callable[[P], None],
+        *,
+        main: Mapping[str, str],
+        folder: str = "More parameters",
+        on_error: Callable[[str], None] | None = None,
+    ) -> None:
+        """Make the widgets in the current container.
+
+        Args:
+            host: Whose GUI they join.
+            value: What they start at, and what "default" means until `set_default`.
+            on_change: Given the whole new value after each change by a user.
+            main: Paths of the parameters that stand outside the folder, in this order, and
+                their names for people (the unit is added).
+            folder: Title of the folder of all others.
+            on_error: Given the message if a value is refused.
+        """
+        self._host = host
+        self._default = value
+        self._value = value
+        self._on_change = on_change
+        self._on_error = on_error
+        self._inputs: dict[str, viser.GuiInputHandle[Any]] = {}
+        self._automatic: dict[str, viser.GuiInputHandle[bool]] = {}
+        self._settings = {setting.path: setting for setting in settings_of(type(value))}
+        for path, name in main.items():
+            self._add(self._settings[path], name)
+        others = [setting for path, setting in self._settings.items() if path not in main]
+        if others:
+            with host.gui.add_folder(folder, expand_by_default=False):
+                self._add_groups(others)
+
+    @property
+    def value(self) -> P:
+        """The params as the widgets show them."""
+        return self._value
+
+    def set(self, value: P) -> None:
+        """Show other params; ``on_change`` is not called."""
+        self._value = value
+        for path, setting in self._settings.items():
+            self._show(setting, get_path(value, path))
+
+    def reset(self) -> P:
+        """Go back to the defaults; returns them, ``on_change`` is not called."""
+        self.set(self._default)
+        return self._default
+
+    def set_default(self, value: P) -> None:
+        """Say what `reset` goes back to."""
+        self._default = value
+
+    def _add_groups(self, settings: list[Setting]) -> None:
+        groups: dict[str, list[Setting]] = {}
+        for setting in settings:
+            groups.setdefault(setting.path.partition(".")[0], []).append(setting)
+        for group, members in groups.items():
+            title = group.replace("_", " ").capitalize()
+            with self._host.gui.add_folder(title):
+                for setting in members:
+                    self._add(setting, None)
+                self._add_defaults(title, members)
+
+    def _add_defaults(self, title: str, members: list[Setting]) -> None:
+        button = self._host.gui.add_button(
+            f"{title} defaults", hint="Back to the marks, for the parameters of this folder."
+        )
+
+        @button.on_click
+        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+            del event
+            value = self._value
+            for setting in members:
+                value = with_path(value, setting.path, get_path(self._default, setting.path))
+            self.set(value)
+            self._on_change(value)
+
+    def _add(self, setting: Setting, name: str | None) -> None:
+        gui, path = self._host.gui, setting.path
+        label = with_unit(name, setting.bounds) if name else setting.label
+        current: Any = get_path(self._value, path)
+        if isinstance(setting.kind, tuple):
+            handle: Any = gui.add_dropdown(
+                label, setting.kind, initial_value=str(current), hint=setting.doc
+            )
+        elif setting.kind is bool:
+            handle = gui.add_checkbox(label, bool(current), hint=setting.doc)
+        elif setting.bounds is None:
+            handle = gui.add_number(label, current, hint=setting.doc)
+        else:
+            if setting.optional:
+                self._add_automatic(setting, label, current)
+            handle = self._add_slider(setting, label, current)
+        self._inputs[path] = handle
+
+        # Asynchronous, so that the server runs it in order in its event loop; plain functions
+        # would go to a pool of threads and could overtake each other.
+        @handle.on_update
+        async def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client_id is not None:  # else it is our own `set`
+                self._change(setting, event.target.value)
+
+    def _add_slider(
+        self, setting: Setting, label: str, current: float | None
+    ) -> viser.GuiInputHandle[float]:
+        bounds = setting.bounds
+        assert bounds is not None
+        low, high = bounds.slider_range
+        whole = setting.kind is int
+        start = _slider_start(bounds) if current is None else current
+        # A value from a file may lie beyond the stretch that the slider is made for.
+        low, high = min(low, start), max(high, start)
+        unit = f" {bounds.unit}" if bounds.unit else ""
+        default: Any = get_path(self._default, setting.path)
+        default_text = "automatic" if default is None else f"{default:g}{unit}"
+        kind: Any = int if whole else float
+        return self._host.gui.add_slider(
+            label,
+            min=kind(low),
+            max=kind(high),
+            step=kind(bounds.step),
+            initial_value=kind(start),
+            marks=() if default is None else (kind(default),),
+            disabled=current is None,
+            hint=f"{setting.doc} Default: {default_text} (the mark). "
+            f"Allowed: {bounds.low:g} to {bounds.high:g}{unit}.",
+        )
+
+    def _add_automatic(self, setting: Setting, label: str, current: float | None) -> None:
+        box = self._host.gui.add_checkbox(
+            f"automatic {label.partition(' [')[0]}", current is None, hint=setting.doc
+        )
+        self._automatic[setting.path] = box
+
+        @box.on_update
+        async def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client_id is None:
+                return
+            slider: Any = self._inputs[setting.path]
+            slider.disabled = event.target.value
+            self._change(setting, None if event.target.value else slider.value)
+
+    def _change(self, setting: Setting, raw: object) -> None:
+        value = raw
+        if setting.bounds is not None and isinstance(raw, int | float):
+            value = setting.bounds.round(float(raw))
+            # The first position of a slider need not be a whole number of steps from zero.
+            value = min(max(value, setting.bounds.low), setting.bounds.high)
+            value = int(value) if setting.kind is int else value
+        try:
+            self._value = with_path(self._value, setting.path, value)
+        except InputError as error:
+            if self._on_error is not None:
+                self._on_error(str(error))
+            return
+        self._on_change(self._value)
+
+    def _show(self, setting: Setting, value: object) -> None:
+        handle: Any = self._inputs[setting.path]
+        box = self._automatic.get(setting.path)
+        if box is not None:
+            box.value = value is None
+            handle.disabled = value is None
+        if value is None:
+            return
+        if setting.bounds is not None and isinstance(value, int | float):
+            handle.min = min(handle.min, value)
+            handle.max = max(handle.max, value)
+        handle.value = value
+
+
+def _slider_start(bounds: Bounds) -> float:
+    """Where the slider of an automatic parameter waits: low in its range, on a step."""
+    low, high = bounds.slider_range
+    return max(low, bounds.round(low + 0.25 * (high - low)))

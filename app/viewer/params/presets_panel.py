@@ -1,0 +1,97 @@
+"""Presets: choose one, see what it is for, keep the present parameters as another."""
+
+from collections.abc import Callable
+from typing import Any
+
+import viser
+
+from app.viewer.host import Host
+from app.viewer.widgets.html import BAD, FAINT, GOOD, paragraph
+
+CUSTOM: str = "none of these"
+
+
+class PresetPanel:
+    """A list of presets and a folded folder to keep one's own; callbacks must only hand on."""
+
+    def __init__(
+        self,
+        host: Host,
+        *,
+        can_save: bool,
+        on_choose: Callable[[str], None],
+        on_save: Callable[[str], None],
+        on_delete: Callable[[], None],
+        on_download: Callable[[str, viser.ClientHandle], None],
+        on_upload: Callable[[str, bytes], None],
+    ) -> None:
+        """Make the widgets in the current container.
+
+        Args:
+            host: Whose GUI they join.
+            can_save: Whether presets can be kept on the machine that runs the viewer.
+            on_choose: Given the name chosen.
+            on_save: Given the name to keep the present parameters under.
+            on_delete: Called to delete the preset that is shown.
+            on_download: Given a name and the page that wants the present parameters as a file.
+            on_upload: Given the name and the content of a file.
+        """
+        gui = host.gui
+        self._list: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+            "Preset", (CUSTOM,), initial_value=CUSTOM, hint="Sets every parameter."
+        )
+        self._purpose = gui.add_html("")
+        with gui.add_folder("Keep parameters", expand_by_default=False):
+            self._name = gui.add_text("Name", "", hint="Letters, digits, spaces and . + - ( ).")
+            save = gui.add_button(
+                "Save preset",
+                visible=can_save,
+                hint="Keeps the present parameters in the list, for the next time too.",
+            )
+            self._delete = gui.add_button("Delete preset", visible=False, color="red")
+            download = gui.add_button(
+                "Download parameters", hint="As a TOML file, which --params reads."
+            )
+            upload = gui.add_upload_button(
+                "Upload parameters", mime_type=".toml", hint="A TOML file, as --params reads it."
+            )
+        self._message = gui.add_html("")
+
+        @self._list.on_update
+        async def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client_id is not None and event.target.value != CUSTOM:
+                on_choose(event.target.value)
+
+        @save.on_click
+        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+            del event
+            on_save(self._name.value.strip())
+
+        @self._delete.on_click
+        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+            del event
+            on_delete()
+
+        @download.on_click
+        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+            if event.client is not None:
+                on_download(self._name.value.strip(), event.client)
+
+        @upload.on_upload
+        async def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
+            on_upload(event.target.value.name, event.target.value.content)
+
+    def offer(self, names: tuple[str, ...]) -> None:
+        """Fill the list."""
+        self._list.options = (CUSTOM, *names)
+
+    def show(self, name: str | None, purpose: str, *, own: bool) -> None:
+        """Point at the preset that the parameters are, or at none; say what it is for."""
+        self._list.value = CUSTOM if name is None else name
+        self._purpose.content = paragraph(purpose, FAINT) if purpose else ""
+        self._delete.visible = own
+
+    def tell(self, message: str, *, bad: bool = False) -> None:
+        """Say what came of saving, deleting or uploading."""
+        colored = paragraph(message, f"color:{BAD if bad else GOOD};overflow-wrap:anywhere")
+        self._message.content = f'<div data-testid="preset-message">{colored}</div>'

@@ -1,0 +1,1 @@
+"""Pose graph: which closures count, and the map that they correct."""

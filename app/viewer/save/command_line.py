@@ -1,0 +1,41 @@
+"""The command that finds again what is shown."""
+
+import shlex
+from pathlib import Path
+
+from app.viewer.state import ViewState
+from gpgrad_core.params.fields import get_path, settings_of
+from gpgrad_core.params.files import preferred_parameters
+from gpgrad_core.pipeline import PipelineParams
+
+
+def detect_command(state: ViewState) -> str:
+    """Write the ``gpgrad detect`` line that gives the numbers shown, digit for digit.
+
+    Only what differs from what the dataset takes by itself is named. The pair is named too: the
+    other way round it would be another registration, and all other pairs would take their time.
+
+    Args:
+        state: What is shown.
+    """
+    words = ["gpgrad", "detect", str(Path(state.source).absolute()), "--out", "closures.json"]
+    words += ["--pair", state.query_id, state.database_id]
+    words += flags(state.params, preferred_parameters(state.dataset, PipelineParams()))
+    return shlex.join(words)
+
+
+def flags(params: PipelineParams, base: PipelineParams) -> list[str]:
+    """List the flags that turn a base into params, by the names that the command line has."""
+    found: list[str] = []
+    for setting in settings_of(type(params)):
+        value = get_path(params, setting.path)
+        if value == get_path(base, setting.path):
+            continue
+        group, _, name = setting.path.replace("_", "-").rpartition(".")
+        if setting.kind is bool:
+            found.append(f"--{group}.{name}" if value else f"--{group}.no-{name}")
+        else:
+            # repr of a float is the shortest text that reads back as the same number.
+            text = value if isinstance(value, str) else repr(value)
+            found += [f"--{group}.{name}", text]
+    return found

@@ -1,0 +1,86 @@
+"""The command that finds again what is shown, and the session as a file."""
+
+from collections.abc import Callable
+from html import escape
+
+import viser
+
+from app.viewer.host import Host
+from app.viewer.widgets.html import BAD, FAINT, paragraph
+
+# The button's own script: a page may write to the clipboard only while it is being clicked, and
+# only if it comes from this machine or over HTTPS; elsewhere a selected box is copied from.
+COPY = (
+    "const box=this.parentNode.querySelector('textarea');box.select();"
+    "const done=()=>{this.textContent='Copied'};"
+    "if(navigator.clipboard){navigator.clipboard.writeText(box.value).then(done)}"
+    "else if(document.execCommand('copy')){done()}"
+)
+
+
+class SavingPanel:
+    """The command in a box with a button that copies it; buttons that save and restore."""
+
+    def __init__(
+        self,
+        host: Host,
+        *,
+        on_save: Callable[[viser.ClientHandle], None],
+        on_restore: Callable[[str, bytes, viser.ClientHandle], None],
+    ) -> None:
+        """Make the widgets in the current container; callbacks must only hand on.
+
+        Args:
+            host: Whose GUI they join.
+            on_save: Given the page that wants the session as a file.
+            on_restore: Given the name and content of a file, and the page that it came from.
+        """
+        gui = host.gui
+        self._command = gui.add_html("")
+        save = gui.add_button(
+            "Save session",
+            hint="Dataset, pair, parameters, view and camera as a file for "
+            "`gpgrad view --state FILE`.",
+        )
+        restore = gui.add_upload_button(
+            "Restore session", mime_type=".toml", hint="From a file that was saved so."
+        )
+        self._message = gui.add_html("")
+
+        @save.on_click
+        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+            if event.client is not None:
+                on_save(event.client)
+
+        @restore.on_upload
+        async def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
+            if event.client is not None:
+                file = event.target.value
+                on_restore(file.name, file.content, event.client)
+
+    def show_command(self, command: str) -> None:
+        """Show the command; empty where there is none, as for one submap beside itself."""
+        self._command.content = command_html(command)
+
+    def tell(self, message: str, *, bad: bool = False) -> None:
+        """Say what came of restoring."""
+        look = f"color:{BAD}" if bad else FAINT
+        self._message.content = (
+            f'<div data-testid="saving-message">{paragraph(message, look)}</div>'
+        )
+
+
+def command_html(command: str) -> str:
+    """Write the box with the command, and the button that copies it."""
+    if not command:
+        return paragraph("No command: a submap beside itself is no pair.", FAINT)
+    intro = paragraph("This finds the same inliers, score and motion (all pairs without --pair):")
+    return (
+        f'{intro}<div style="padding:.2em .75em .4em">'
+        f'<textarea data-testid="command" readonly rows="5" aria-label="Command" style="width:100%;'
+        f"box-sizing:border-box;font:.75em monospace;color:inherit;background:transparent;"
+        f'border:1px solid currentColor;border-radius:.3em;opacity:.9">{escape(command)}</textarea>'
+        f'<button type="button" onclick="{escape(COPY)}" style="width:100%;padding:.35em;'
+        f"background:#1971c2;color:#fff;border:0;border-radius:.2em;cursor:pointer;font:inherit;"
+        f'font-size:.85em">Copy command</button></div>'
+    )

@@ -1,0 +1,147 @@
+"""The server: pages come and go, sessions with them."""
+
+import contextlib
+import io
+import tempfile
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import viser
+
+from app.viewer.capacity import Turns
+from app.viewer.data.tab import Opened
+from app.viewer.host import set_theme
+from app.viewer.permissions import ANYWHERE, Places
+from app.viewer.save.session_file import Saved
+from app.viewer.session import Session
+from gpgrad_core.params.files import preferred_parameters
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.helper import start_helper
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.types import Dataset
+
+MEMO_BYTES = 1_500_000_000
+
+Sessions: TypeAlias = Literal["shared", "separate"]
+
+
+class Viewer:
+    """Serves one session to all pages, which then show the same, or one to each."""
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        params: PipelineParams | None = None,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        *,
+        source: str = "",
+        saved: Saved | None = None,
+        sessions: Sessions = "shared",
+        places: Places = ANYWHERE,
+    ) -> None:
+        """Start serving; returns at once.
+
+        Args:
+            dataset: What to open with.
+            params: What to start with and to reset to; None takes what the dataset prefers.
+            host: Address to listen on. There is no password: whoever reaches it can use it.
+            port: Port to listen on; if it is taken, the next free one. 0 takes any.
+            source: Path of the dataset, for the box in which it can be changed.
+            saved: What to begin with in place of that.
+            sessions: "shared": all pages see and change the same. "separate": each page has a
+                session of its own, which ends with it; what one has computed serves all.
+            places: Where pages may have read from and written to; uploads get a folder that ends
+                with the viewer.
+
+        Raises:
+            InputError: If the dataset prefers parameters that there are not.
+        """
+        start = params if params is not None else preferred_parameters(dataset, PipelineParams())
+        self._opened = Opened(dataset, start, source, saved)
+        self._uploads = tempfile.TemporaryDirectory(prefix="gpgrad-uploads-")
+        self._places = replace(places, uploads=Path(self._uploads.name))
+        self._memo = Memo(MEMO_BYTES)
+        self._turns = Turns(helper=start_helper())
+        self._lock = threading.Lock()
+        self._closed = threading.Event()
+        # viser prints a box with its addresses; the command line says ours.
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server = viser.ViserServer(host=host, port=port, verbose=False)
+        set_theme(self._server, dark=False)
+        self._shared: Session | None = None
+        self._separate: dict[int, Session] = {}
+        if sessions == "shared":
+            self._shared = Session(
+                self._server, self._opened, self._memo, self._turns, self._places
+            )
+        self._server.on_client_connect(self._enter)
+        self._server.on_client_disconnect(self._leave)
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        host = self._server.get_host()
+        shown = "localhost" if host == "0.0.0.0" else host
+        return f"http://{shown}:{self._server.get_port()}"
+
+    @property
+    def sessions(self) -> tuple[Session, ...]:
+        """The shared session; else those of the pages that are open, the oldest first."""
+        if self._shared is not None:
+            return (self._shared,)
+        with self._lock:
+            return tuple(self._separate.values())
+
+    def run_forever(self) -> None:
+        """Serve until `close` or Ctrl-C (KeyboardInterrupt)."""
+        while not self._closed.wait(0.5):
+            pass
+
+    def wait_idle(self, timeout: float = 60.0) -> bool:
+        """Wait until all pictures are up to date; says whether that came true in time [s]."""
+        return all(session.wait_idle(timeout) for session in self.sessions)
+
+    def close(self) -> None:
+        """Stop working and serving."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        for session in self.sessions:
+            session.close()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
+        if self._turns.helper is not None:
+            self._turns.helper.close()
+        self._uploads.cleanup()
+
+    # Called from the server's pool of threads, so in any order.
+
+    def _enter(self, client: viser.ClientHandle) -> None:
+        if self._shared is not None:
+            self._count()
+            return
+        with self._lock:
+            if self._closed.is_set() or client.client_id not in self._server.get_clients():
+                return  # it left before its turn came
+            self._separate[client.client_id] = Session(
+                client, self._opened, self._memo, self._turns, self._places
+            )
+
+    def _leave(self, client: viser.ClientHandle) -> None:
+        if self._shared is not None:
+            self._count()
+            return
+        with self._lock:
+            session = self._separate.pop(client.client_id, None)
+        if session is not None:
+            session.close()
+
+    def _count(self) -> None:
+        assert self._shared is not None
+        with self._lock:  # so that the last to count is the last to tell
+            if self._closed.is_set():
+                return  # there is nobody left to tell
+            self._shared.show_presence(len(self._server.get_clients()))

@@ -1,0 +1,1 @@
+"""What the panels share: small HTML, the status line, commands, modes, presence."""

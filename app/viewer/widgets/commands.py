@@ -1,0 +1,139 @@
+"""Commands for the keyboard: a palette (Ctrl/Cmd+K), single keys, and a page that lists them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from html import escape
+from typing import Any, TypeAlias
+
+import viser
+
+from app.viewer.host import Host
+
+Act: TypeAlias = Callable[[viser.ClientHandle], None]
+
+CAMERA_KEYS = frozenset("WASDQE") | {"arrowup", "arrowdown", "arrowleft", "arrowright"}
+"""With these the browser flies the camera; a command on one of them would do both."""
+
+FLYING = (
+    ("Drag", "turn the view"),
+    ("Right drag", "move the view"),
+    ("Wheel", "nearer or farther"),
+    ("W A S D Q E, arrows", "fly"),
+    ("Shift + click", "read the values of a surface"),
+)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command as the help page lists it."""
+
+    group: str
+    label: str
+    key: str | None
+    modifier: str | None
+
+    @property
+    def keys(self) -> str:
+        """The keys as people write them; empty if it has none."""
+        if self.key is None:
+            return ""
+        parts = [*(self.modifier or "").split("+"), self.key]
+        names = {"cmd/ctrl": "Ctrl/Cmd", "shift": "Shift", "alt": "Alt"}
+        return " + ".join(names.get(part, part.capitalize()) for part in parts if part)
+
+
+class Commands:
+    """All commands of a session, added by whoever has one."""
+
+    def __init__(self, host: Host) -> None:
+        """Begin with the command that shows the others.
+
+        Args:
+            host: Whose pages know the commands.
+        """
+        self._host = host
+        self._commands: list[Command] = []
+        self.add(
+            "Help",
+            "Show all keys and commands",
+            lambda client: show_help(client, self.commands),
+            key="H",
+        )
+
+    @property
+    def commands(self) -> tuple[Command, ...]:
+        """What was added, in that order."""
+        return tuple(self._commands)
+
+    def add(
+        self,
+        group: str,
+        label: str,
+        act: Act,
+        *,
+        key: Any = None,
+        modifier: Any = None,
+    ) -> None:
+        """Add a command.
+
+        Args:
+            group: Heading under which the help page has it.
+            label: What it does, in a few words.
+            act: Given the page that asks; runs in the server's event loop and must be quick.
+            key: A letter, digit or name of a key.
+            modifier: Held with it, such as ``cmd/ctrl`` or ``shift``.
+
+        Raises:
+            ValueError: If the key flies the camera or is taken.
+        """
+        if modifier is None and key in CAMERA_KEYS:
+            raise ValueError(f"{label}: {key} flies the camera")
+        taken = {(command.key, command.modifier): command.label for command in self._commands}
+        if key is not None and (key, modifier) in taken:
+            raise ValueError(f"{label}: {key} is taken by {taken[key, modifier]!r}")
+        self._commands.append(Command(group, label, key, modifier))
+        handle = self._host.gui.add_command(label, description=group, hotkey=key, modifier=modifier)
+
+        @handle.on_trigger
+        async def _(event: viser.CommandEvent) -> None:
+            if event.client is not None:
+                act(event.client)
+
+
+def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None:
+    """Open a page that lists all commands, on the page that asks only."""
+    modal = client.gui.add_modal("Keys and commands")
+    with modal:
+        client.gui.add_html(help_html(commands))
+        close = client.gui.add_button("Close")
+
+    @close.on_click
+    async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+        del event
+        modal.close()
+
+
+def help_html(commands: tuple[Command, ...]) -> str:
+    """Write the list, a table a group."""
+    groups: dict[str, list[tuple[str, str]]] = {"Picture": list(FLYING)}
+    for command in commands:
+        groups.setdefault(command.group, []).append((command.keys, command.label))
+    tables = "".join(
+        f'<div style="break-inside:avoid;margin-bottom:.8em"><b>{escape(group)}</b>'
+        f'<table style="font-size:.85em">{"".join(_row(*row) for row in rows)}</table></div>'
+        for group, rows in groups.items()
+    )
+    return (
+        '<div data-testid="help" style="padding:0 .75em;columns:2 16em">'
+        '<p style="font-size:.85em;margin-top:0;column-span:all">Ctrl/Cmd + K finds a command by '
+        "its name. Keys work while no box is being typed in: click the picture first.</p>"
+        f"{tables}</div>"
+    )
+
+
+def _row(keys: str, label: str) -> str:
+    key = f"<kbd>{escape(keys)}</kbd>" if keys else ""
+    return (
+        f'<tr><td style="padding:.1em .8em .1em 0;white-space:nowrap">{key}</td>'
+        f"<td>{escape(label)}</td></tr>"
+    )

@@ -1,0 +1,1 @@
+"""World: all submaps where they lie, with trajectories and loop closures."""

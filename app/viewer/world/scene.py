@@ -1,0 +1,354 @@
+"""The scene of the world: every submap at its pose, the robot's ways, and the loops between them.
+
+A submap is a frame with a surface beneath it, so that moving it sends a pose and nothing else.
+"""
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import viser
+from jaxtyping import Float
+
+from app.viewer.draw.associations import outline
+from app.viewer.draw.colors import Rgb, for_lines
+from app.viewer.draw.layers import Scale
+from app.viewer.draw.nodes import Cloud, Segments
+from app.viewer.draw.placement import Camera, Extent, Placement, frame_camera
+from app.viewer.draw.surfels import Surfels
+from app.viewer.host import Host
+from app.viewer.world.lines import (
+    REFUSED_LOOP,
+    TRAJECTORY_COLORS,
+    Loop,
+    arch_colors,
+    arches,
+    drawable,
+    way,
+)
+from app.viewer.world.submaps import PoseSource, WorldOptions
+from app.viewer.world.surfaces import Sight, make_patch, pick, submap_color, world_scale
+from gpgrad_core.arrays import Array
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset
+
+WORLD = "/world"
+SELECTED: Rgb = (235, 40, 140)
+MAX_NAMES = 60
+"""Of more submaps, only every second is named, or every third, …"""
+LIFT = 0.08
+"""How far ways and loops stand above the ground, in widths of a submap."""
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """What the scene is to show.
+
+    Attributes:
+        dataset: Whose submaps.
+        sights: A surface of each, by id.
+        poses: ``T_world_submap`` of each that stands somewhere, by id.
+        ways: Poses along each way to draw, by where they come from.
+        options: How it is drawn.
+        loops: Pairs to join.
+        selected: Id of the submap to outline.
+        marked: Pair (query, database) whose loop stands out.
+        highest_score: Of the last colour of the loops.
+    """
+
+    dataset: Dataset
+    sights: Mapping[str, Sight]
+    poses: Mapping[str, Pose]
+    ways: Mapping[PoseSource, Mapping[str, Pose]]
+    options: WorldOptions = field(default_factory=WorldOptions)
+    loops: tuple[Loop, ...] = ()
+    selected: str | None = None
+    marked: tuple[str, str] | None = None
+    highest_score: float = 1.0
+
+
+class WorldScene:
+    """All submaps of a dataset under one frame that can be hidden."""
+
+    def __init__(self, host: Host, *, visible: bool = False) -> None:
+        """Make the frame; nothing is shown until `show`."""
+        self._host = host
+        self._root = host.scene.add_frame(WORLD, show_axes=False, visible=visible)
+        self._nodes: list[_Node] = []
+        self._ways: dict[PoseSource, Segments] = {
+            source: Segments(host, f"{WORLD}/ways/{source}", color, thickness=3.0)
+            for source, color in TRAJECTORY_COLORS.items()
+        }
+        self._loops = _Loops(host, f"{WORLD}/loops")
+        self._refused = Segments(host, f"{WORLD}/refused", REFUSED_LOOP, thickness=1.5)
+        self._marked = Segments(host, f"{WORLD}/marked", SELECTED, thickness=6.0)
+        self._outline = Segments(host, f"{WORLD}/selected", SELECTED, thickness=4.0)
+        self._origin = np.zeros(3)
+        self._shown: World | None = None
+        self._lift = 0.0
+        self._lock = threading.Lock()
+
+    @property
+    def visible(self) -> bool:
+        """Whether the world is to be seen."""
+        return self._root.visible
+
+    @visible.setter
+    def visible(self, visible: bool) -> None:
+        self._root.visible = visible
+
+    @property
+    def num_cells(self) -> int:
+        """Cells drawn."""
+        return sum(node.surface.num_points for node in self._nodes)
+
+    def show(self, world: World, at: Mapping[str, Pose] | None = None) -> Scale | None:
+        """Show a world as one consistent change; gives what its colours mean.
+
+        Args:
+            world: What to show.
+            at: Other poses to put the submaps at for the moment, before `mover` moves them on.
+        """
+        with self._lock:
+            return self._show(world, world.poses if at is None else at)
+
+    def mover(self) -> Callable[[Mapping[str, Pose]], None]:
+        """Give what moves the submaps, and what hangs on them, without drawing them anew.
+
+        It does nothing once another world has been shown.
+        """
+        world = self._shown
+
+        def move(poses: Mapping[str, Pose]) -> None:
+            with self._lock:
+                if world is None or self._shown is not world:
+                    return
+                with self._host.atomic():
+                    self._place(poses)
+            self._host.flush()
+
+        return move
+
+    def _show(self, world: World, at: Mapping[str, Pose]) -> Scale | None:
+        sights = {name: sight for name, sight in world.sights.items() if name in world.poses}
+        before = self._shown
+        with self._host.atomic():
+            if before is None or before.dataset is not world.dataset:
+                self._origin = _middle(world.poses)
+                self._lift = LIFT * _width(world.dataset)
+            scale = world_scale(sights, dict(world.poses), world.options.color)
+            self._fit_nodes(len(world.dataset.submaps))
+            for place, submap in enumerate(world.dataset.submaps):
+                node, sight = self._nodes[place], sights.get(submap.id)
+                if sight is None:
+                    node.hide()
+                    continue
+                node.show(submap.id, sight, world, scale, place)
+            self._shown = world
+            self._place(at)
+        self._host.flush()
+        return scale
+
+    def pick(self, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> str | None:
+        """Say which submap a ray of the scene hits first."""
+        if self._shown is None:
+            return None
+        surfaces = {
+            node.name: (node.surfels.positions, self._shown.poses[node.name], node.surfels.size)
+            for node in self._nodes
+            if node.surfels is not None and node.name in self._shown.poses
+        }
+        return pick(origin + self._origin, direction, surfaces)
+
+    def camera(self) -> Camera | None:
+        """Give the view that shows all; None while nothing is shown."""
+        if self._shown is None or not self._shown.poses:
+            return None
+        return frame_camera(
+            tuple(
+                (Extent.of(submap), self._placement(self._shown.poses[submap.id]))
+                for submap in self._shown.dataset.submaps
+                if submap.id in self._shown.poses
+            )
+        )
+
+    def camera_at(self, name: str) -> Camera | None:
+        """Give the view of one submap; None if it is not shown."""
+        if self._shown is None or name not in self._shown.poses:
+            return None
+        submap = self._shown.dataset.submap(name)
+        return frame_camera(((Extent.of(submap), self._placement(self._shown.poses[name])),))
+
+    def path(self) -> Float[Array, "n 3"]:
+        """Give the way along the submaps as the scene has it [m]."""
+        if self._shown is None:
+            return np.zeros((0, 3))
+        points = [pose.translation - self._origin for pose in self._shown.poses.values()]
+        return np.array(points, dtype=np.float64).reshape(-1, 3)
+
+    def _fit_nodes(self, count: int) -> None:
+        while len(self._nodes) > count:
+            self._nodes.pop().remove()
+        while len(self._nodes) < count:
+            self._nodes.append(_Node(self._host, f"{WORLD}/submaps/{len(self._nodes)}"))
+
+    def _place(self, poses: Mapping[str, Pose]) -> None:
+        """Move frames to poses, and draw the ways and loops that end there."""
+        world = self._shown
+        assert world is not None
+        for node in self._nodes:
+            pose = poses.get(node.name)
+            if pose is not None:
+                node.move(pose.translation - self._origin, pose)
+        local = {name: self._local(pose) for name, pose in poses.items()}
+        self._place_ways(world, local)
+        self._place_loops(world, local)
+        self._place_outline(world, local)
+
+    def _place_ways(self, world: World, local: Mapping[str, Pose]) -> None:
+        for source, segments in self._ways.items():
+            known = world.ways.get(source)
+            if known is None or not world.options.trajectories:
+                segments.hide()
+                continue
+            # The way that the submaps stand on goes along when they move.
+            along = (
+                local
+                if source == world.options.poses
+                else {name: self._local(pose) for name, pose in known.items()}
+            )
+            points = way(along, self._lift)
+            segments.show((points.tobytes(),), lambda points=points: points)
+
+    def _place_loops(self, world: World, local: Mapping[str, Pose]) -> None:
+        options = world.options
+        loops = drawable(world.loops, local)
+        accepted = [loop for loop in loops if loop.accepted] if options.loops else []
+        refused = [loop for loop in loops if not loop.accepted] if options.refused else []
+        self._loops.show(
+            arches(accepted, local, self._lift), lambda: arch_colors(accepted, world.highest_score)
+        )
+        marked = [loop for loop in loops if loop.pair == world.marked]
+        if marked:
+            above = arches(marked, local, 1.1 * self._lift)
+            self._marked.show((above.tobytes(),), lambda: above)
+        else:
+            self._marked.hide()
+        if refused:
+            points = arches(refused, local, self._lift)
+            self._refused.show((points.tobytes(),), lambda: points)
+        else:
+            self._refused.hide()
+
+    def _place_outline(self, world: World, local: Mapping[str, Pose]) -> None:
+        if world.selected is None or world.selected not in local:
+            self._outline.hide()
+            return
+        box, pose = Extent.of(world.dataset.submap(world.selected)), local[world.selected]
+        self._outline.show(
+            (world.dataset, world.selected, *pose.translation, *pose.quaternion),
+            lambda: outline(pose.apply(box.corners)),
+        )
+
+    def _local(self, pose: Pose) -> Pose:
+        """The pose in the scene's frame, whose numbers are small enough for the browser."""
+        return Pose(pose.translation - self._origin, pose.quaternion)
+
+    def _placement(self, pose: Pose) -> Placement:
+        x, y, z = (float(value) for value in pose.translation - self._origin)
+        return Placement(x, y, z, pose.planar.yaw)
+
+
+class _Node:
+    """One submap of the world."""
+
+    def __init__(self, host: Host, root: str) -> None:
+        self.name = ""
+        self.surfels: Surfels | None = None
+        self._frame = host.scene.add_frame(root, show_axes=False)
+        self.surface = Cloud(host, f"{root}/surface")
+        self._label = host.scene.add_label(f"{root}/name", "", anchor="bottom-center")
+
+    def show(self, name: str, sight: Sight, world: World, scale: Scale | None, place: int) -> None:
+        """Show a submap, unless it is shown just so."""
+        count, color, pose = len(world.sights), world.options.color, world.poses[name]
+        self.name = name
+        self._frame.visible = True
+
+        def make() -> tuple[Any, Any, float]:
+            made = make_patch(sight, pose, color, scale, submap_color(place), count)
+            self.surfels = made
+            return made.positions, made.colors, made.size
+
+        height = float(pose.translation[2]) if color == "elevation" else 0.0
+        look = (color, scale, place, count, pose.planar.yaw, height)
+        self.surface.show((sight.gradient_map, sight.max_std_ratio, *look), make)
+        every = -(-len(world.dataset.submaps) // MAX_NAMES)
+        named = world.options.names and (place % every == 0 or name == world.selected)
+        self._label.visible = named
+        if named and self._label.text != name:
+            self._label.text = name
+        box = Extent.of(world.dataset.submap(name))
+        x, y, _ = box.center
+        self._label.position = (float(x), float(y), float(box.high[2]))
+
+    def move(self, position: Float[Array, "3"], pose: Pose) -> None:
+        """Move the frame."""
+        x, y, z, w = pose.quaternion
+        self._frame.position = position
+        self._frame.wxyz = np.array([w, x, y, z])
+
+    def hide(self) -> None:
+        """Take it out of sight."""
+        self._frame.visible = False
+        self.name, self.surfels = "", None
+
+    def remove(self) -> None:
+        """Take it out of the scene, and free what the pages hold of it."""
+        self._frame.remove()
+
+
+class _Loops:
+    """Line segments of many colours in one node."""
+
+    def __init__(self, host: Host, name: str) -> None:
+        self._host = host
+        self._name = name
+        self._handle: viser.LineSegmentsHandle | None = None
+        self._colored: bytes = b""
+
+    def show(self, points: Any, make_colors: Callable[[], Any]) -> None:
+        """Show lines (n, 2, 3) [m] in the colours (n, 3) that ``make_colors`` returns."""
+        if len(points) == 0:
+            if self._handle is not None:
+                self._handle.visible = False
+            return
+        wanted = make_colors()
+        unique, places = np.unique(wanted, axis=0, return_inverse=True)
+        table = np.array([for_lines((int(r), int(g), int(b))) for r, g, b in unique], np.uint8)
+        colors = np.repeat(table[places.ravel()][:, None], 2, axis=1)
+        if self._handle is None:
+            self._handle = self._host.scene.add_line_segments(
+                self._name, points, colors, thickness=4.0, thickness_units="screen"
+            )
+        else:
+            self._handle.points = points
+            if colors.tobytes() != self._colored:
+                self._handle.colors = colors
+            self._handle.visible = True
+        self._colored = colors.tobytes()
+
+
+def _middle(poses: Mapping[str, Pose]) -> Float[Array, "3"]:
+    if not poses:
+        return np.zeros(3)
+    points = np.array([pose.translation for pose in poses.values()])
+    return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2, dtype=np.float64)
+
+
+def _width(dataset: Dataset) -> float:
+    """Width of a typical submap [m]."""
+    widths = [float(np.ptp(submap.points[:, 0])) for submap in dataset.submaps]
+    return float(np.median(widths))

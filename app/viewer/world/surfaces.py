@@ -1,0 +1,163 @@
+"""All submaps at once: a light surface of each, told apart or compared by its colour.
+
+Two kinds of surface serve. A smoothed grid takes a hundredth of a second a submap, and shows
+shape and height; deviation and gradient need the Gaussian process, whose maps the pipeline makes
+anyway and keeps.
+"""
+
+import colorsys
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+from jaxtyping import Float
+
+from app.viewer.draw.colors import Rgb
+from app.viewer.draw.layers import Scale, shared_scale
+from app.viewer.draw.surfels import Surfels, make_surfels, stride_for
+from app.viewer.state import Layer
+from app.viewer.world.submaps import WorldColor, footprint
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.methods.smoothed import smoothed_map
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.pipeline.coarse import infer_quick_map
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import GradientMap, Submap
+
+MAX_CELLS = 200_000
+"""Of all submaps together: what a browser draws and a network carries in a moment."""
+SMOOTHED_OVER = 2.5
+"""Length-scales of the smoothed grid are this many cells or more, so that no gaps show."""
+COARSEST = 10.0
+"""No cell is larger [m]; `make_patch` leaves some out instead."""
+SMOOTHED_NOISE = 0.01
+"""So little [m] that the smoothed grid is masked by where there are points alone."""
+SMOOTHED_RATIO = 0.999
+GOLDEN_TURN = 0.618034
+"""Hues that go on by this share of the circle never come near those just before."""
+
+LAYER_OF: dict[WorldColor, Layer] = {
+    "submap": "elevation",
+    "elevation": "elevation",
+    "deviation": "std",
+    "gradient": "gradient",
+}
+NEEDS_INFERENCE: tuple[WorldColor, ...] = ("deviation", "gradient")
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """One submap as the world shows it: a map and which of its cells are to be trusted."""
+
+    gradient_map: GradientMap
+    max_std_ratio: float
+
+
+def quick_sight(submap: Submap, params: PipelineParams, memo: Memo, num_submaps: int) -> Sight:
+    """Make the smoothed grid of a submap, as coarse as so many of them ask for.
+
+    Raises:
+        InputError: If the grid would be too large.
+    """
+    finest = sqrt(memo(footprint, submap) * num_submaps / MAX_CELLS)
+    resolution = min(max(params.map.resolution, round(finest + 0.0005, 3)), COARSEST)
+    light = replace(
+        params.map,
+        resolution=resolution,
+        length_scale=max(params.map.length_scale, SMOOTHED_OVER * resolution),
+        noise_std=SMOOTHED_NOISE,
+        signal_std=None,
+    )
+    made = memo(smoothed_map, submap, PipelineParams(map=light))
+    return Sight(made, SMOOTHED_RATIO)
+
+
+def inferred_sight(
+    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> Sight:
+    """Infer a submap's gradient map: the full one if it is at hand, and else a coarse one.
+
+    Raises:
+        InputError: If the map cannot be made.
+    """
+    return Sight(infer_quick_map(submap, params.map, memo, progress), params.features.max_std_ratio)
+
+
+def world_scale(
+    sights: dict[str, Sight], poses: dict[str, Pose], color: WorldColor
+) -> Scale | None:
+    """Choose one range of colours for all submaps; None where each has its own colour.
+
+    Args:
+        sights: By id.
+        poses: Of each; they give the heights.
+        color: What colours them.
+    """
+    if color == "submap" or not sights:
+        return None
+    layer = LAYER_OF[color]
+    lifts = [float(poses[name].translation[2]) if color == "elevation" else 0.0 for name in sights]
+    ratio = min(sight.max_std_ratio for sight in sights.values())
+    maps = tuple(sight.gradient_map for sight in sights.values())
+    return shared_scale(maps, layer, "automatic", ratio, tuple(lifts))
+
+
+def make_patch(
+    sight: Sight, pose: Pose, color: WorldColor, scale: Scale | None, tint: Rgb, num_submaps: int
+) -> Surfels:
+    """Turn one submap into coloured squares in its own frame.
+
+    Args:
+        sight: What to draw.
+        pose: Where it stands: for the light and the height.
+        color: What colours it.
+        scale: What the colours mean; None for the one colour ``tint``.
+        tint: The submap's own colour.
+        num_submaps: That share the cells there may be.
+    """
+    return make_surfels(
+        sight.gradient_map,
+        scale or Scale("", "", "viridis", 0.0, 1.0),
+        layer=LAYER_OF[color],
+        max_std_ratio=sight.max_std_ratio,
+        yaw=pose.planar.yaw,
+        offset=float(pose.translation[2]) if color == "elevation" else 0.0,
+        stride=stride_for(sight.gradient_map.grid.num_cells, max(1, MAX_CELLS // num_submaps)),
+        tint=tint if scale is None else None,
+    )
+
+
+def submap_color(place: int) -> Rgb:
+    """Give a submap its own colour, unlike those of its neighbours along the way."""
+    red, green, blue = colorsys.hls_to_rgb((0.58 + GOLDEN_TURN * place) % 1.0, 0.62, 0.5)
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def pick(
+    origin: Float[Array, "3"],
+    direction: Float[Array, "3"],
+    surfaces: dict[str, tuple[Float[NDArray[np.float32], "n 3"], Pose, float]],
+) -> str | None:
+    """Say which submap a ray hits first.
+
+    Args:
+        origin: Where the ray starts [m].
+        direction: Where it goes, of any length.
+        surfaces: Of each submap, by id: cells in its own frame [m], its pose in the frame of the
+            ray, and the side of a cell [m].
+    """
+    toward = direction / np.linalg.norm(direction)
+    nearest, chosen = np.inf, None
+    for name, (cells, pose, size) in surfaces.items():
+        # Into the submap's frame: two vectors to turn, not thousands.
+        start = (origin - pose.translation) @ pose.rotation
+        along = toward @ pose.rotation
+        arm = cells - start
+        depth = arm @ along
+        aside = np.sum(arm * arm, axis=1) - depth**2
+        hit = (aside < size**2) & (depth > 0)
+        if hit.any() and depth[hit].min() < nearest:
+            nearest, chosen = float(depth[hit].min()), name
+    return chosen

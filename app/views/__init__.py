@@ -1,1 +1,0 @@
-"""The picture: pure conversions to positions and colours, and the scene that shows them."""

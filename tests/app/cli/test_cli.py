@@ -1,0 +1,136 @@
+"""The command line without a process: what a process cannot easily be brought to."""
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Annotated
+
+import numpy as np
+import pytest
+from typing_extensions import Doc
+
+import app.cli
+from app.cli import FAILED, INTERRUPTED, run
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.types import Dataset, Submap
+
+DATASET = Dataset(
+    "crater",
+    (Submap.from_points(np.random.default_rng(0).normal(size=(20, 3)), "000"),),
+    preferred={"query": "000", "map": {"length_scale": 0.45}},
+    notes=("000.ply: 1 of 21 rows is not finite and was dropped",),
+)
+
+
+@dataclass
+class FakeViewer:
+    """Remembers how it was made and what became of it."""
+
+    dataset: Dataset
+    params: PipelineParams
+    host: str
+    port: int
+    source: str = ""
+    sessions: str = "shared"
+    saved: object = None
+    places: object = None
+    url: str = "http://127.0.0.1:8080"
+    closed: bool = False
+
+    def run_forever(self) -> None:
+        raise KeyboardInterrupt
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@dataclass
+class Stage:
+    """A viewer and a browser that only look like it."""
+
+    viewers: list[FakeViewer] = field(default_factory=list)
+    pages: list[str] = field(default_factory=list)
+    loaded: list[Path] = field(default_factory=list)
+
+
+@pytest.fixture
+def stage(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stage:
+    stage = Stage()
+
+    def make(*arguments: object, **named: object) -> FakeViewer:
+        stage.viewers.append(FakeViewer(*arguments, **named))  # type: ignore[arg-type]
+        return stage.viewers[-1]
+
+    def load(path: Path, progress: object) -> Dataset:
+        del progress
+        stage.loaded.append(path)
+        return DATASET
+
+    monkeypatch.setitem(sys.modules, "app.viewer.server", SimpleNamespace(Viewer=make))
+    monkeypatch.setattr(app.cli, "load_dataset", load)
+    monkeypatch.setattr(app.cli, "demo_path", lambda: tmp_path / "demo")
+    monkeypatch.setattr(app.cli.webbrowser, "open", stage.pages.append)
+    return stage
+
+
+def test_view_opens_the_demo_in_the_browser(
+    stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["view"]) == INTERRUPTED
+    (viewer,) = stage.viewers
+    assert stage.loaded == [tmp_path / "demo"]
+    assert viewer.source == str(tmp_path / "demo")
+    assert (viewer.host, viewer.port) == ("127.0.0.1", 8080)
+    assert viewer.params.map.length_scale == 0.45  # as the dataset prefers
+    assert stage.pages == ["http://127.0.0.1:8080"]
+    assert viewer.closed
+    said = capsys.readouterr()
+    assert said.out == "crater is at http://127.0.0.1:8080 (Ctrl-C ends)\n"
+    assert said.err.splitlines() == [f"gpgrad: {DATASET.notes[0]}", "gpgrad: interrupted"]
+
+
+def test_view_takes_its_arguments(stage: Stage) -> None:
+    run(
+        "view here --no-open --host 0.0.0.0 --port 9000 --map.length-scale 0.2".split()  # noqa: SIM905
+    )
+    (viewer,) = stage.viewers
+    assert stage.loaded == [Path("here")]
+    assert (viewer.host, viewer.port) == ("0.0.0.0", 9000)
+    assert viewer.params.map.length_scale == 0.2
+    assert stage.pages == []
+
+
+def test_an_error_of_the_system_is_one_line_too(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(path: Path, progress: object) -> Dataset:
+        del progress
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(app.cli, "load_dataset", fail)
+    assert run(["detect", "secret", "--out", str(tmp_path / "a.json")]) == FAILED
+    assert capsys.readouterr().err == "gpgrad: secret: Permission denied\n"
+
+
+def test_a_mistake_of_ours_is_not_hidden(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def fail(path: Path, progress: object) -> Dataset:
+        raise ZeroDivisionError(f"loading {path}, {progress}")
+
+    monkeypatch.setattr(app.cli, "load_dataset", fail)
+    with pytest.raises(ZeroDivisionError):
+        run(["detect", "here", "--out", str(tmp_path / "a.json")])
+
+
+def test_help_tells_the_unit_and_the_range_from_the_bounds(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    @dataclass(frozen=True)
+    class Params:
+        width: Annotated[float, Bounds(0.5, 20_000, 0.5, "m"), Doc("How wide.")] = 2.0
+
+    with pytest.raises(SystemExit, match="0"):
+        app.cli._flags(Params, ["--help"])
+    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "--width FLOAT How wide. From 0.5 to 20,000 m. (default: 2.0)" in said

@@ -1,0 +1,229 @@
+import io
+import threading
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import viser
+
+from app.viewer.data import tab as opening_module
+from app.viewer.data.recent import recent_datasets
+from app.viewer.data.tab import Opened, Opening
+from app.viewer.permissions import Places
+from app.viewer.save.session_file import Saved
+from gpgrad_core.datasets import load_dataset, write_dataset
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.types import Dataset
+from tests.app.page import ProtocolPage
+from tests.app.synthetic import make_dataset
+from tests.app.widgets import find, user_presses, user_sets
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of two datasets."""
+    root = tmp_path_factory.mktemp("data")
+    for name in ("hills", "others"):
+        write_dataset(make_dataset(num_points=200, name=name), root / name)
+    return root
+
+
+@pytest.fixture
+def opened() -> list[Opened]:
+    return []
+
+
+Make = Callable[..., Opening]
+
+
+@pytest.fixture
+def make(server: viser.ViserServer, tmp_path: Path, opened: list[Opened]) -> Iterator[Make]:
+    made: list[Opening] = []
+
+    def start(**places: Any) -> Opening:
+        (tmp_path / "uploads").mkdir(exist_ok=True)
+        given = Places(config=tmp_path / "config", uploads=tmp_path / "uploads")
+        made.append(
+            Opening(server, "", replace(given, **places), on_opened=opened.append, message_of=str)
+        )
+        return made[-1]
+
+    yield start
+    for opening in made:
+        opening.close()
+    assert list((tmp_path / "uploads").iterdir()) == []  # nothing stays
+
+
+def said(opening: Opening) -> str:
+    return opening._panel._message.content
+
+
+def upload(server: viser.ViserServer, opening: Opening, name: str, content: bytes) -> None:
+    file: Any = viser.UploadedFile(name, content)
+    user_sets(find(server, "Upload clouds"), file)
+    assert opening.wait_idle(10)
+
+
+def zipped(folder: Path) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(folder.rglob("*.*")):
+            archive.write(path, path.relative_to(folder.parent))
+    return buffer.getvalue()
+
+
+def test_a_path_is_opened_and_remembered(
+    make: Make, server: viser.ViserServer, data: Path, tmp_path: Path, opened: list[Opened]
+) -> None:
+    opening = make()
+    user_sets(find(server, "Folder"), str(data / "hills"))
+    user_sets(find(server, "Open"), "Load")
+    assert opening.wait_idle(10)
+    assert (opened[0].dataset.name, opened[0].source) == ("hills", str(data / "hills"))
+    assert recent_datasets(tmp_path / "config") == (str(data / "hills"),)
+    user_sets(find(server, "Recent"), str(data / "hills"))
+    assert opening.wait_idle(10)
+    assert len(opened) == 2
+
+
+def test_below_a_root_folders_are_browsed_and_nothing_else_is_opened(
+    make: Make, server: viser.ViserServer, data: Path, opened: list[Opened]
+) -> None:
+    opening = make(root=data / "hills")
+    assert "hills" in opening._panel._place.content
+    user_sets(find(server, "Browse"), "submaps/")
+    assert find(server, "Browse").options == ("choose …", "↑ up", *SUBMAPS)
+    user_sets(find(server, "Browse"), SUBMAPS[1])
+    assert opening.wait_idle(10)
+    assert [submap.id for submap in opened[-1].dataset.submaps] == ["001"]
+    user_sets(find(server, "Browse"), "↑ up")
+    user_presses(find(server, "Use this folder"))
+    assert opening.wait_idle(10)
+    assert opened[-1].dataset.name == "hills"
+    for path in (str(data / "others"), "../others", "/etc"):
+        user_sets(find(server, "Folder"), path)
+        user_sets(find(server, "Open"), "Load")
+        assert opening.wait_idle(10)
+        assert "outside of" in said(opening)
+    opening.restore(Saved(dataset=data / "others"))
+    assert opening.wait_idle(10)
+    assert "outside of" in said(opening)
+    assert len(opened) == 2
+
+
+SUBMAPS = ("000.ply", "001.ply", "002.ply", "003.ply")
+
+
+def test_a_zipped_dataset_is_uploaded(
+    make: Make, server: viser.ViserServer, data: Path, tmp_path: Path, opened: list[Opened]
+) -> None:
+    opening = make()
+    upload(server, opening, "my hills.zip", zipped(data / "hills"))
+    assert opened[0].dataset.name == "hills"
+    assert len(opened[0].dataset.submaps) == 4
+    assert Path(opened[0].source).is_relative_to(tmp_path / "uploads")
+    assert recent_datasets(tmp_path / "config") == ()  # it will be gone
+    user_sets(find(server, "Open"), "Load demo")
+    assert opening.wait_idle(20)
+    assert not Path(opened[0].source).exists()  # it is no longer open
+    upload(server, opening, "broken.zip", b"PK\x03\x04")
+    assert "broken.zip: is no whole zip archive" in said(opening)
+
+
+def test_clouds_gather_in_one_dataset(
+    make: Make, server: viser.ViserServer, data: Path, opened: list[Opened]
+) -> None:
+    opening = make()
+    clouds = data / "hills" / "submaps"
+    upload(server, opening, "000.ply", (clouds / "000.ply").read_bytes())
+    upload(server, opening, "001.ply", b"ply\nbroken")
+    assert "001.ply" in said(opening)
+    upload(server, opening, "001.ply", (clouds / "001.ply").read_bytes())
+    assert [[submap.id for submap in one.dataset.submaps] for one in opened] == [
+        ["000"],
+        ["000", "001"],
+    ]
+    upload(server, opening, "001.ply", (clouds / "001.ply").read_bytes())
+    assert "was uploaded before" in said(opening)
+    upload(server, opening, "evil.exe", b"MZ")
+    assert "neither a zipped dataset" in said(opening)
+    assert len(opened) == 2
+
+
+def test_too_large_a_file_is_refused(
+    make: Make, server: viser.ViserServer, opened: list[Opened]
+) -> None:
+    opening = make(max_upload=1_000_000)
+    upload(server, opening, "000.ply", bytes(1_000_001))
+    assert "up to 1 MB can be uploaded" in said(opening)
+    assert opened == []
+
+
+@pytest.mark.parametrize("honest", [True, False])
+def test_too_large_a_file_ends_before_it_fills_the_memory(
+    make: Make, server: viser.ViserServer, opened: list[Opened], honest: bool
+) -> None:
+    opening = make(max_upload=1_000_000)
+    page = ProtocolPage(f"http://127.0.0.1:{server.get_port()}")
+    page.wait(lambda: page.find("Upload clouds") is not None, "the button")
+    uuid = page.find("Upload clouds")["uuid"]
+    size = 3_000_000 if honest else 900_000
+    head = {"source_component_uuid": uuid, "transfer_uuid": "one"}
+    start = {"filename": "big.ply", "mime_type": "", "part_count": 3, "size_bytes": size}
+    page.send({"type": "FileTransferStartUpload", **head, **start})
+    for index in range(3):
+        part = {"part_index": index, "content": bytes(1_000_000)}
+        page.send({"type": "FileTransferPart", **head, **part})
+    page.wait(lambda: "up to 1 MB can be uploaded" in said(opening), "the refusal")
+    page.close()
+    assert server.gui._current_file_upload_states == {}
+    assert opened == []
+
+
+def test_loading_is_told_and_cancelled(
+    make: Make,
+    server: viser.ViserServer,
+    data: Path,
+    opened: list[Opened],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begun, go = threading.Event(), threading.Event()
+
+    def slow(path: Path, progress: Progress = silent) -> Dataset:
+        begun.set()
+        while not go.wait(0.005):
+            progress(0.3)
+        return load_dataset(path)
+
+    monkeypatch.setattr(opening_module, "load_dataset", slow)
+    opening = make()
+    user_sets(find(server, "Folder"), str(data / "hills"))
+    user_sets(find(server, "Open"), "Load")
+    assert begun.wait(10)
+    assert find(server, "Cancel loading").visible
+    user_presses(find(server, "Cancel loading"))
+    assert opening.wait_idle(10)
+    assert "Cancelled" in said(opening)
+    assert not find(server, "Cancel loading").visible
+    assert opened == []
+    go.set()
+    user_sets(find(server, "Open"), "Load")
+    assert opening.wait_idle(10)
+    assert len(opened) == 1
+
+
+def test_a_saved_session_is_restored_or_refused(
+    make: Make, data: Path, opened: list[Opened]
+) -> None:
+    opening = make()
+    opening.restore(Saved(dataset=data / "hills", query_id="002"))
+    assert opening.wait_idle(10)
+    assert opened[0].saved is not None
+    assert opened[0].saved.query_id == "002"
+    opening.restore(Saved(dataset=data / "hills", query_id="999"))
+    assert opening.wait_idle(10)
+    assert "no submap" in said(opening)
+    assert len(opened) == 1

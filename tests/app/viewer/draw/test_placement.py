@@ -1,0 +1,107 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.viewer.draw.placement import (
+    FIELD_OF_VIEW,
+    Camera,
+    Extent,
+    Placement,
+    frame_camera,
+    height_offset,
+    place,
+)
+from app.viewer.state import Layout
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import GradientMap
+from tests.app.synthetic import T_DATABASE_QUERY, make_dataset, make_map
+
+SUBMAPS = make_dataset().submaps
+QUERY, DATABASE = SUBMAPS[3], SUBMAPS[0]
+BOXES = Extent.of(QUERY), Extent.of(DATABASE)
+
+
+def bounds(box: Extent, placement: Placement) -> tuple[np.ndarray, np.ndarray]:
+    corners = placement.apply(box.corners)
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def test_side_by_side_they_do_not_touch_and_surround_the_origin() -> None:
+    query, database = place(*BOXES, "side by side", T_DATABASE_QUERY, 0.0)
+    query_low, query_high = bounds(BOXES[0], query)
+    database_low, database_high = bounds(BOXES[1], database)
+    assert database_high[0] < 0 < query_low[0]
+    assert query_high[0] == pytest.approx(-database_low[0], rel=0.05)
+    assert query.yaw == database.yaw == 0.0
+
+
+def test_registered_a_query_point_lands_where_the_registration_says() -> None:
+    query, database = place(*BOXES, "registered", T_DATABASE_QUERY, 0.4)
+    points = np.array([[1.0, 2.0, 0.3], [-0.5, 0.0, -0.1]])
+    in_database = np.column_stack([T_DATABASE_QUERY.apply(points[:, :2]), points[:, 2] + 0.4])
+    np.testing.assert_allclose(query.apply(points), database.apply(in_database), atol=1e-12)
+
+
+def test_the_quaternion_says_the_same_as_the_yaw() -> None:
+    w, x, y, z = Placement(yaw=1.1).wxyz
+    assert (x, y) == (0.0, 0.0)
+    assert 2 * np.arctan2(z, w) == pytest.approx(1.1)
+
+
+def test_without_a_registration_they_stand_side_by_side() -> None:
+    assert place(*BOXES, "registered", None, 0.0) == place(*BOXES, "side by side", None, 0.0)
+
+
+def test_the_offset_of_height_is_found_over_the_overlap() -> None:
+    query_map, database_map = make_map(QUERY), make_map(DATABASE)
+    lowered = GradientMap(
+        query_map.grid,
+        query_map.elevation - 0.7,
+        query_map.variance,
+        query_map.slope,
+        query_map.signal_std,
+        query_map.length_scale,
+    )
+    assert height_offset(lowered, database_map, T_DATABASE_QUERY, 0.5) == pytest.approx(
+        0.7, abs=0.02
+    )
+
+
+def test_without_overlap_the_offset_is_zero() -> None:
+    maps = make_map(QUERY), make_map(DATABASE)
+    assert height_offset(*maps, SE2(100.0, 0.0, 0.0), 0.5) == 0.0
+    assert height_offset(*maps, T_DATABASE_QUERY, 1e-9) == 0.0
+
+
+def project(camera: Camera, points: np.ndarray, aspect: float) -> np.ndarray:
+    """Map scene points to the picture, whose edges are at -1 and 1."""
+    eye = np.array(camera.position)
+    forward = np.array(camera.look_at) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0, 0, 1])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    offset = points - eye
+    depth = offset @ forward
+    assert (depth > 0).all()
+    half = np.tan(FIELD_OF_VIEW / 2)
+    return np.column_stack([offset @ right / depth / (half * aspect), offset @ up / depth / half])
+
+
+@given(
+    width=st.floats(1.0, 100.0),
+    depth=st.floats(1.0, 100.0),
+    layout=st.sampled_from(["side by side", "registered"]),
+    aspect=st.floats(0.5, 2.5),
+)
+def test_the_camera_sees_both_submaps(
+    width: float, depth: float, layout: Layout, aspect: float
+) -> None:
+    box = Extent((0.0, 0.0, 0.0), (width, depth, 1.0))
+    query, database = place(box, box, layout, T_DATABASE_QUERY, 0.0)
+    camera = frame_camera(((box, query), (box, database)), aspect)
+    corners = np.concatenate([query.apply(box.corners), database.apply(box.corners)])
+    seen = np.abs(project(camera, corners, aspect))
+    assert seen.max() <= 1.0  # nothing is cut off …
+    assert seen.max() >= 0.5  # … and the window is not wasted

@@ -1,0 +1,147 @@
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.inspect.flat_picture import WIDTH
+from app.viewer.inspect.tab import Inspection, key_of, match_figures, reading_rows, title_of
+from app.viewer.pair.readout import reading_of
+from app.viewer.state import (
+    Probe,
+    ViewOptions,
+    ViewState,
+    open_dataset,
+    with_match,
+    with_options,
+    with_probe,
+)
+from gpgrad_core.pipeline import PipelineParams
+from tests.app.synthetic import make_dataset, make_result
+from tests.app.widgets import find, user_presses, user_sets
+
+STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
+RESULT = make_result(STATE)
+MAPS = RESULT.query_map, RESULT.database_map
+
+
+@pytest.fixture
+def asked() -> list[int | None]:
+    return []
+
+
+@pytest.fixture
+def inspection(server: viser.ViserServer, asked: list[int | None]) -> Iterator[Inspection]:
+    made = Inspection(server, on_match=asked.append, on_clear=lambda: asked.append(None))
+    yield made
+    made.close()
+
+
+def seeing(**options: Any) -> ViewState:
+    return with_options(STATE, replace(ViewOptions(), **options))
+
+
+def said(inspection: Inspection) -> str:
+    return "".join(
+        handle.content
+        for panel in (inspection._reading, inspection._matches)
+        for handle in vars(panel).values()
+        if isinstance(handle, viser.GuiHtmlHandle)
+    )
+
+
+def test_the_flat_picture_is_drawn_with_its_legend(inspection: Inspection) -> None:
+    image = inspection._matches._image
+    assert not image.visible
+    inspection.show(STATE, RESULT)
+    assert inspection.wait_idle(20)
+    assert image.visible
+    assert image.image.shape[1] == WIDTH
+    for words in (
+        "query 003",
+        "database 000",
+        "12 inliers",
+        "5 outliers (lines are off)",
+        "masked",
+    ):
+        assert words in said(inspection)
+    assert "2 keypoints without partner" in said(inspection)
+
+
+def test_an_association_is_chosen_by_number_and_by_step(
+    server: viser.ViserServer, inspection: Inspection, asked: list[int | None]
+) -> None:
+    user_sets(find(server, "Step match"), "next")
+    assert asked == []  # nothing is shown yet
+    inspection.show(STATE, RESULT)
+    user_sets(find(server, "Match"), 14)
+    user_sets(find(server, "Step match"), "next")
+    inspection.show(with_match(STATE, 12), RESULT)
+    assert find(server, "Match").value == 12
+    user_sets(find(server, "Step match"), "next")  # round the end: outliers are not shown
+    user_sets(find(server, "Step match"), "previous")
+    user_sets(find(server, "Step match"), "none")
+    inspection.show(with_match(seeing(outlier_lines=True), 12), RESULT)
+    inspection.step(1)
+    assert asked == [14, 1, 1, 11, 0, 13]
+
+
+def test_the_figures_of_an_association_have_their_units(inspection: Inspection) -> None:
+    distances = np.linspace(0.9, 0.1, len(RESULT.matches))
+    result = replace(RESULT, matches=replace(RESULT.matches, distances=distances))
+    inspection.show(with_match(STATE, 14), result)
+    html = said(inspection)
+    assert "Match 14 of 17: outlier" in html
+    assert "0.250 (4. closest)" in html
+    assert "1.414 m (0.3 m allowed)" in html
+    figures = match_figures(with_match(STATE, 2), result)
+    assert figures is not None
+    assert figures.inlier
+    assert figures.residual == pytest.approx(0.0, abs=1e-9)
+    inspection.show(with_match(STATE, 99), result)
+    assert "Match 99" not in said(inspection)
+
+
+def test_without_a_motion_there_is_no_residual() -> None:
+    lost = replace(RESULT, registration=replace(RESULT.registration, T_database_query=None))
+    figures = match_figures(with_match(STATE, 1), lost)
+    assert figures is not None
+    assert figures.residual is None
+    assert "above the database" not in title_of(
+        seeing(layout="registered", layer="difference"), lost
+    )
+
+
+def test_a_place_is_read_with_all_its_values(
+    server: viser.ViserServer, inspection: Inspection, asked: list[int | None]
+) -> None:
+    state = with_probe(STATE, Probe("query", 0.4, -0.6))
+    inspection.show(state, RESULT)
+    html = said(inspection)
+    for words in ("query 003", "0.400 m, -0.600 m", " ± ", "slope", "°", "query minus database"):
+        assert words in html
+    reading = reading_of(state, MAPS)
+    assert reading is not None
+    assert dict(reading_rows(reading))["aspect"].startswith("falls towards")
+    user_presses(find(server, "Clear the reading"))
+    assert asked == [None]
+    inspection.show(STATE, RESULT)
+    assert "Hold Shift and click" in said(inspection)
+    inspection.missed()
+    assert "No surface there" in said(inspection)
+
+
+def test_a_masked_place_is_told(inspection: Inspection) -> None:
+    inspection.show(with_probe(STATE, Probe("database", 2.3, 2.3)), RESULT)
+    assert "variance mask rejects this place" in said(inspection)
+    assert "only one of them saw" in said(inspection)
+
+
+@pytest.mark.parametrize("compare", ["both", "query", "database", "swipe", "blink"])
+def test_every_picture_says_what_it_is(compare: str) -> None:
+    state = seeing(layout="registered", compare=compare)
+    assert title_of(state, RESULT) != title_of(STATE, RESULT)
+    colors = [line.color for line in key_of(state, RESULT)]
+    assert len(colors) == len(set(colors))

@@ -1,0 +1,90 @@
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.viewer.params.preset_files import (
+    BUILT_IN,
+    delete_preset,
+    own_presets,
+    preset_text,
+    save_preset,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.methods.paper import paper_params
+from gpgrad_core.params.files import read_parameters
+from gpgrad_core.pipeline import PipelineParams
+
+OTHERS = PipelineParams(map=MapParams(length_scale=0.42, signal_std=0.3, max_points=7000))
+
+
+def test_built_in_presets_differ_and_say_what_they_are_for() -> None:
+    assert [preset.name for preset in BUILT_IN] == [
+        "default",
+        "paper",
+        "rough ground",
+        "smooth ground",
+    ]
+    assert len({preset.params for preset in BUILT_IN}) == len(BUILT_IN)
+    assert all(len(preset.purpose) > 40 for preset in BUILT_IN)
+    assert BUILT_IN[0].params == PipelineParams()
+    assert BUILT_IN[1].params == paper_params(PipelineParams())
+    rough, smooth = BUILT_IN[2].params.map, BUILT_IN[3].params.map
+    assert rough.length_scale < PipelineParams().map.length_scale < smooth.length_scale
+
+
+@given(
+    length_scale=st.floats(0.01, 100.0),
+    signal_std=st.none() | st.floats(0.001, 1000.0),
+    seed=st.integers(0, 10**9),
+)
+def test_a_preset_is_read_as_the_flag_does_whatever_lies_below(
+    tmp_path_factory: pytest.TempPathFactory,
+    length_scale: float,
+    signal_std: float | None,
+    seed: int,
+) -> None:
+    params = replace(
+        PipelineParams(),
+        map=MapParams(length_scale=length_scale, signal_std=signal_std),
+        registration=replace(PipelineParams().registration, seed=seed),
+    )
+    path = tmp_path_factory.mktemp("preset") / "mine.toml"
+    path.write_text(preset_text("mine", params), encoding="utf-8")
+    assert read_parameters(path, OTHERS) == params
+    assert read_parameters(path, PipelineParams()) == params
+
+
+def test_own_presets_are_saved_replaced_and_deleted(tmp_path: Path) -> None:
+    folder = tmp_path / "not" / "yet"
+    assert own_presets(folder) == ((), ())
+    save_preset(folder, "Etna (noisy)", PipelineParams())
+    path = save_preset(folder, "Etna (noisy)", OTHERS)
+    (found,), notes = own_presets(folder)
+    assert (found.name, found.params, notes) == ("Etna (noisy)", OTHERS, ())
+    assert str(path) in found.purpose
+    delete_preset(folder, "Etna (noisy)")
+    assert own_presets(folder) == ((), ())
+    with pytest.raises(InputError, match="none of your own"):
+        delete_preset(folder, "Etna (noisy)")
+
+
+@pytest.mark.parametrize(
+    "name", ["", "../evil", "a/b", ".hidden", "x" * 61, "new\nline", "dot.", "paper", "a\\b", "C:x"]
+)
+def test_a_name_that_is_no_file_name_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError):
+        save_preset(tmp_path, name, PipelineParams())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_broken_preset_is_told_and_the_others_are_there(tmp_path: Path) -> None:
+    save_preset(tmp_path, "good", OTHERS)
+    (tmp_path / "bad.toml").write_text("[map]\nlength_scale = -1\n")
+    found, notes = own_presets(tmp_path)
+    assert [preset.name for preset in found] == ["good"]
+    assert len(notes) == 1
+    assert "bad.toml" in notes[0]

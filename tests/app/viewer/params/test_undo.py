@@ -1,0 +1,72 @@
+import time
+from collections.abc import Iterator
+
+import pytest
+import viser
+
+from app.viewer.params.undo import Undo
+from app.viewer.state import open_dataset, with_params
+from app.viewer.widgets.commands import Commands
+from gpgrad_core.pipeline import PipelineParams
+from tests.app.synthetic import make_dataset, needing
+from tests.app.widgets import find, user_presses
+
+STATE = open_dataset(make_dataset(), PipelineParams())
+SETTLED = 0.05
+
+
+@pytest.fixture
+def gone_to() -> list[PipelineParams]:
+    return []
+
+
+@pytest.fixture
+def undo(server: viser.ViserServer, gone_to: list[PipelineParams]) -> Iterator[Undo]:
+    made = Undo(server, STATE, Commands(server), on_params=gone_to.append, settled_after=SETTLED)
+    yield made
+    made.close()
+
+
+def drag(undo: Undo, *inliers: int) -> None:
+    for count in inliers:
+        undo.follow(with_params(STATE, needing(count)))
+    time.sleep(6 * SETTLED)
+
+
+def test_a_drag_is_one_step(
+    undo: Undo, server: viser.ViserServer, gone_to: list[PipelineParams]
+) -> None:
+    back, forth = find(server, "Undo"), find(server, "Redo")
+    assert back.disabled
+    drag(undo, 5, 6, 7, 8)
+    drag(undo, 9, 12)
+    assert not back.disabled
+    user_presses(back)
+    user_presses(back)
+    assert gone_to == [needing(8), PipelineParams()]
+    assert back.disabled
+    assert forth.visible
+    user_presses(forth)
+    assert gone_to[-1] == needing(8)
+    drag(undo, 30)
+    assert not forth.visible
+
+
+def test_an_undo_before_the_slider_rests_goes_to_where_it_began(
+    undo: Undo, server: viser.ViserServer, gone_to: list[PipelineParams]
+) -> None:
+    undo.follow(with_params(STATE, needing(20)))
+    user_presses(find(server, "Undo"))
+    assert gone_to == [PipelineParams()]
+    user_presses(find(server, "Redo"))
+    assert gone_to[-1] == needing(20)
+
+
+def test_another_dataset_has_a_history_of_its_own(
+    undo: Undo, server: viser.ViserServer, gone_to: list[PipelineParams]
+) -> None:
+    drag(undo, 5)
+    undo.follow(open_dataset(make_dataset(), needing(3)))
+    assert find(server, "Undo").disabled
+    user_presses(find(server, "Undo"))
+    assert gone_to == [needing(3)]

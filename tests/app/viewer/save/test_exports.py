@@ -1,0 +1,141 @@
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.save import exports as exports_module
+from app.viewer.save.exports import CLOSURES, MAPS, Exports
+from app.viewer.state import open_dataset
+from gpgrad_core.loop_closure import classify
+from gpgrad_core.pipeline import DetectionResult, PipelineParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress
+from gpgrad_core.types import Dataset
+from tests.app.page import FakePage
+from tests.app.synthetic import make_dataset, make_map, make_survey
+from tests.app.widgets import find, user_presses
+
+STATE = open_dataset(make_dataset(), PipelineParams())
+
+
+@pytest.fixture
+def go(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Detection by hand, when it is let go."""
+    go = threading.Event()
+    go.set()
+
+    def detect(dataset: Dataset, params: PipelineParams, **given: Any) -> DetectionResult:
+        progress: Progress = given["progress"]
+        while not go.wait(0.005):
+            progress(0.3)
+        result = make_survey().result
+        closures = tuple(
+            classify(
+                one.registration,
+                params.closure,
+                query_id=one.query_id,
+                database_id=one.database_id,
+            )
+            for one in result.closures
+        )
+        del dataset
+        return DetectionResult(closures, result.seconds)
+
+    monkeypatch.setattr(exports_module, "detect_loop_closures", detect)
+    monkeypatch.setattr(
+        exports_module,
+        "infer_map",
+        lambda submap, params, memo, progress: make_map(submap),  # noqa: ARG005
+    )
+    return go
+
+
+@pytest.fixture
+def exports(server: viser.ViserServer, go: threading.Event) -> Iterator[Exports]:
+    made = Exports(server, STATE, Memo(), threading.Semaphore(), message_of=str)
+    yield made
+    go.set()
+    made.close()
+
+
+def said(exports: Exports) -> str:
+    return exports._panel._message.content
+
+
+def order(exports: Exports, page: FakePage, kind: str, *arguments: str) -> None:
+    # Through the panel's callbacks, but with a page of our own for the file to go to.
+    getattr(exports, f"_order_{kind}")(*arguments, page)
+    assert exports.wait_idle(20)
+
+
+def test_closures_in_every_format(exports: Exports) -> None:
+    page = FakePage()
+    for kind in CLOSURES:
+        order(exports, page, "closures", kind)
+        assert CLOSURES[kind] in said(exports)
+    assert set(page.files) == set(CLOSURES.values())
+    assert b'"num_inliers": 16' in page.files["closures.json"]
+    rows = page.files["closures.csv"].decode().splitlines()
+    assert rows[0].startswith("query,database,accepted,score,num_inliers")
+    assert len(rows) == 7
+    assert rows[4].startswith("003,000,true,5.0,20,10.0,0.5,1.0,2.0,0.3,")
+    poses = page.files["poses_corrected.txt"].decode().splitlines()
+    assert [row.split()[0] for row in poses] == ["#", "0", "1", "2", "3"]
+    assert page.files["graph.g2o"].startswith(b"VERTEX_SE3:QUAT 0 ")
+
+
+def test_maps_in_every_format(exports: Exports) -> None:
+    page = FakePage()
+    for kind in MAPS:
+        order(exports, page, "map", kind, "query")
+    order(exports, page, "map", "NPZ", "database")
+    starts = {name: content[:4] for name, content in page.files.items()}
+    assert starts == {
+        "map_003.npz": b"PK\x03\x04",
+        "map_003.tif": b"II*\x00",
+        "map_003.ply": b"ply\n",
+        "map_003.png": b"\x89PNG",
+        "map_000.npz": b"PK\x03\x04",
+    }
+
+
+def test_a_picture_of_the_view_has_its_colours(exports: Exports) -> None:
+    page = FakePage()
+    order(exports, page, "picture")
+    png = np.frombuffer(page.files["view.png"], np.uint8)
+    picture = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
+    assert picture is not None
+    assert picture.shape == (30, 40, 4)
+    assert tuple(picture[0, 0]) == (0, 0, 255, 255)  # blue, green, red, opaque
+
+
+def test_a_page_that_gives_no_picture_is_told_of(exports: Exports) -> None:
+    page = FakePage(draws=False)
+    order(exports, page, "picture")
+    assert page.files == {}
+    assert "bring its window to the front" in said(exports)
+
+
+def test_an_export_is_cancelled(
+    exports: Exports, server: viser.ViserServer, go: threading.Event
+) -> None:
+    page = FakePage()
+    go.clear()
+    exports._order_closures("JSON", page)
+    assert find(server, "Cancel export").visible
+    user_presses(find(server, "Cancel export"))
+    assert exports.wait_idle(10)
+    assert page.files == {}
+    assert "Cancelled" in said(exports)
+
+
+def test_what_cannot_be_exported_is_told(exports: Exports) -> None:
+    page = FakePage()
+    exports.follow(open_dataset(Dataset("one", STATE.dataset.submaps[:1]), PipelineParams()))
+    order(exports, page, "closures", "JSON")
+    assert "closes no loop" in said(exports)
+    assert page.files == {}

@@ -1,0 +1,311 @@
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from app.viewer.runner import Runner
+from gpgrad_core.run.progress import Cancelled, Progress
+
+
+class Record:
+    """What a runner's callbacks were given."""
+
+    def __init__(self) -> None:
+        self.started: list[int] = []
+        self.shown: list[int] = []
+        self.errors: list[tuple[int, Exception]] = []
+        self.cancelled: list[int] = []
+
+    def make(self, work: Callable[[int, Progress], int], **settings: Any) -> Runner[int, int]:
+        def watched(job: int, progress: Progress) -> int:
+            try:
+                return work(job, progress)
+            except Cancelled:
+                self.cancelled.append(job)
+                raise
+
+        return Runner(
+            watched,
+            lambda job, result, seconds: self.shown.append(result),  # noqa: ARG005
+            lambda job, error: self.errors.append((job, error)),
+            on_start=self.started.append,
+            **settings,
+        )
+
+
+def slow(seconds: float, ticks: int = 20) -> Callable[[int, Progress], int]:
+    """Work that takes a while and asks often enough whether it should go on."""
+
+    def work(job: int, progress: Progress) -> int:
+        for tick in range(ticks):
+            time.sleep(seconds / ticks)
+            progress((tick + 1) / ticks)
+        return job
+
+    return work
+
+
+def test_a_job_is_run_and_its_time_told() -> None:
+    told: list[float] = []
+    runner: Runner[str, str] = Runner(
+        lambda job, progress: job.upper(),  # noqa: ARG005
+        lambda job, result, seconds: told.append(seconds),  # noqa: ARG005
+        lambda job, error: None,  # noqa: ARG005
+    )
+    runner.submit("a")
+    assert runner.wait_idle(5)
+    runner.close()
+    assert len(told) == 1
+    assert 0 <= told[0] < 5
+
+
+@pytest.mark.parametrize("work_seconds", [0.0, 0.02, 0.3])
+def test_the_last_value_always_wins_and_nothing_overtakes(work_seconds: float) -> None:
+    record = Record()
+    # How long a run takes varies with its value, which is what makes naive callbacks overtake.
+    runner = record.make(
+        lambda job, progress: slow(work_seconds * (1 + job % 3) / 3)(job, progress)
+    )
+    for job in range(200):
+        runner.submit(job)
+        time.sleep(0.002)
+    assert runner.wait_idle(10)
+    runner.close()
+    assert record.shown[-1] == 199
+    assert record.shown == sorted(record.shown)
+    assert not record.errors
+
+
+def test_patience_shows_pictures_while_a_slider_is_dragged() -> None:
+    record = Record()
+    runner = record.make(slow(0.04, ticks=4))
+    for job in range(100):
+        runner.submit(job)
+        time.sleep(0.005)
+    assert runner.wait_idle(5)
+    runner.close()
+    assert len(record.shown) >= 5  # 0.5 s over work of 0.04 s; without patience: 1
+    assert record.shown[-1] == 99
+
+
+def test_impatience_shows_the_last_only() -> None:
+    record = Record()
+    runner = record.make(slow(0.2), patience=0.0, longest_blind=60.0)
+    for job in range(50):
+        runner.submit(job)
+        time.sleep(0.01)
+    assert runner.wait_idle(5)
+    runner.close()
+    assert record.shown == [49]
+
+
+def test_a_superseded_run_older_than_patience_is_cancelled() -> None:
+    record = Record()
+    runner = record.make(slow(2.0, ticks=200), patience=0.05)
+    runner.submit(1)
+    time.sleep(0.1)
+    start = time.monotonic()
+    runner.submit(2)
+    while 1 not in record.cancelled:
+        assert time.monotonic() - start < 1.0, "the first run was not stopped"
+        time.sleep(0.005)
+    assert runner.wait_idle(10)
+    runner.close()
+    assert record.shown == [2]
+
+
+def test_a_long_drag_over_long_work_is_not_blind() -> None:
+    record = Record()
+    runner = record.make(slow(0.2), patience=0.02, longest_blind=0.2)
+    start = time.monotonic()
+    job = 0
+    while time.monotonic() - start < 1.5:
+        runner.submit(job)
+        job += 1
+        time.sleep(0.01)
+    during_the_drag = len(record.shown)
+    assert runner.wait_idle(5)
+    runner.close()
+    assert during_the_drag >= 2
+    assert record.shown[-1] == job - 1
+
+
+def rough(job: int, progress: Progress) -> int | None:
+    """A preview: the negative of the result; none of job 0."""
+    progress(1.0)
+    return -job or None
+
+
+def test_a_preview_comes_first() -> None:
+    record = Record()
+    runner = record.make(slow(0.02), preview=rough)
+    for job in (1, 0, 2):
+        runner.submit(job)
+        assert runner.wait_idle(5)
+    runner.close()
+    assert record.shown == [-1, 1, 0, -2, 2]
+
+
+def test_a_drag_over_long_work_shows_previews_and_ends_on_the_last_result() -> None:
+    record = Record()
+    runner = record.make(slow(1.0, ticks=100), preview=rough, patience=0.02)
+    for job in range(1, 40):
+        runner.submit(job)
+        time.sleep(0.02)
+    assert runner.wait_idle(10)
+    runner.close()
+    *previews, last = record.shown
+    assert last == 39
+    assert previews[-1] == -39
+    assert len(previews) >= 10
+    assert all(shown < 0 for shown in previews)
+    assert previews == sorted(previews, reverse=True)
+
+
+def test_what_a_preview_raises_is_told_and_the_work_is_left() -> None:
+    record = Record()
+
+    def broken(job: int, progress: Progress) -> int:  # noqa: ARG001
+        raise RuntimeError(f"no preview of {job}")
+
+    runner = record.make(slow(0.0), preview=broken)
+    runner.submit(1)
+    assert runner.wait_idle(5)
+    runner.close()
+    assert [str(error) for _, error in record.errors] == ["no preview of 1"]
+    assert record.shown == []
+
+
+def test_cancelling_stops_what_runs_and_only_that() -> None:
+    record = Record()
+    told: list[int] = []
+    runner = record.make(slow(60.0, ticks=6000), on_cancel=told.append)
+    runner.cancel()  # nothing runs: nothing happens
+    runner.submit(1)
+    while not record.started:
+        time.sleep(0.005)
+    runner.submit(2)
+    runner.cancel()  # the waiting one is forgotten too
+    assert runner.wait_idle(5)
+    assert (told, record.started, record.shown) == ([1], [1], [])
+    quick = record.make(slow(0.0), on_cancel=told.append)
+    quick.cancel()
+    quick.submit(3)
+    assert quick.wait_idle(5)
+    assert (told, record.shown) == ([1], [3])
+    runner.close()
+    quick.close()
+
+
+def test_a_job_cancelled_before_the_worker_took_it_is_told_of() -> None:
+    told: list[int] = []
+    runner: Runner[int, int] = Runner(
+        lambda job, progress: job,  # noqa: ARG005
+        lambda job, result, seconds: None,  # noqa: ARG005
+        lambda job, error: None,  # noqa: ARG005
+        on_cancel=told.append,
+        turns=threading.Semaphore(0),  # its turn never comes
+    )
+    for job in range(200):  # at whatever moment the worker is
+        runner.submit(job)
+        runner.cancel()
+        assert runner.wait_idle(5)
+        assert told == list(range(job + 1))
+    runner.close()
+
+
+def test_an_error_is_a_value_and_the_worker_lives() -> None:
+    record = Record()
+
+    def work(job: int, progress: Progress) -> int:  # noqa: ARG001
+        if job < 0:
+            raise ValueError(f"{job} is below zero")
+        return job
+
+    runner = record.make(work)
+    runner.submit(-1)
+    assert runner.wait_idle(5)
+    runner.submit(7)
+    assert runner.wait_idle(5)
+    runner.close()
+    assert [(job, str(error)) for job, error in record.errors] == [(-1, "-1 is below zero")]
+    assert record.shown == [7]
+
+
+def test_an_error_while_showing_is_a_value_too() -> None:
+    errors: list[Exception] = []
+
+    def broken_view(job: int, result: int, seconds: float) -> None:  # noqa: ARG001
+        raise RuntimeError("no such node")
+
+    runner: Runner[int, int] = Runner(
+        lambda job, progress: job,  # noqa: ARG005
+        broken_view,
+        lambda job, error: errors.append(error),  # noqa: ARG005
+    )
+    runner.submit(1)
+    assert runner.wait_idle(5)
+    runner.submit(2)
+    assert runner.wait_idle(5)
+    runner.close()
+    assert [str(error) for error in errors] == ["no such node"] * 2
+
+
+def test_even_a_broken_error_callback_leaves_the_worker_alive(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    shown: list[int] = []
+
+    def work(job: int, progress: Progress) -> int:  # noqa: ARG001
+        return 1 // job
+
+    def broken(job: int, error: Exception) -> None:  # noqa: ARG001
+        raise RuntimeError("cannot report")
+
+    runner: Runner[int, int] = Runner(
+        work,
+        lambda job, result, seconds: shown.append(job),  # noqa: ARG005
+        broken,
+    )
+    runner.submit(0)
+    assert runner.wait_idle(5)
+    runner.submit(1)
+    assert runner.wait_idle(5)
+    runner.close()
+    assert shown == [1]
+    assert "reporting an error failed" in caplog.text
+
+
+def test_close_stops_a_running_job_and_joins() -> None:
+    record = Record()
+    runner = record.make(slow(60.0, ticks=6000))
+    runner.submit(1)
+    while not record.started:
+        time.sleep(0.005)
+    start = time.monotonic()
+    runner.close()
+    assert time.monotonic() - start < 2.0
+    assert record.cancelled == [1]
+    assert record.shown == []
+    assert not any(thread.name == "runner" for thread in threading.enumerate())
+
+
+def test_a_closed_runner_takes_no_jobs_and_closes_twice() -> None:
+    record = Record()
+    runner = record.make(slow(0.0))
+    runner.close()
+    runner.submit(1)
+    runner.close()
+    assert record.started == []
+
+
+def test_submitting_never_waits_for_the_work() -> None:
+    record = Record()
+    runner = record.make(slow(0.5, ticks=1))
+    start = time.monotonic()
+    for job in range(1000):
+        runner.submit(job)
+    assert time.monotonic() - start < 0.4
+    runner.close()

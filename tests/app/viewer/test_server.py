@@ -1,0 +1,115 @@
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+import pytest
+
+from app.viewer import session as app_session
+from app.viewer.server import Sessions, Viewer
+from tests.app.page import ProtocolPage
+from tests.app.synthetic import FakePipeline, make_dataset, needing
+
+Serve = Callable[[Sessions], Viewer]
+
+
+@pytest.fixture
+def serve(monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
+    monkeypatch.setattr(app_session, "register_pair", FakePipeline())
+    viewers: list[Viewer] = []
+
+    def start(sessions: Sessions) -> Viewer:
+        viewers.append(Viewer(make_dataset(), needing(8), port=0, sessions=sessions))
+        return viewers[-1]
+
+    yield start
+    for viewer in viewers:
+        viewer.close()
+
+
+@pytest.fixture
+def visit() -> Iterator[Callable[[Viewer], ProtocolPage]]:
+    pages: list[ProtocolPage] = []
+
+    def enter(viewer: Viewer) -> ProtocolPage:
+        pages.append(ProtocolPage(viewer.url))
+        pages[-1].wait(lambda: "Up to date" in pages[-1].html(), "a picture")
+        return pages[-1]
+
+    yield enter
+    for page in pages:
+        with suppress(OSError):
+            page.close()
+
+
+Visit = Callable[[Viewer], ProtocolPage]
+
+
+def test_nothing_is_printed_and_the_address_is_told(
+    serve: Serve, visit: Visit, capsys: pytest.CaptureFixture[str]
+) -> None:
+    viewer = serve("shared")
+    assert viewer.url.startswith("http://127.0.0.1:")
+    visit(viewer)
+    viewer.close()
+    viewer.close()
+    viewer.run_forever()  # returns at once
+    assert capsys.readouterr().out == ""
+
+
+def test_a_busy_port_moves_on_to_the_next() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        viewer = Viewer(make_dataset(), port=port, sessions="separate")
+        try:
+            assert viewer.url != f"http://127.0.0.1:{port}"
+        finally:
+            viewer.close()
+
+
+def test_in_a_shared_session_all_see_the_same(serve: Serve, visit: Visit) -> None:
+    viewer = serve("shared")
+    first, second = visit(viewer), visit(viewer)
+    for page in (first, second):
+        page.wait(lambda page=page: "2 pages are open" in page.html(), "the number of pages")
+    first.set("Minimum inliers", 20)
+    for page in (first, second):
+        page.wait(lambda page=page: "of 20 needed" in page.html(), "the verdict")
+        page.wait(lambda page=page: "Up to date" in page.html(), "the status")
+    second.wait(lambda: second.find("Minimum inliers")["value"] == 20, "the other's slider")
+    late = visit(viewer)
+    late.wait(lambda: "of 20 needed" in late.html(), "the present verdict")
+    late.wait(lambda: late.find("Minimum inliers")["value"] == 20, "the present value")
+    for page in (first, late):
+        page.close()
+    second.wait(lambda: "pages are open" not in second.html(), "to be alone")
+    second.set("Minimum inliers", 9)
+    second.wait(lambda: "of 9 needed" in second.html(), "the verdict")
+    assert len(viewer.sessions) == 1
+
+
+def test_separate_sessions_are_each_for_itself(serve: Serve, visit: Visit) -> None:
+    viewer = serve("separate")
+    assert viewer.sessions == ()
+    first, second = visit(viewer), visit(viewer)
+    assert len(viewer.sessions) == 2
+    first.set("Minimum inliers", 20)
+    first.wait(lambda: "No loop closure" in first.html(), "its verdict")
+    assert viewer.wait_idle()
+    assert "No loop closure" not in second.html()
+    assert second.find("Minimum inliers")["value"] == 8
+    assert set(first.nodes) == set(second.nodes)
+    assert "pages are open" not in first.html()
+
+
+def test_a_separate_session_ends_with_its_page(serve: Serve, visit: Visit) -> None:
+    viewer = serve("separate")
+    first, second = visit(viewer), visit(viewer)
+    (gone, _) = viewer.sessions
+    first.set("Length-scale", 0.5)
+    first.close()  # in the middle
+    second.wait(lambda: len(viewer.sessions) == 1, "the other session's end")
+    second.wait(lambda: not gone._runner._thread.is_alive(), "its worker's end")
+    second.set("Minimum inliers", 20)
+    second.wait(lambda: "No loop closure" in second.html(), "the verdict")

@@ -1,0 +1,251 @@
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import viser
+
+from app.viewer import session as app_session
+from app.viewer.capacity import Turns
+from app.viewer.data.tab import Opened
+from app.viewer.draw.surfels import OVERLAP
+from app.viewer.session import MAIN_PARAMETERS, Session, message_of
+from app.viewer.state import ViewState
+from gpgrad_core.datasets import write_dataset
+from gpgrad_core.errors import InputError
+from gpgrad_core.pipeline import PairResult, PipelineParams
+from gpgrad_core.pipeline.coarse import COARSER
+from gpgrad_core.run.memo import Memo
+from tests.app.synthetic import FakePipeline, make_dataset, make_result, needing
+from tests.app.widgets import find, user_presses, user_sets
+
+START = needing(8)
+
+
+@pytest.fixture
+def pipeline(monkeypatch: pytest.MonkeyPatch) -> FakePipeline:
+    fake = FakePipeline()
+    monkeypatch.setattr(app_session, "register_pair", fake)
+    return fake
+
+
+@pytest.fixture
+def session(
+    pipeline: FakePipeline,  # noqa: ARG001
+    server: viser.ViserServer,
+) -> Iterator[Session]:
+    made = Session(server, Opened(make_dataset(), START, ""), Memo(), Turns())
+    assert made.wait_idle(20)
+    yield made
+    made.close()
+
+
+def gui(session: Session) -> viser.ViserServer:
+    assert isinstance(session._host, viser.ViserServer)
+    return session._host
+
+
+def opening_said(session: Session) -> str:
+    return session._opening._panel._message.content
+
+
+def said(session: Session, panel: str) -> str:
+    return "".join(
+        handle.content
+        for handle in vars(getattr(session, panel)).values()
+        if isinstance(handle, viser.GuiHtmlHandle)
+    )
+
+
+def test_it_opens_at_a_revisit_with_a_verdict(session: Session) -> None:
+    assert (session.state.query_id, session.state.database_id) == ("003", "000")
+    assert "Loop closure" in said(session, "_verdict")
+    assert "Up to date" in said(session, "_status")
+    assert "Elevation" in said(session, "_view_panel")
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("map.length_scale", 0.5),
+        ("map.noise_std", 0.1),
+        ("features.max_std_ratio", 0.2),
+        ("registration.inlier_radius", 0.6),
+        ("closure.min_inliers", 20),
+    ],
+)
+def test_each_slider_reaches_the_pipeline(
+    session: Session, pipeline: FakePipeline, path: str, value: float
+) -> None:
+    user_sets(find(gui(session), MAIN_PARAMETERS[path]), value)
+    assert session.wait_idle(20)
+    group, name = path.split(".")
+    used: Any = getattr(getattr(pipeline.calls[-1], group), name)
+    assert used == value
+
+
+def test_minimum_inliers_turns_the_verdict_and_reset_turns_it_back(
+    session: Session, pipeline: FakePipeline
+) -> None:
+    user_sets(find(gui(session), "Minimum inliers"), 20)
+    assert session.wait_idle(20)
+    assert "No loop closure" in said(session, "_verdict")
+    user_presses(find(gui(session), "Reset parameters"))
+    assert session.wait_idle(20)
+    assert "No loop closure" not in said(session, "_verdict")
+    assert find(gui(session), "Minimum inliers").value == START.closure.min_inliers
+    assert pipeline.calls[-1] == START
+
+
+def test_many_events_end_on_the_last_and_do_not_echo(
+    session: Session, pipeline: FakePipeline
+) -> None:
+    before = len(pipeline.calls)
+    slider = find(gui(session), "Minimum inliers")
+    for value in [*range(2, 40)] * 5 + [23]:
+        user_sets(slider, value)
+    assert session.wait_idle(20)
+    assert pipeline.calls[-1] == needing(23)
+    assert "of 23 needed" in said(session, "_verdict")
+    calls = len(pipeline.calls)
+    assert calls - before <= 191
+    assert not session._runner._waiting
+
+
+def test_a_gp_slider_shows_coarse_surfaces_first(session: Session, pipeline: FakePipeline) -> None:
+    before: list[tuple[str, str, float]] = []
+
+    def make(state: ViewState) -> PairResult:
+        surface: Any = gui(session).scene._handle_from_node_name["/pair/query/surface"]
+        before.append((said(session, "_status"), said(session, "_verdict"), surface.point_size))
+        return make_result(state)
+
+    pipeline.make = make
+    user_sets(find(gui(session), "Length-scale"), 0.5)
+    assert session.wait_idle(20)
+    ((status, card, size),) = before
+    assert "Coarse picture" in status
+    assert "opacity:.4" in card  # the last verdict is faded
+    assert size == pytest.approx(OVERLAP * COARSER * START.map.resolution)
+    assert "Up to date" in said(session, "_status")
+    assert "opacity:.4" not in said(session, "_verdict")
+
+
+def test_sliders_of_later_stages_need_no_coarse_surfaces(
+    session: Session, pipeline: FakePipeline
+) -> None:
+    before: list[str] = []
+
+    def make(state: ViewState) -> PairResult:
+        before.append(said(session, "_status"))
+        return make_result(state)
+
+    pipeline.make = make
+    for name, value in (("Inlier radius", 0.6), ("Minimum inliers", 20), ("Minimum score", 9.0)):
+        user_sets(find(gui(session), name), value)
+        assert session.wait_idle(20)
+    assert len(before) == 3
+    assert not any("shown" in status or "Coarse" in status for status in before)
+
+
+def test_what_takes_long_is_announced_though_it_reports_nothing(
+    session: Session, pipeline: FakePipeline
+) -> None:
+    announced: list[bool] = []
+
+    def make(state: ViewState) -> PairResult:
+        end = time.monotonic() + 20
+        while "Computing" not in said(session, "_status") and time.monotonic() < end:
+            time.sleep(0.02)
+        announced.append(time.monotonic() < end)
+        return make_result(state)
+
+    pipeline.make = make
+    user_sets(find(gui(session), "Minimum inliers"), 20)
+    assert session.wait_idle(30)
+    assert announced == [True]
+    assert "Up to date" in said(session, "_status")
+
+
+def test_an_error_is_told_and_the_next_slider_works(
+    session: Session, pipeline: FakePipeline
+) -> None:
+    pipeline.error = InputError("003 spans 10,000 m x 10,000 m: raise the resolution")
+    user_sets(find(gui(session), "Length-scale"), 0.5)
+    assert session.wait_idle(20)
+    assert "raise the resolution" in said(session, "_status")
+    assert "out of date" in said(session, "_status")
+    assert "Loop closure" in said(session, "_verdict")  # the last good one stays
+    pipeline.error = None
+    user_sets(find(gui(session), "Length-scale"), 0.6)
+    assert session.wait_idle(20)
+    assert "Up to date" in said(session, "_status")
+
+
+def test_an_unexpected_error_is_told_and_logged(
+    session: Session, pipeline: FakePipeline, caplog: pytest.LogCaptureFixture
+) -> None:
+    pipeline.error = ZeroDivisionError("division by zero")
+    user_sets(find(gui(session), "Noise"), 0.1)
+    assert session.wait_idle(20)
+    assert "Unexpected ZeroDivisionError: division by zero" in said(session, "_status")
+    assert "unexpected error" in caplog.text
+    assert message_of(InputError("plain words")) == "plain words"
+
+
+def test_another_dataset_is_opened(session: Session, tmp_path: Path) -> None:
+    other = replace(make_dataset(num_points=300, name="other hills"), description="Smaller.")
+    other = replace(other, submaps=other.submaps[:3])
+    write_dataset(other, tmp_path / "other")
+    user_sets(find(gui(session), "Minimum inliers"), 30)
+    user_sets(find(gui(session), "Folder"), str(tmp_path / "other"))
+    user_sets(find(gui(session), "Open"), "Load")
+    assert session.wait_idle(20)
+    assert len(session.state.dataset.submaps) == 3
+    assert find(gui(session), "Query").options == ("000", "001", "002")
+    default = PipelineParams().closure.min_inliers  # the other dataset prefers none
+    assert find(gui(session), "Minimum inliers").value == default
+    assert "Up to date" in said(session, "_status")
+
+
+def test_a_missing_folder_is_told_and_the_rest_works(session: Session, tmp_path: Path) -> None:
+    missing = tmp_path / "nowhere"
+    user_sets(find(gui(session), "Folder"), str(missing))
+    user_sets(find(gui(session), "Open"), "Load")
+    assert session.wait_idle(20)
+    assert f"{missing}: no such file or folder" in opening_said(session)
+    assert session.state.dataset.name == "hills"
+    user_sets(find(gui(session), "Minimum inliers"), 20)
+    assert session.wait_idle(20)
+    assert "No loop closure" in said(session, "_verdict")
+
+
+def test_an_empty_path_is_told(session: Session) -> None:
+    user_sets(find(gui(session), "Open"), "Load")
+    assert "Type the path" in opening_said(session)
+
+
+def test_hiding_the_surfaces_hides_the_legend(session: Session) -> None:
+    user_sets(find(gui(session), "Surfaces"), False)
+    assert session.wait_idle(20)
+    assert "Elevation" not in said(session, "_view_panel")
+
+
+def test_a_fit_moves_the_sliders_and_the_picture(session: Session, pipeline: FakePipeline) -> None:
+    session._take_fitted({"length_scale": 0.62, "noise_std": 0.02, "signal_std": 0.4})
+    assert session.wait_idle(20)
+    assert find(gui(session), "Length-scale").value == 0.62
+    assert find(gui(session), "Noise [m]").value == 0.02
+    assert not find(gui(session), "automatic signal").value
+    assert pipeline.calls[-1].map.signal_std == 0.4
+    assert session.state.params.map.resolution == START.map.resolution
+
+
+def test_a_pair_chosen_from_all_pairs_is_shown(session: Session) -> None:
+    session._show_pair("002", "001")
+    assert session.wait_idle(20)
+    assert find(gui(session), "Query").value == "002"
+    assert find(gui(session), "Database").value == "001"
+    assert "query 002" in said(session, "_verdict")

@@ -1,0 +1,82 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.viewer.state import (
+    ViewOptions,
+    neighbour,
+    open_dataset,
+    promising_pair,
+    same_surfaces,
+    with_options,
+    with_pair,
+    with_params,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.features import FeatureParams
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.types import Dataset, Submap
+from tests.app.synthetic import make_dataset, needing
+
+
+def test_a_dataset_opens_at_a_revisit() -> None:
+    state = open_dataset(make_dataset(), PipelineParams())
+    assert (state.query_id, state.database_id) == ("003", "000")
+    assert state.query.id == "003"
+    assert state.database.id == "000"
+
+
+def test_what_the_dataset_prefers_comes_first() -> None:
+    dataset = replace(make_dataset(), preferred={"query": "001", "database": "002"})
+    assert promising_pair(dataset) == ("001", "002")
+
+
+def test_without_poses_the_pair_is_last_and_first() -> None:
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    submaps = tuple(Submap.from_points(points, name) for name in "abc")
+    assert promising_pair(Dataset("plain", submaps)) == ("c", "a")
+    assert promising_pair(Dataset("single", submaps[:1])) == ("a", "a")
+
+
+def test_changes_make_a_copy() -> None:
+    state = open_dataset(make_dataset(), PipelineParams())
+    changed = with_options(
+        with_params(with_pair(state, query_id="001"), needing(20)), ViewOptions(layer="std")
+    )
+    assert (state.query_id, state.options.layer) == ("003", "elevation")
+    assert (changed.query_id, changed.database_id) == ("001", "000")
+    assert changed.params.closure.min_inliers == 20
+    assert changed.options.layer == "std"
+    assert changed.dataset is state.dataset
+
+
+def test_surfaces_are_the_same_whatever_is_found_on_them() -> None:
+    state = open_dataset(make_dataset(), PipelineParams())
+    assert same_surfaces(state, with_params(state, needing(20)))
+    masked = replace(state.params, features=FeatureParams(max_std_ratio=0.2))
+    smoother = replace(state.params, map=MapParams(length_scale=0.4))
+    for other in (
+        with_params(state, masked),
+        with_params(state, smoother),
+        with_options(state, ViewOptions(layer="std")),
+        with_pair(state, query_id="001"),
+        open_dataset(make_dataset(), PipelineParams()),
+    ):
+        assert not same_surfaces(state, other)
+
+
+def test_a_pair_must_exist() -> None:
+    state = open_dataset(make_dataset(), PipelineParams())
+    with pytest.raises(InputError, match="no submap '999'"):
+        with_pair(state, database_id="999")
+
+
+def test_neighbours_go_round_and_pass_over_the_other_submap() -> None:
+    dataset = make_dataset()
+    assert neighbour(dataset, "003", 1) == "000"
+    assert neighbour(dataset, "000", -1) == "003"
+    assert neighbour(dataset, "003", 1, skip="000") == "001"
+    lone = Dataset("one", dataset.submaps[:1])
+    assert neighbour(lone, "000", 1, skip="000") == "000"

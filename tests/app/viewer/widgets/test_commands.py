@@ -1,0 +1,63 @@
+from typing import Any
+
+import pytest
+import viser
+
+from app.viewer.widgets.commands import CAMERA_KEYS, Command, Commands, help_html
+
+
+def registered(server: viser.ViserServer) -> dict[str, Any]:
+    """The commands that pages know, by label."""
+    return {handle.label: handle for handle in server.gui._command_handle_from_uuid.values()}
+
+
+def test_a_command_is_known_to_pages_with_its_key(server: viser.ViserServer) -> None:
+    commands = Commands(server)
+    commands.add("View", "Top view", lambda page: None, key="T")  # noqa: ARG005
+    commands.add("State", "Undo", lambda page: None, key="Z", modifier="cmd/ctrl")  # noqa: ARG005
+    known = registered(server)
+    assert known["Top view"].hotkey == "T"
+    assert known["Undo"].modifier == "cmd/ctrl"
+    assert known["Show all keys and commands"].hotkey == "H"
+
+
+def test_it_acts_for_the_page_that_asks(server: viser.ViserServer) -> None:
+    asked: list[Any] = []
+    commands = Commands(server)
+    commands.add("View", "Top view", asked.append, key="T")
+    page: Any = object()
+    (callback,) = registered(server)["Top view"]._impl.trigger_cb
+    event = viser.CommandEvent(client=page, client_id=1, target=registered(server)["Top view"])
+    coroutine = callback(event)
+    with pytest.raises(StopIteration):
+        coroutine.send(None)
+    assert asked == [page]
+
+
+@pytest.mark.parametrize("key", sorted(CAMERA_KEYS))
+def test_no_command_takes_a_key_that_flies_the_camera(server: viser.ViserServer, key: str) -> None:
+    with pytest.raises(ValueError, match="flies the camera"):
+        Commands(server).add("View", "Anything", lambda page: None, key=key)  # noqa: ARG005
+
+
+def test_no_key_has_two_commands(server: viser.ViserServer) -> None:
+    commands = Commands(server)
+    with pytest.raises(ValueError, match="H is taken by 'Show all keys"):
+        commands.add("View", "Hide", lambda page: None, key="H")  # noqa: ARG005
+    commands.add("View", "Hide", lambda page: None, key="H", modifier="shift")  # noqa: ARG005
+    commands.add("View", "No key", lambda page: None)  # noqa: ARG005
+    commands.add("View", "None either", lambda page: None)  # noqa: ARG005
+
+
+def test_the_help_page_lists_every_command_and_escapes_it() -> None:
+    html = help_html(
+        (
+            Command("View", "Top view", "T", None),
+            Command("State", "Undo", "Z", "cmd/ctrl"),
+            Command("State", "<b>bold</b>", None, None),
+        )
+    )
+    assert "<kbd>T</kbd>" in html
+    assert "<kbd>Ctrl/Cmd + Z</kbd>" in html
+    assert "&lt;b&gt;bold" in html
+    assert "Shift + click" in html

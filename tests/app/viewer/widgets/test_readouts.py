@@ -1,0 +1,300 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.data.panel import UP, Choices, DatasetPanel, DatasetSummary, PairPanel
+from app.viewer.pair.panel import LAYER_NAMES, ViewPanel, legend_html
+from app.viewer.pair.verdict import VerdictCard, verdict_html
+from app.viewer.save.panel import command_html
+from app.viewer.state import LAYERS, ViewOptions, open_dataset, with_pair
+from app.viewer.widgets.status import StatusLine, status_html
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.types import Dataset, Submap
+from tests.app.synthetic import make_dataset, make_result, needing
+from tests.app.widgets import find, user_presses, user_sets
+
+STATE = open_dataset(make_dataset(), PipelineParams())
+
+
+def html_of(panel: object) -> str:
+    """Join what a panel's HTML widgets say."""
+    return "".join(
+        handle.content for handle in vars(panel).values() if isinstance(handle, viser.GuiHtmlHandle)
+    )
+
+
+def dataset_panel(server: viser.ViserServer, asked: list[str]) -> DatasetPanel:
+    return DatasetPanel(
+        server,
+        on_load=asked.append,
+        on_demo=lambda: asked.append("the demo"),
+        on_cancel=lambda: asked.append("cancel"),
+        on_enter=lambda name: asked.append(f"enter {name}"),
+        on_open_here=lambda: asked.append("open here"),
+        on_upload=lambda name, content: asked.append(f"{name}: {len(content)}"),
+    )
+
+
+def test_the_card_tells_an_accepted_pair_with_units() -> None:
+    state = open_dataset(make_dataset(), needing(8))
+    html = verdict_html(state, make_result(state))
+    for words in (
+        ">Loop closure<",
+        "query 003",
+        "database 000",
+        "12 of 8 needed",
+        "4.20",
+        "+90.0°",
+        "+1.00 m, -0.50 m",
+        "12.5 m²",
+        "0.93",
+    ):
+        assert words in html
+
+
+def test_the_card_tells_a_refused_pair_and_why() -> None:
+    state = open_dataset(make_dataset(), needing(20))
+    html = verdict_html(state, make_result(state))
+    assert ">No loop closure<" in html
+    assert "12 inliers &lt; 20" in html
+
+
+def test_the_card_tells_when_no_motion_was_found(server: viser.ViserServer) -> None:
+    result = make_result(STATE)
+    nowhere = replace(result.registration, T_database_query=None)
+    result = replace(
+        result,
+        registration=nowhere,
+        closure=replace(result.closure, registration=nowhere, accepted=False),
+    )
+    card = VerdictCard(server)
+    card.show(STATE, result)
+    assert "none found" in html_of(card)
+    assert "yaw" not in html_of(card)
+
+
+def test_one_submap_twice_is_said() -> None:
+    state = with_pair(STATE, query_id="000")
+    assert "the same submap twice" in verdict_html(state, make_result(state))
+
+
+def test_names_cannot_bring_markup_into_the_page(server: viser.ViserServer) -> None:
+    evil = "<img src=x onerror=alert(1)>"
+    submap = Submap.from_points(np.random.default_rng(0).normal(size=(9, 3)), evil)
+    dataset = Dataset(evil, (submap,), description=evil, notes=(evil,))
+    state = open_dataset(dataset, PipelineParams())
+    summary, panel = DatasetSummary(server), dataset_panel(server, [])
+    summary.show(dataset)
+    panel.show(evil)
+    panel.show_folder(Choices(evil, (evil,), can_open=True, note=evil))
+    panel.loading(evil)
+    shown = html_of(summary) + html_of(panel) + command_html(f"gpgrad detect {evil}</textarea>")
+    panel.error(evil)
+    shown += html_of(panel) + status_html(evil, "red", title=evil)
+    result = make_result(STATE)
+    shown += verdict_html(
+        state, replace(result, closure=replace(result.closure, query_id=evil, reason=evil))
+    )
+    shown += legend_html("data:", evil, evil, low=0.0, high=1.0, note=evil)
+    assert "<img src=x" not in shown
+    assert shown.count("</textarea>") == 1
+    assert "&lt;img src=x" in shown
+
+
+def test_the_status_line_says_whether_the_picture_is_current(server: viser.ViserServer) -> None:
+    status = StatusLine(server)
+    status.computing()
+    assert "Computing" in html_of(status)
+    status.up_to_date(0.123, "5,000 cells")
+    assert "Up to date · 123 ms · 5,000 cells" in html_of(status)
+    status.stale(0.2)
+    assert "Computing" in html_of(status)
+    status.error("too wide")
+    assert "out of date" in html_of(status)
+    assert "too wide" in html_of(status)
+
+
+def test_what_took_how_long_is_told_by_stage(server: viser.ViserServer) -> None:
+    status = StatusLine(server)
+    status.up_to_date(0.2, "5 cells", {"map": 0.12, "matching": 0.0001, "drawing": 0.008})
+    assert "map 120 · drawing 8 ms" in html_of(status)
+    assert "matching" not in html_of(status)
+    status.up_to_date(0.0, "5 cells", {})
+    assert "stages" not in html_of(status)
+
+
+def test_long_work_has_a_bar_and_can_be_cancelled(server: viser.ViserServer) -> None:
+    asked: list[str] = []
+    status = StatusLine(server, on_cancel=lambda: asked.append("cancel"))
+    button = find(server, "Cancel computing")
+    status.progress(0.2)
+    assert not button.visible  # nothing is being computed
+    status.computing()
+    status.progress(0.4)
+    assert button.visible
+    user_presses(button)
+    assert asked == ["cancel"]
+    status.cancelled()
+    assert not button.visible
+    assert "out of date" in html_of(status)
+
+
+def test_a_card_that_is_out_of_date_says_so_until_the_next(server: viser.ViserServer) -> None:
+    card = VerdictCard(server)
+    card.show(STATE, make_result(STATE))
+    card.outdate("out of date")
+    assert "out of date" in html_of(card)
+    assert "query 003" in html_of(card)
+    card.show(STATE, make_result(STATE))
+    assert "out of date" not in html_of(card)
+
+
+def test_datasets_are_asked_for_in_every_way(server: viser.ViserServer) -> None:
+    asked: list[str] = []
+    panel = dataset_panel(server, asked)
+    panel.show_recent(("/data/etna", "/data/moon"))
+    panel.show_folder(Choices("/data", ("etna/", "one.ply"), can_open=True))
+    user_sets(find(server, "Folder"), "  /data/etna ")
+    user_sets(find(server, "Open"), "Load")
+    user_sets(find(server, "Open"), "Load demo")
+    user_sets(find(server, "Recent"), "/data/moon")
+    user_sets(find(server, "Browse"), "etna/")
+    user_sets(find(server, "Browse"), UP)
+    user_presses(find(server, "Use this folder"))
+    user_sets(
+        find(server, "Upload clouds"), viser.UploadedFile("C:\\some\\where\\000.ply", b"12345")
+    )
+    user_presses(find(server, "Cancel loading"))
+    assert asked == [
+        "/data/etna",
+        "the demo",
+        "/data/moon",
+        "enter etna/",
+        "enter ",
+        "open here",
+        "000.ply: 5",
+        "cancel",
+    ]
+
+
+def test_loading_is_told_and_ends(server: viser.ViserServer) -> None:
+    panel = dataset_panel(server, [])
+    panel.loading("/data/etna", 0.4)
+    assert find(server, "Cancel loading").visible
+    panel.error("/data/etna: no such file or folder")
+    assert "no such file" in html_of(panel)
+    assert not find(server, "Cancel loading").visible
+    panel.show("/data/hills")
+    assert "no such file" not in html_of(panel)
+    assert find(server, "Folder").value == "/data/hills"
+
+
+def test_what_is_open_and_what_loading_left_out_is_shown(server: viser.ViserServer) -> None:
+    summary = DatasetSummary(server)
+    summary.show(replace(STATE.dataset, notes=("003.ply: 7 rows dropped",)))
+    assert "hills · 4 submaps" in html_of(summary)
+    assert "003.ply: 7 rows dropped" in html_of(summary)
+
+
+def test_the_pair_is_chosen_and_stepped(server: viser.ViserServer) -> None:
+    chosen: list[tuple[str, str]] = []
+    panel = PairPanel(server, STATE, lambda query, database: chosen.append((query, database)))
+    user_sets(find(server, "Query"), "002")
+    user_sets(find(server, "Database"), "001")
+    user_sets(find(server, "Step query"), "next")
+    user_sets(find(server, "Step query"), "next")
+    user_sets(find(server, "Step database"), "previous")
+    assert chosen == [
+        ("002", "000"),
+        ("002", "001"),
+        ("003", "001"),
+        ("000", "001"),
+        ("000", "003"),  # 000 is the query and is passed over
+    ]
+    panel.show(open_dataset(make_dataset(), PipelineParams()))
+    assert find(server, "Query").value == "003"
+    assert len(chosen) == 5
+
+
+def test_every_option_of_the_view_is_reported(server: viser.ViserServer) -> None:
+    reported: list[ViewOptions] = []
+    presses: list[int] = []
+    panel = ViewPanel(server, ViewOptions(), reported.append, lambda: presses.append(1))
+    for label, value in (
+        ("Layout", "registered"),
+        ("Layer", "standard deviation"),
+        ("Colours", "turbo"),
+        ("Surfaces", False),
+        ("Point clouds", True),
+        ("Keypoints", False),
+        ("Inlier lines", False),
+        ("Outlier lines", True),
+        ("Masked cells", "grey"),
+        ("Hillshade", False),
+        ("Point size", 0.1),
+    ):
+        user_sets(find(server, label), value)
+    assert reported[-1] == panel.options
+    assert panel.options == ViewOptions(
+        layer="std",
+        color_map="turbo",
+        layout="registered",
+        surfaces=False,
+        clouds=True,
+        untrusted="grey",
+        hillshade=False,
+        keypoints=False,
+        inlier_lines=False,
+        outlier_lines=True,
+        point_size=0.1,
+    )
+    assert set(LAYER_NAMES) == set(LAYERS)
+    user_presses(find(server, "Show both submaps"))
+    assert presses == [1]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "texts"),
+    [
+        (0.0, 1.0, (">0.00<", ">0.50<", ">1.00<")),
+        (-0.02, 0.02, (">-0.020<", ">0.000<", ">0.020<")),
+        (100.0, 900.0, (">100<", ">500<", ">900<")),
+        (2.0, 2.0, (">2.0000<",)),
+    ],
+)
+def test_the_legend_prints_ends_middle_and_unit(
+    low: float, high: float, texts: tuple[str, ...]
+) -> None:
+    html = legend_html("data:x", "Elevation", "m", low=low, high=high)
+    assert "Elevation" in html
+    assert "[m]" in html
+    for text in texts:
+        assert text in html
+
+
+def test_the_legend_stands_under_its_histogram_and_above_its_note() -> None:
+    html = legend_html(
+        "data:x", "Mask", "m", low=0.0, high=1.0, histogram="<svg/>", note="12 cells"
+    )
+    assert html.index("<svg/>") < html.index("data:x") < html.index("12 cells")
+
+
+def test_ways_of_comparing_are_offered_where_they_apply(server: viser.ViserServer) -> None:
+    reported: list[ViewOptions] = []
+    panel = ViewPanel(server, ViewOptions(), reported.append, lambda: None)
+    compare, swipe = find(server, "Compare"), find(server, "Swipe")
+    assert not compare.visible
+    user_sets(find(server, "Layout"), "registered")
+    assert compare.visible
+    assert not swipe.visible
+    user_sets(compare, "swipe")
+    assert swipe.visible
+    user_sets(swipe, 0.25)
+    assert (reported[-1].compare, reported[-1].swipe) == ("swipe", 0.25)
+    panel.set(ViewOptions(layer="difference", layout="registered", compare="query"))
+    assert compare.value == "query only"
+    assert not swipe.visible
+    assert find(server, "Layer").value == "height difference"
+    assert len(reported) == 3
