@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import gpgrad_core  # noqa: E402 - found only now
-from gpgrad_core.params.fields import get_path, settings_of  # noqa: E402
+from gpgrad_core.params.fields import Setting, get_path, settings_of, with_unit  # noqa: E402
 
 project = "gpgrad"
 author = "the gpgrad authors"
@@ -23,6 +23,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 root_doc = "index"
+highlight_language = "none"  # of blocks that name none: listings and files
 default_role = "py:obj"  # what docstrings put between single backticks
 
 html_theme = "furo"
@@ -38,36 +39,39 @@ autodoc_default_options = {"members": True}
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
 python_maximum_signature_line_length = 88
-napoleon_use_ivar = True
+napoleon_use_ivar = True  # one list of what a type holds
+napoleon_attr_annotations = False  # the signature has the types
 napoleon_use_rtype = False
 
 
 class ParameterTable(Directive):
-    """Tables of all parameters of a dataclass, from the same source as sliders and ``--help``."""
+    """A table of all parameters of a dataclass, from the same source as sliders and ``--help``."""
 
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
         """Write a row for each parameter."""
         params = getattr(gpgrad_core, self.arguments[0])
-        rows = [".. list-table::", "   :header-rows: 1", "   :widths: 28 14 18 40", ""]
-        cells = [("parameter", "default", "range", "meaning")]
+        rows = ["| parameter | default | range | meaning |", "|---|---|---|---|"]
         for setting in settings_of(params):
             default = get_path(params(), setting.path)
-            bounds = setting.bounds
-            if isinstance(setting.kind, tuple):
-                allowed = ", ".join(setting.kind)
-            elif bounds is not None:
-                allowed = f"{bounds.low:,g} to {bounds.high:,g} {bounds.unit}".strip()
-            else:
-                allowed = "yes or no" if setting.kind is bool else "any whole number"
             shown = "automatic" if default is None else str(default)
-            cells.append((f"``{setting.path}``", shown, allowed, setting.doc))
-        for row in cells:
-            rows += [f"   {'* -' if k == 0 else '  -'} {cell}" for k, cell in enumerate(row)]
+            rows.append(f"| `{setting.path}` | {shown} | {allowed(setting)} | {setting.doc} |")
         holder = nodes.container()
         self.state.nested_parse(StringList(rows, "parameters"), self.content_offset, holder)
         return holder.children
+
+
+def allowed(setting: Setting) -> str:
+    """Say which values a parameter may have."""
+    if isinstance(setting.kind, tuple):
+        return ", ".join(setting.kind)
+    if setting.kind is bool:
+        return "yes or no"
+    if setting.bounds is None:
+        return "any whole number"
+    low, high = (f"{end:,.10g}" for end in (setting.bounds.low, setting.bounds.high))
+    return with_unit(f"{low} to {high}", setting.bounds)
 
 
 def visit_math(translator: Any, node: Any) -> None:
