@@ -186,7 +186,13 @@ def merge_maps(
     Raises:
         InputError: If the map would be too large.
     """
-    grid = _grid(gathered, params.resolution)
+    grid = Grid.covering(
+        np.stack([gathered.low, gathered.high]),
+        params.resolution,
+        name="the merged map",
+        max_cells=MAX_CELLS,
+        on_multiples=True,
+    )
     sums = {name: _on_disk(folder / f"{name}.npy", grid.shape) for name in (*LAYERS, "weight")}
     known = replace(
         terrain,
@@ -221,20 +227,6 @@ def _thinned(gathered: Gathered, length_scale: float, folder: Path) -> TileStore
         means, noise_std = thin_dense(rows[:, :3], rows[:, 3], length_scale, gathered.signal_std)
         thinned.add(np.column_stack([means, noise_std]))
     return thinned
-
-
-def _grid(gathered: Gathered, resolution: float) -> Grid:
-    """Cover all points; cells lie on whole multiples of the resolution."""
-    first = np.floor(gathered.low / resolution).astype(np.int64)
-    columns, rows = np.ceil(gathered.high / resolution).astype(np.int64) - first + 1
-    if rows * columns > MAX_CELLS:
-        fitting = np.sqrt(np.prod(gathered.high - gathered.low) / MAX_CELLS)
-        raise InputError(
-            f"the merged map would have {rows * columns:,} cells of {resolution:g} m, more than "
-            f"{MAX_CELLS:,}; raise its resolution to {np.ceil(fitting * 100) / 100:g} m or more"
-        )
-    x, y = first * resolution
-    return Grid((float(x), float(y)), resolution, (int(rows), int(columns)))
 
 
 def _on_disk(path: Path, shape: tuple[int, int]) -> Floats:
