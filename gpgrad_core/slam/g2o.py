@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.datasets.folder import index_of
+from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.se2 import Pose
@@ -47,7 +48,7 @@ def write_graph(
         ends = f"{numbers[edge.start]} {numbers[edge.end]}"
         lines.append(f"{EDGE} {ends} {_text(edge.T_start_end)} {weights}")
     with replacing(path) as unfinished:
-        unfinished.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_lines(unfinished, lines)
 
 
 def vertex_numbers(graph: PoseGraph) -> dict[str, int]:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from typing_extensions import Doc
 
 from gpgrad_core.arrays import NDArray
+from gpgrad_core.datasets.voxel_means import voxel_means
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.binning import thin_dense
 from gpgrad_core.gradient_map import (
@@ -152,15 +153,7 @@ def merge_clouds(
     """
     tiles = gathered.store.tiles
     for k, tile in enumerate(tiles):
-        points = gathered.store.read(tile)[:, :3]
-        _, owner, counts = np.unique(
-            np.floor(points / voxel).astype(np.int64),
-            axis=0,
-            return_inverse=True,
-            return_counts=True,
-        )
-        sums = [np.bincount(owner.ravel(), points[:, axis]) for axis in range(3)]
-        yield np.column_stack(sums) / counts[:, None]
+        yield voxel_means(gathered.store.read(tile)[:, :3], voxel)
         progress((k + 1) / len(tiles))
 
 
