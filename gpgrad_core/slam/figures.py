@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from gpgrad_core.evaluation.figures.style import COLOURS, FALSE, new_figure
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.optimise import OptimisedGraph
-from gpgrad_core.slam.trajectory import align_points
+from gpgrad_core.slam.truth import align_points
 from gpgrad_core.types import Array
 
 TRUE_PATH = "#999999"

@@ -21,11 +21,11 @@ from gpgrad_core.run.memo import Memo, array_bytes
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
+from gpgrad_core.slam.joining import place_traverses
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
-from gpgrad_core.slam.sessions import place_traverses
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 
-VIEWS_IN_MEMORY = 1_000_000_000
+BYTES_IN_MEMORY = 1_000_000_000
 """Bytes of maps and keypoints of earlier submaps; the rest waits on disk."""
 MEMO_BYTES = 200_000_000
 """Each pair is compared once: there is little to remember."""
@@ -73,7 +73,7 @@ class LoopCloser:
         detector: StagedDetector | None = None,
         search_radius: float | None = None,
         executor: Executor | None = None,
-        views_in_memory: int = VIEWS_IN_MEMORY,
+        bytes_in_memory: int = BYTES_IN_MEMORY,
     ) -> None:
         """Begin with no submap.
 
@@ -85,13 +85,13 @@ class LoopCloser:
             search_radius: Compare only submaps whose origins lie within this distance of each
                 other by the present estimate [m]; None compares all.
             executor: Threads to share the comparisons out to.
-            views_in_memory: Bytes of maps and keypoints to keep at hand.
+            bytes_in_memory: Bytes of maps and keypoints to keep at hand.
         """
         self._params = params or PipelineParams()
         self._graph_params, self._solver = graph, solver
         self._detector = detector or MapDetector(self._params, Memo(MEMO_BYTES))
         self._radius, self._executor = search_radius, executor
-        self._views = _Views(views_in_memory)
+        self._views = _Views(bytes_in_memory)
         self._submaps: list[Submap] = []
         self._traverses: list[int] = []  # the number of each submap's
         self._poses: dict[str, Pose] = {}

@@ -33,7 +33,7 @@ class Placed:
 
 
 @dataclass(frozen=True, eq=False)
-class Sessions:
+class JoinedDatasets:
     """Datasets side by side, each with a frame of its own.
 
     Attributes:
@@ -57,7 +57,7 @@ class Sessions:
         return replace(submap, id=self.outline.dataset.submaps[k].id), notes
 
 
-def join_datasets(outlines: Sequence[Outline]) -> Sessions:
+def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
     """Put datasets side by side.
 
     Raises:
@@ -89,7 +89,7 @@ def join_datasets(outlines: Sequence[Outline]) -> Sessions:
     traverses = {
         name: tuple(submap.id for submap in part) for name, part in zip(names, parts, strict=True)
     }
-    return Sessions(Outline(dataset, clouds), traverses, numbers)
+    return JoinedDatasets(Outline(dataset, clouds), traverses, numbers)
 
 
 def place_traverses(graph: PoseGraph) -> Placed:

@@ -21,10 +21,10 @@ from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.consistency import Consistency, measure_consistency
 from gpgrad_core.slam.g2o import vertex_numbers, write_graph
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
+from gpgrad_core.slam.joining import JoinedDatasets, Placed, place_traverses
 from gpgrad_core.slam.merge import MergeParams, gather, merge_clouds, merge_maps
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
-from gpgrad_core.slam.sessions import Placed, Sessions, place_traverses
-from gpgrad_core.slam.trajectory import TrajectoryError, align_points, trajectory_error, true_poses
+from gpgrad_core.slam.truth import TrajectoryError, align_points, trajectory_error, true_poses
 from gpgrad_core.types import LoopClosure, Submap
 from gpgrad_core.version import VERSION
 
@@ -34,12 +34,12 @@ class Solution:
     """Datasets in one map.
 
     Attributes:
-        sessions: What went in.
+        joined: What went in.
         placed: Their graph, before it was solved.
         result: The graph at rest.
     """
 
-    sessions: Sessions
+    joined: JoinedDatasets
     placed: Placed
     result: OptimisedGraph
 
@@ -50,16 +50,16 @@ class Solution:
 
     def submaps(self, note: Callable[[str], None] | None = None) -> Iterator[Submap]:
         """Load the submaps one by one, saying aloud what was left out of each."""
-        for k in range(len(self.sessions.outline.clouds)):
-            submap, notes = self.sessions.load(k)
+        for k in range(len(self.joined.outline.clouds)):
+            submap, notes = self.joined.load(k)
             if note is not None:
                 for line in notes:
                     note(line)
             yield submap
 
 
-def solve_sessions(
-    sessions: Sessions,
+def solve_datasets(
+    joined: JoinedDatasets,
     closures: Iterable[LoopClosure],
     graph: GraphParams | None = None,
     solver: SolverParams | None = None,
@@ -70,19 +70,19 @@ def solve_sessions(
         InputError: If a submap has no odometry, a closure names one that there is not, or no
             closure joins a session to the others.
     """
-    dataset = sessions.outline.dataset
-    placed = place_traverses(build_pose_graph(dataset, closures, graph, starts=sessions.starts))
+    dataset = joined.outline.dataset
+    placed = place_traverses(build_pose_graph(dataset, closures, graph, starts=joined.starts))
     if placed.alone:
         name = placed.alone[0].split(":")[0]
         raise InputError(
-            f"{name}: no loop closure joins it to {next(iter(sessions.traverses))}, so that there "
+            f"{name}: no loop closure joins it to {next(iter(joined.traverses))}, so that there "
             "is no one map of both; accept more closures (--closure.min-score), or leave it out"
         )
-    return Solution(sessions, placed, optimise_pose_graph(placed.graph, solver))
+    return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
 
 
 @dataclass(frozen=True)
-class Judged:
+class MapErrors:
     """How good the map is.
 
     Attributes:
@@ -94,16 +94,16 @@ class Judged:
     overlaps: tuple[Consistency, Consistency]
 
 
-def judge_solution(solution: Solution, progress: Progress = silent) -> Judged:
+def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors:
     """Measure trajectories by the truth where there is one, and how well submaps lie together.
 
     Args:
         solution: Its clouds are loaded one by one, twice.
         progress: Called twice; may raise Cancelled.
     """
-    true = true_poses(solution.sessions.outline.dataset)
+    true = true_poses(solution.joined.outline.dataset)
     trajectories: dict[str, tuple[TrajectoryError, TrajectoryError]] = {}
-    for session, names in solution.sessions.traverses.items():
+    for session, names in solution.joined.traverses.items():
         known = {name: true[name] for name in names if name in true}
         if len(known) >= 2:
             trajectories[session] = (
@@ -114,13 +114,13 @@ def judge_solution(solution: Solution, progress: Progress = silent) -> Judged:
     for k, poses in enumerate((solution.before, solution.result.poses)):
         overlaps.append(measure_consistency(solution.submaps(), poses))
         progress((k + 1) / 2)
-    return Judged(trajectories, (overlaps[0], overlaps[1]))
+    return MapErrors(trajectories, (overlaps[0], overlaps[1]))
 
 
 def write_solution(
     directory: Path | str,
     solution: Solution,
-    judged: Judged,
+    errors: MapErrors,
     progress: Progress = silent,
 ) -> None:
     """Write poses, graph, errors and figures into a folder; it is made if it is not there.
@@ -128,7 +128,7 @@ def write_solution(
     Args:
         directory: The folder.
         solution: What was found.
-        judged: How good it is.
+        errors: How good it is.
         progress: Called now and then.
 
     Raises:
@@ -141,18 +141,18 @@ def write_solution(
 
     directory = check_directory(directory)
     directory.mkdir(exist_ok=True)
-    sessions, result = solution.sessions, solution.result
-    for session, names in sessions.traverses.items():
-        poses = {sessions.numbers[name]: result.poses[name] for name in names}
-        with replacing(directory / poses_file(sessions, session)) as unfinished:
+    joined, result = solution.joined, solution.result
+    for session, names in joined.traverses.items():
+        poses = {joined.numbers[name]: result.poses[name] for name in names}
+        with replacing(directory / poses_file(joined, session)) as unfinished:
             write_poses(unfinished, poses)
     write_graph(directory / "graph.g2o", used_graph(solution), result.poses)
     progress(0.3)
-    true = true_poses(sessions.outline.dataset)
-    name = sessions.outline.dataset.name
+    true = true_poses(joined.outline.dataset)
+    name = joined.outline.dataset.name
     figures = {
         "trajectory": draw_trajectories(
-            name, list(sessions.traverses.values()), solution.before, result, true
+            name, list(joined.traverses.values()), solution.before, result, true
         )
     }
     distances = [_distances(solution, poses, true) for poses in (solution.before, result.poses)]
@@ -163,14 +163,14 @@ def write_solution(
             figure.savefig(unfinished)
     progress(0.9)
     with replacing(directory / "report.json") as unfinished:
-        text = json.dumps(_content(solution, judged), indent=1, ensure_ascii=False, allow_nan=False)
+        text = json.dumps(_content(solution, errors), indent=1, ensure_ascii=False, allow_nan=False)
         unfinished.write_text(text + "\n", encoding="utf-8")
     progress(1.0)
 
 
-def poses_file(sessions: Sessions, session: str) -> str:
+def poses_file(joined: JoinedDatasets, session: str) -> str:
     """Name of the file of a session's corrected poses."""
-    if len(sessions.traverses) == 1:
+    if len(joined.traverses) == 1:
         return "poses_corrected.txt"
     return f"poses_corrected_{''.join(c if c.isalnum() or c in '-_' else '_' for c in session)}.txt"
 
@@ -239,7 +239,7 @@ def _distances(
 ) -> dict[str, float]:
     """Of each submap from the truth, each session aligned by itself [m]."""
     found: dict[str, float] = {}
-    for names in solution.sessions.traverses.values():
+    for names in solution.joined.traverses.values():
         known = [name for name in names if name in true]
         if len(known) < 2:
             continue
@@ -250,27 +250,27 @@ def _distances(
     return found
 
 
-def _content(solution: Solution, judged: Judged) -> dict[str, Any]:
+def _content(solution: Solution, errors: MapErrors) -> dict[str, Any]:
     """What ``report.json`` tells: metres and radians, null for unknown."""
     numbers = vertex_numbers(solution.placed.graph)
     return {
-        "dataset": solution.sessions.outline.dataset.name,
+        "dataset": solution.joined.outline.dataset.name,
         "gpgrad": VERSION,
         "sessions": {
             session: {
-                "poses": poses_file(solution.sessions, session),
+                "poses": poses_file(solution.joined, session),
                 "submaps": len(names),
                 "closures_that_agree_on_its_place": solution.placed.support.get(names[0]),
             }
-            for session, names in solution.sessions.traverses.items()
+            for session, names in solution.joined.traverses.items()
         },
         "trajectory_error": {
             session: {"before": asdict(before), "after": asdict(after)}
-            for session, (before, after) in judged.trajectories.items()
+            for session, (before, after) in errors.trajectories.items()
         },
         "height_differences": {
-            "before": asdict(judged.overlaps[0]),
-            "after": asdict(judged.overlaps[1]),
+            "before": asdict(errors.overlaps[0]),
+            "after": asdict(errors.overlaps[1]),
         },
         "submaps": [{"id": name, "vertex": number} for name, number in numbers.items()],
         "edges": [
