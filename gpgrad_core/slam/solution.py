@@ -1,4 +1,4 @@
-"""What a corrected map leaves in its folder: poses, graph, errors, figures, cloud and map."""
+"""Datasets put into one map, and the files of it: poses, graph, errors, figures, cloud and map."""
 
 import json
 import tempfile
@@ -34,9 +34,9 @@ class Solution:
     """Datasets in one map.
 
     Attributes:
-        joined: What went in.
-        placed: Their graph, before it was solved.
-        result: The graph at rest.
+        joined: The datasets.
+        placed: Their pose graph before it was solved.
+        result: The solved graph.
     """
 
     joined: JoinedDatasets
@@ -45,11 +45,15 @@ class Solution:
 
     @property
     def before(self) -> dict[str, Pose]:
-        """Odometry's poses, all in the first session's frame."""
+        """The odometry's poses, all in the first dataset's frame."""
         return self.placed.graph.poses
 
     def submaps(self, note: Callable[[str], None] | None = None) -> Iterator[Submap]:
-        """Load the submaps one by one, saying aloud what was left out of each."""
+        """Load the submaps one by one.
+
+        Args:
+            note: Called with each line about what was left out of a submap.
+        """
         for k in range(len(self.joined.outline.clouds)):
             submap, notes = self.joined.load(k)
             if note is not None:
@@ -66,28 +70,35 @@ def solve_datasets(
 ) -> Solution:
     """Put datasets into one map by their closures.
 
+    Args:
+        joined: The datasets.
+        closures: The loop closures; refused ones are left out.
+        graph: How certain odometry and closures are.
+        solver: When a closure counts as wrong.
+
     Raises:
-        InputError: If a submap has no odometry, a closure names one that there is not, or no
-            closure joins a session to the others.
+        InputError: If a submap has no odometry, a closure names an unknown submap, or no closure
+            joins a dataset to the others.
     """
     dataset = joined.outline.dataset
     placed = place_traverses(build_pose_graph(dataset, closures, graph, starts=joined.starts))
     if placed.alone:
         name = placed.alone[0].split(":")[0]
         raise InputError(
-            f"{name}: no loop closure joins it to {next(iter(joined.traverses))}, so that there "
-            "is no one map of both; accept more closures (--closure.min-score), or leave it out"
+            f"{name}: no loop closure joins it to {next(iter(joined.traverses))}, so they cannot "
+            "be put into one map; accept more closures (--closure.min-score), or leave it out"
         )
     return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
 
 
 @dataclass(frozen=True)
 class MapErrors:
-    """How good the map is.
+    """Errors of a map, before and after the correction.
 
     Attributes:
-        trajectories: Errors before and after of each session with a truth, by its name.
-        overlaps: Differences in height of overlapping submaps, before and after.
+        trajectories: Trajectory errors (before, after) of each dataset with true poses, by the
+            dataset's name.
+        overlaps: Height differences of overlapping submaps (before, after).
     """
 
     trajectories: Mapping[str, tuple[TrajectoryError, TrajectoryError]]
@@ -95,10 +106,10 @@ class MapErrors:
 
 
 def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors:
-    """Measure trajectories by the truth where there is one, and how well submaps lie together.
+    """Measure the trajectories by the true poses, and how well submaps lie on one another.
 
     Args:
-        solution: Its clouds are loaded one by one, twice.
+        solution: The map; its clouds are loaded twice, one by one.
         progress: Called twice; may raise Cancelled.
     """
     true = true_poses(solution.joined.outline.dataset)
@@ -123,13 +134,13 @@ def write_solution(
     errors: MapErrors,
     progress: Progress = silent,
 ) -> None:
-    """Write poses, graph, errors and figures into a folder; it is made if it is not there.
+    """Write poses, graph, errors and figures into a folder.
 
     Args:
-        directory: The folder.
-        solution: What was found.
-        errors: How good it is.
-        progress: Called now and then.
+        directory: The folder; it is made if it does not exist.
+        solution: The map.
+        errors: Its errors.
+        progress: Called from time to time.
 
     Raises:
         InputError: If the folder cannot be made or written to.
@@ -169,14 +180,14 @@ def write_solution(
 
 
 def poses_file(joined: JoinedDatasets, session: str) -> str:
-    """Name of the file of a session's corrected poses."""
+    """Name the file of a dataset's corrected poses."""
     if len(joined.traverses) == 1:
         return "poses_corrected.txt"
     return f"poses_corrected_{''.join(c if c.isalnum() or c in '-_' else '_' for c in session)}.txt"
 
 
 def used_graph(solution: Solution) -> PoseGraph:
-    """The graph without the closures that were found wrong: what other tools should solve."""
+    """Give the graph without the refused closures, for other tools to solve."""
     graph = solution.placed.graph
     kept = tuple(fit.edge for fit in solution.result.edges if fit.weight >= 0.5)
     return PoseGraph(graph.poses, kept, graph.tilt_std)
@@ -189,25 +200,25 @@ def write_merged(
     params: MergeParams | None = None,
     progress: Progress = silent,
 ) -> tuple[str, ...]:
-    """Write all submaps as one cloud and one elevation map, in memory that does not grow.
+    """Write all submaps as one cloud and one elevation map, in bounded memory.
 
     Writes ``cloud.ply``, ``map.npz`` and ``map.tif``.
 
     Args:
-        directory: A folder that is there.
-        solution: Where the submaps lie; they are loaded one by one.
-        terrain: The GP.
-        params: Of cloud and map.
-        progress: Called now and then; may raise Cancelled.
+        directory: An existing folder.
+        solution: The map; its submaps are loaded one by one.
+        terrain: Parameters of the GP.
+        params: Parameters of the cloud and the map.
+        progress: Called from time to time; may raise Cancelled.
 
     Returns:
-        What had to be left out, a line each.
+        What had to be left out, one line each.
 
     Raises:
         InputError: If the map would be too large, or the noise of a point is not known.
     """
     directory, params = Path(directory), params or MergeParams()
-    # Beside the results: what lies there for a while may be as large as they are.
+    # Beside the results, because the temporary files can be as large as they are.
     with tempfile.TemporaryDirectory(dir=directory, prefix=".merging-") as folder:
         tiles, layers = Path(folder, "tiles"), Path(folder, "layers")
         tiles.mkdir()
@@ -237,7 +248,7 @@ def write_merged(
 def _distances(
     solution: Solution, poses: Mapping[str, Pose], true: Mapping[str, Pose]
 ) -> dict[str, float]:
-    """Of each submap from the truth, each session aligned by itself [m]."""
+    """Measure each submap's distance [m] from its true position, each dataset aligned by itself."""
     found: dict[str, float] = {}
     for names in solution.joined.traverses.values():
         known = [name for name in names if name in true]
@@ -251,7 +262,7 @@ def _distances(
 
 
 def _content(solution: Solution, errors: MapErrors) -> dict[str, Any]:
-    """What ``report.json`` tells: metres and radians, null for unknown."""
+    """Make the content of ``report.json``: metres and radians, null for unknown."""
     numbers = vertex_numbers(solution.placed.graph)
     return {
         "dataset": solution.joined.outline.dataset.name,

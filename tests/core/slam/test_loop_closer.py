@@ -127,7 +127,7 @@ def test_what_cannot_be_added_is_refused_and_what_is_cancelled_is_not_added() ->
 
     with LoopCloser(detector=Oracle.of(traverse)) as closer:
         closer.add(first)
-        with pytest.raises(InputError, match="0000 was added before"):
+        with pytest.raises(InputError, match="0000 was already added"):
             closer.add(first)
         with pytest.raises(InputError, match="0001 has no odometry"):
             closer.add(replace(second, pose_odometry=None))
