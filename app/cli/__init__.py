@@ -81,18 +81,18 @@ from gpgrad_core.run.threads import num_workers
 from gpgrad_core.scans import BuildParams, RecordingSources, build_dataset, simulate_recording
 from gpgrad_core.slam import (
     GraphParams,
-    Judged,
+    JoinedDatasets,
     LoopCloser,
+    MapErrors,
     MergeParams,
-    Sessions,
     Solution,
     SolverParams,
     build_pose_graph,
     check_solver,
     join_datasets,
-    judge_solution,
+    measure_errors,
     odometry_poses,
-    solve_sessions,
+    solve_datasets,
     write_graph,
     write_merged,
     write_solution,
@@ -519,9 +519,9 @@ class Slam:
             closures = restore_closures(read_closures(self.closures))
         else:
             closures = self._detect(sessions, params)
-        solution = solve_sessions(sessions, closures, self.graph, self.solver)
+        solution = solve_datasets(sessions, closures, self.graph, self.solver)
         with _progress("judge") as progress:
-            judged = judge_solution(solution, progress)
+            judged = measure_errors(solution, progress)
         with _progress("write") as progress:
             write_solution(self.out, solution, judged, progress)
         if self.merge:
@@ -533,7 +533,7 @@ class Slam:
         for line in (*_corrected(solution, judged), str(self.out)):
             _say(line)
 
-    def _detect(self, sessions: Sessions, params: PipelineParams) -> tuple[LoopClosure, ...]:
+    def _detect(self, sessions: JoinedDatasets, params: PipelineParams) -> tuple[LoopClosure, ...]:
         """Find the closures submap by submap, and keep them beside the results."""
         count, sizes, start = len(sessions.outline.clouds), dict[str, int](), time.perf_counter()
         with (
@@ -725,7 +725,7 @@ def _count(number: int, what: str) -> str:
     return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
-def _corrected(solution: Solution, judged: Judged) -> list[str]:
+def _corrected(solution: Solution, judged: MapErrors) -> list[str]:
     """What a corrected map is like, a line a session and one for the overlaps."""
     loops, refused = len(solution.result.loops), len(solution.result.refused)
     lines = [

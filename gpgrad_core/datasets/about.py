@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
-from gpgrad_core.datasets.tables import read_text
+from gpgrad_core.datasets.tables import read_text, write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.toml import toml_lines, toml_value
 
@@ -115,4 +115,4 @@ def write_about(path: Path, about: About) -> None:
         ]
     if about.preferred:
         lines += ["", "[preferred]", *toml_lines(about.preferred, "preferred")]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    write_lines(path, lines)

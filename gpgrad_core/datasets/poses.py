@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.datasets.tables import read_text
+from gpgrad_core.datasets.tables import read_text, write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import Pose
 
@@ -95,7 +95,7 @@ def write_poses(path: Path, poses: Mapping[int, Pose]) -> None:
     """
     rows = ["# index tx ty tz qx qy qz qw   (p_world = R p_submap + t)"]
     rows += [pose_row(str(index), pose) for index, pose in poses.items()]
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8", newline="\n")
+    write_lines(path, rows)
 
 
 def pose_row(key: str, pose: Pose) -> str:

@@ -1,7 +1,7 @@
 """Rows of numbers in text: XYZ, CSV, and the ascii bodies of PLY and PCD."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,11 @@ def read_text(path: Path) -> list[str]:
         return path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not text; is its ending right?") from None
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """Write a text file, one line each; the line ends are the same on every system."""
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
 def read_table(path: Path) -> Float[Array, "n 3"]:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.fitting import FitResult, fitted_names
 from gpgrad_core.outputs.files import replacing
 
@@ -29,4 +30,4 @@ def write_fitted(path: Path | str, result: FitResult) -> None:
         if value is not None:  # the file's silence is None
             lines.append(f"{name} = {float(f'{value:.6g}')!r}")
     with replacing(path) as unfinished:
-        unfinished.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_lines(unfinished, lines)
