@@ -71,7 +71,8 @@ from gpgrad_core.outputs import (
     write_fitted,
     write_map,
 )
-from gpgrad_core.params.bounds import Bounds, bounded_fields
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
 from gpgrad_core.run.memo import Memo
@@ -698,7 +699,7 @@ def _told(evaluation: Evaluation) -> list[str]:
 
 def _fitted(start: TerrainParams, result: FitResult) -> list[str]:
     """What a fit found, a line a parameter."""
-    units = {one.name: one.bounds.unit for one in bounded_fields(TerrainParams)}
+    units = {name: bounds.unit for name, bounds in bounds_of(TerrainParams).items()}
     lines: list[str] = []
     for name in fitted_names(start):
         before, after = (

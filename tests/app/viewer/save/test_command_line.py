@@ -9,15 +9,15 @@ import pytest
 from app.cli import Detect, _flags
 from app.viewer.save.command_line import detect_command, flags
 from app.viewer.state import open_dataset, with_pair, with_params
-from gpgrad_core.params.fields import Setting, get_path, settings_of, with_path
+from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.synthetic import make_dataset
 
-SETTINGS = settings_of(PipelineParams)
+SETTINGS = parameters_of(PipelineParams)
 
 
-def another(setting: Setting) -> Any:
+def another(setting: Field) -> Any:
     """Give a value that is not the default."""
     default: Any = get_path(PipelineParams(), setting.path)
     if isinstance(setting.kind, tuple):
@@ -30,7 +30,7 @@ def another(setting: Setting) -> Any:
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.path)
-def test_every_parameter_is_read_back_and_taken_back(setting: Setting) -> None:
+def test_every_parameter_is_read_back_and_taken_back(setting: Field) -> None:
     base = PipelineParams()
     params = with_path(base, setting.path, another(setting))
     for asked, start in ((params, base), (base, params)):
