@@ -29,7 +29,7 @@ def read_poses(path: Path, known: Mapping[int, str]) -> dict[int, Pose]:
     """
     poses: dict[int, Pose] = {}
     lines_of: dict[int, int] = {}
-    for number, line in enumerate(read_text(path), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         words = line.split("#", 1)[0].split()
         if not words:
             continue

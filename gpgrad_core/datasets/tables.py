@@ -13,15 +13,15 @@ from gpgrad_core.errors import InputError
 COMMENT_MARKS = ("#", "//")
 
 
-def read_text(path: Path) -> list[str]:
-    """Read a text file as lines without their ends.
+def read_text(path: Path) -> str:
+    """Read a text file.
 
     Raises:
         InputError: If it is not text.
     """
     try:
         # Spreadsheets put a byte-order mark in front; utf-8-sig takes it off.
-        return path.read_text(encoding="utf-8-sig").splitlines()
+        return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not text; is its ending right?") from None
 
@@ -47,7 +47,7 @@ def read_table(path: Path) -> Float[Array, "n 3"]:
     Raises:
         InputError: If a row lacks a column, or a field is not a number; names the line.
     """
-    lines = read_text(path)
+    lines = read_text(path).splitlines()
     first = next((k for k, line in enumerate(lines) if _is_data(line)), None)
     if first is None:
         return np.empty((0, 3))

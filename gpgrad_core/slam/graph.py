@@ -10,7 +10,8 @@ from jaxtyping import Float
 from typing_extensions import Doc
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Array, Dataset, LoopClosure, Registration, read_only
 

@@ -20,7 +20,8 @@ from gpgrad_core.gradient_map import (
     ordinary_noise,
     signal_std_of,
 )
-from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.tiling import Tile, TileStore

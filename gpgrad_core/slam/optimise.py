@@ -11,7 +11,8 @@ from typing_extensions import Doc
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
-from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, PoseGraph
