@@ -1,4 +1,4 @@
-"""A tour of what can be looked at closely, with real events: ``pytest FILE -n 0 -s``.
+"""A walk through Inspect, with real events: ``pytest tests/walks/walk_inspect.py -n 0 -s``.
 
 Each step takes a picture of the whole window, whose place is printed, and fails where a picture
 is blank, a value is missing, the page logs an error or asks for anything outside.

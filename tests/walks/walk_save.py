@@ -1,6 +1,6 @@
-"""A tour through what the viewer keeps, takes and gives: real events, real files, a picture a step.
+"""A walk through what the viewer keeps, takes and gives: real events, real files, pictures.
 
-    GPGRAD_PICTURES=/tmp/tour pytest tests/quality/test_tour_state.py -n 0 -s
+    GPGRAD_PICTURES=/tmp/walk pytest tests/walks/walk_save.py -n 0 -s
 
 It fails on a blank picture, a value that is missing, an error of the page, or a request to
 anywhere else.

@@ -1,6 +1,6 @@
-"""A tour of Explore, Demo and the pose graph, as somebody would take it who has never seen them.
+"""A walk through Explore, Demo and the pose graph, as a newcomer would take it.
 
-Run by hand: ``pytest tests/quality/test_tour_stage.py -n 0 -s``; it tells where the pictures are.
+Run by hand: ``pytest tests/walks/walk_explore.py -n 0 -s``; it prints where the pictures are.
 """
 
 import io
@@ -259,7 +259,7 @@ def expect_playing(browser: object, path: Path, folder: Path) -> None:
     context.close()
 
 
-def test_the_tour() -> None:
+def test_explore_demo_and_pose_graph() -> None:
     executable = find_chromium()
     if executable is None:
         pytest.skip("no Chromium was found")
