@@ -102,8 +102,10 @@ class Trial:
             *(uv, "pip", "compile", "-q", ROOT / "pyproject.toml", *extras, *resolve),
             *("--python", python, "-o", pins),
         )
-        self.run(uv, "pip", "install", "-q", "--python", python, "-r", pins)
-        self.run(uv, "pip", "install", "-q", "--python", python, "--no-deps", "-e", ROOT)
+        # Compiled here: later, old packages would warn while they are, and warnings are errors.
+        into = ["pip", "install", "-q", "--python", python, "--compile-bytecode"]
+        self.run(uv, *into, "-r", pins)
+        self.run(uv, *into, "--no-deps", "-e", ROOT)
 
     def versions(self) -> str:
         """Name the releases that matter most."""

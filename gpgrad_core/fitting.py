@@ -21,7 +21,7 @@ from gpgrad_core.gradient_map import (
     point_noise,
     signal_std_of,
 )
-from gpgrad_core.params.bounds import bounded_fields
+from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.threads import num_workers, single_threaded_blas
 from gpgrad_core.types import Submap
@@ -152,7 +152,7 @@ def _evenly_spaced(submaps: Sequence[Submap]) -> list[Submap]:
 def _common_signal_std(submaps: list[Submap], start: TerrainParams) -> float:
     """One for all, where the start's None means each submap's own [m]."""
     each = [signal_std_of(submap.points, start) for submap in submaps]
-    (bounds,) = (f.bounds for f in bounded_fields(TerrainParams) if f.name == "signal_std")
+    bounds = bounds_of(TerrainParams)["signal_std"]
     return float(np.clip(np.sqrt(np.mean(np.square(each))), bounds.low, bounds.high))
 
 
@@ -265,7 +265,7 @@ def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
     All within what the params allow. A length-scale is neither below half the points' spacing,
     where it and noise look alike, nor above half the clouds' width, where it and a slope do.
     """
-    bounds = {one.name: one.bounds for one in bounded_fields(TerrainParams)}
+    bounds = bounds_of(TerrainParams)
     sides = np.array([np.ptp(area.points[:, :2], axis=0) for area in areas])
     spacings = np.sqrt(sides.prod(axis=1) / [len(area.kept) for area in areas])
     length, signal = bounds["length_scale"], bounds["signal_std"]
@@ -281,7 +281,7 @@ def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
 
 def _with_noise_times(factor: float, params: TerrainParams) -> TerrainParams:
     """Multiply the noise of every point, as far as the bounds allow."""
-    bounds = {one.name: one.bounds for one in bounded_fields(TerrainParams)}
+    bounds = bounds_of(TerrainParams)
     changes = {
         name: float(np.clip(factor * getattr(params, name), bounds[name].low, bounds[name].high))
         for name in NOISE_PARAMETERS[params.noise_model]

@@ -14,7 +14,8 @@ from gpgrad_core.gp.binning import thin_dense
 from gpgrad_core.gp.inference import Posterior, fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.noise import find_outliers, measure_noise
-from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Array, GradientMap, Grid, Submap
 

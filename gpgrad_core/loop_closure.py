@@ -5,7 +5,8 @@ from typing import Annotated
 
 from typing_extensions import Doc
 
-from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.types import LoopClosure, Registration
 
 

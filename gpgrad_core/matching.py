@@ -8,7 +8,8 @@ from jaxtyping import Float
 from typing_extensions import Doc
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.types import Features, Matches
 
 Descriptors = NDArray[np.float32] | NDArray[np.uint8]

@@ -1,4 +1,8 @@
-"""The vocabulary: frozen, arrays read-only, metres and radians; pixels only inside `Grid`."""
+"""The types that all stages share.
+
+They are frozen and their arrays are read-only. All lengths are in metres and all angles in
+radians; only `Grid` knows pixels.
+"""
 
 import hashlib
 from dataclasses import dataclass, field
@@ -13,7 +17,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2, Pose
 
 MAX_GRID_CELLS = 25_000_000
-"""More cells than this are refused: four float64 fields of it fill 1 GB."""
+"""A submap's map with more cells is refused: four float64 fields of this size fill 1 GB."""
 
 
 def read_only(array: NDArray[np.generic]) -> None:
@@ -21,21 +25,32 @@ def read_only(array: NDArray[np.generic]) -> None:
     array.flags.writeable = False
 
 
+def _frozen_copy(
+    array: NDArray[np.floating], rows: NDArray[np.bool_]
+) -> Float[NDArray[np.float64], "..."]:
+    """Copy some rows of an array as float64, and make the copy read-only."""
+    copy = np.array(array[rows], dtype=np.float64)
+    read_only(copy)
+    return copy
+
+
 @dataclass(frozen=True, eq=False)
 class Submap:
     """A gravity-aligned point cloud of the robot's vicinity, in its own local frame.
 
     Attributes:
-        id: Its name: the cloud's file name without the ending.
-        points: Positions [m], z up, finite.
-        fingerprint: Hash of the points: the root key of all that is made from them.
-        pose_true: Where it truly lies in the world, for evaluation and display only.
-        pose_odometry: Where the robot believed it lay.
-        num_dropped: Rows of the source that were not finite and were left out.
-        colors: Red, green and blue of each point in [0, 1], for rivals that use them.
-        images: Files of what a camera saw there, for rivals that use them.
+        id: The submap's name: the cloud's file name without the ending.
+        points: Positions [m], finite; z points up.
+        fingerprint: Hash of the points and of what is known of each; the `Memo` knows the submap
+            by it.
+        pose_true: The true pose in the world, ``T_world_submap``; used for evaluation and display
+            only.
+        pose_odometry: The pose in the world according to the robot's odometry.
+        num_dropped: Number of rows that were dropped because they were not finite.
+        colors: Red, green and blue of each point in [0, 1], for methods that use them.
+        images: Image files that a camera took there, for methods that use them.
         noise_std: Standard deviation of each point's height [m], where the source gives it.
-        ranges: Distance that each point was seen from [m], where the source gives it.
+        ranges: Distance from which each point was seen [m], where the source gives it.
     """
 
     id: str
@@ -61,11 +76,11 @@ class Submap:
         noise_std: Float[NDArray[np.floating], "n"] | None = None,
         ranges: Float[NDArray[np.floating], "n"] | None = None,
     ) -> "Submap":
-        """Make a submap of points, dropping rows that are not finite.
+        """Make a submap of points; rows that are not finite are dropped.
 
         Args:
-            points: Positions [m], z up.
-            id: Its name, which error messages use.
+            points: Positions [m]; z points up.
+            id: The submap's name, which error messages use.
             pose_true: See the class.
             pose_odometry: See the class.
             colors: See the class.
@@ -73,55 +88,27 @@ class Submap:
             ranges: See the class.
 
         Raises:
-            InputError: If there are fewer than three finite points, all lie on one line, a noise
-                is not above zero, or a range is negative.
+            InputError: If there are fewer than three finite points, if all of them lie on one
+                line, if a noise is not above zero, or if a range is negative.
         """
         rows = np.asarray(points)
         if rows.ndim != 2 or rows.shape[1] != 3:
             raise InputError(f"{id}: points must be an (n, 3) array, got shape {rows.shape}")
-        finite = np.isfinite(rows).all(axis=1)
-        kept = np.array(rows[finite], dtype=np.float64)
-        if len(kept) < 3:
-            raise InputError(
-                f"{id}: a terrain needs 3 or more finite points, found {len(kept)} "
-                f"of {len(rows)}; give a fuller cloud"
-            )
-        centred = kept[:, :2] - kept[:, :2].mean(axis=0)
-        spread = np.linalg.eigvalsh(centred.T @ centred / len(kept))
-        if spread[0] <= 1e-12 * max(spread[1], 1e-12):
-            raise InputError(
-                f"{id}: all {len(kept)} points lie on one line seen from above; "
-                "a terrain needs points that span an area"
-            )
-        read_only(kept)
+        finite = np.asarray(np.isfinite(rows).all(axis=1))
+        kept = _frozen_copy(rows, finite)
+        _check_spans_area(kept, len(rows), id)
         digest = hashlib.blake2b(kept.tobytes(), digest_size=16)
-        seen = None
         if colors is not None:
-            seen = np.array(colors[finite], dtype=np.float64)
-            read_only(seen)
-            digest.update(seen.tobytes())
-        noise = None
+            colors = _frozen_copy(colors, finite)
+            digest.update(colors.tobytes())
         if noise_std is not None:
-            noise = np.array(noise_std[finite], dtype=np.float64)
-            wrong = np.flatnonzero(~(np.isfinite(noise) & (noise > 0)))
-            if len(wrong):
-                raise InputError(
-                    f"{id}: noise_std must be above 0 m at every point, "
-                    f"got {noise[wrong[0]]:g} at point {wrong[0]}"
-                )
-            read_only(noise)
-            digest.update(noise.tobytes())
-        seen_from = None
+            noise_std = _frozen_copy(noise_std, finite)
+            _check_each(noise_std, noise_std > 0, f"{id}: noise_std must be above 0 m")
+            digest.update(noise_std.tobytes())
         if ranges is not None:
-            seen_from = np.array(ranges[finite], dtype=np.float64)
-            wrong = np.flatnonzero(~(np.isfinite(seen_from) & (seen_from >= 0)))
-            if len(wrong):
-                raise InputError(
-                    f"{id}: range must be 0 m or more at every point, "
-                    f"got {seen_from[wrong[0]]:g} at point {wrong[0]}"
-                )
-            read_only(seen_from)
-            digest.update(b"ranges" + seen_from.tobytes())
+            ranges = _frozen_copy(ranges, finite)
+            _check_each(ranges, ranges >= 0, f"{id}: range must be 0 m or more")
+            digest.update(b"ranges" + ranges.tobytes())
         return cls(
             id,
             kept,
@@ -129,10 +116,35 @@ class Submap:
             pose_true,
             pose_odometry,
             num_dropped=int(np.sum(~finite)),
-            colors=seen,
-            noise_std=noise,
-            ranges=seen_from,
+            colors=colors,
+            noise_std=noise_std,
+            ranges=ranges,
         )
+
+
+def _check_spans_area(points: Float[Array, "n 3"], num_rows: int, name: str) -> None:
+    """Refuse points that no surface can be fitted to."""
+    if len(points) < 3:
+        raise InputError(
+            f"{name}: a terrain needs 3 or more finite points, found {len(points)} "
+            f"of {num_rows}; give a fuller cloud"
+        )
+    centred = points[:, :2] - points[:, :2].mean(axis=0)
+    spread = np.linalg.eigvalsh(centred.T @ centred / len(points))
+    if spread[0] <= 1e-12 * max(spread[1], 1e-12):
+        raise InputError(
+            f"{name}: all {len(points)} points lie on one line seen from above; "
+            "a terrain needs points that span an area"
+        )
+
+
+def _check_each(
+    values: Float[Array, "n"], allowed: Bool[NDArray[np.bool_], "n"], rule: str
+) -> None:
+    """Refuse the first value of a point that is not finite or breaks the rule."""
+    wrong = np.flatnonzero(~(np.isfinite(values) & allowed))
+    if len(wrong):
+        raise InputError(f"{rule} at every point, got {values[wrong[0]]:g} at point {wrong[0]}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,13 +152,13 @@ class Dataset:
     """Submaps of one or more traverses.
 
     Attributes:
-        name: As shown to people.
-        submaps: In the order of their numbers.
+        name: The name that people see.
+        submaps: The submaps, in the order of their numbers.
         description: What the terrain is, if the dataset says.
-        preferred: Parameters that its `dataset.toml` recommends, as nested tables.
-        notes: What loading left out or repaired, a line each; show them, nothing is silent.
-        licence: Under which others may use it, if the dataset says.
-        sensor_noise: Standard deviation of a point at range r [m], as far as the dataset says:
+        preferred: Parameters that its ``dataset.toml`` recommends, as nested tables.
+        notes: What was left out or repaired while loading, one line each. Show them to the user.
+        licence: The licence of the data, if the dataset says.
+        sensor_noise: Standard deviation of a point at range r [m], if the dataset says:
             ``constant`` [m] + ``quadratic`` [1/m] * r².
     """
 
@@ -162,7 +174,7 @@ class Dataset:
         """Find a submap by its id.
 
         Raises:
-            InputError: If there is none of that name.
+            InputError: If no submap has that id.
         """
         for submap in self.submaps:
             if submap.id == submap_id:
@@ -172,9 +184,9 @@ class Dataset:
 
 @dataclass(frozen=True)
 class Grid:
-    """A regular grid of cells; the only place where rows and columns meet x and y.
+    """A regular grid of cells; only this class converts between (row, column) and (x, y).
 
-    Row 0 holds the lowest y, column 0 the lowest x.
+    Row 0 has the lowest y, column 0 the lowest x.
 
     Attributes:
         origin: Centre (x, y) of cell (0, 0) [m].
@@ -188,29 +200,42 @@ class Grid:
 
     @classmethod
     def covering(
-        cls, points: Float[Array, "n 2"], resolution: float, *, name: str = "the cloud"
+        cls,
+        points: Float[Array, "n 2"],
+        resolution: float,
+        *,
+        name: str = "the cloud",
+        max_cells: int = MAX_GRID_CELLS,
+        on_multiples: bool = False,
     ) -> "Grid":
-        """Make the grid over the points' bounding box, as the paper's Sec. VI-B.
+        """Make the grid over the points' bounding box, as in the paper's Sec. VI-B.
 
         Args:
             points: Positions [m].
             resolution: Side of a cell [m].
             name: What the points are, for the error message.
+            max_cells: The largest number of cells allowed.
+            on_multiples: Whether the cells' centres lie on whole multiples of the resolution;
+                otherwise the first one lies at the lowest x and y.
 
         Raises:
-            InputError: If it would have more than `MAX_GRID_CELLS` cells.
+            InputError: If the grid would have more than `max_cells` cells.
         """
         low, high = points.min(axis=0), points.max(axis=0)
-        columns, rows = (int(np.ceil(side / resolution)) + 1 for side in high - low)
-        if rows * columns > MAX_GRID_CELLS:
+        origin, steps = low, np.ceil((high - low) / resolution)
+        if on_multiples:
+            first = np.floor(low / resolution)
+            origin, steps = first * resolution, np.ceil(high / resolution) - first
+        columns, rows = (int(count) + 1 for count in steps)
+        if rows * columns > max_cells:
             width, height = high - low
-            fitting = np.sqrt(width * height / MAX_GRID_CELLS)
+            fitting = np.sqrt(width * height / max_cells)
             raise InputError(
                 f"{name} spans {width:,.0f} m x {height:,.0f} m: {rows * columns:,} cells at "
-                f"{resolution:g} m, more than the {MAX_GRID_CELLS:,} allowed; raise the resolution "
-                f"to {np.ceil(fitting * 100) / 100:g} m or more, or cut the cloud into submaps"
+                f"{resolution:g} m, more than the {max_cells:,} allowed; raise the resolution "
+                f"to {np.ceil(fitting * 100) / 100:g} m or more, or map less ground at once"
             )
-        return cls((float(low[0]), float(low[1])), resolution, (rows, columns))
+        return cls((float(origin[0]), float(origin[1])), resolution, (rows, columns))
 
     @property
     def x(self) -> Float[Array, "columns"]:
@@ -234,7 +259,7 @@ class Grid:
         return self.shape[0] * self.shape[1]
 
     def to_position(self, pixels: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
-        """Turn (column, row), as image libraries give it, into (x, y) [m]."""
+        """Turn (column, row), the order of image libraries, into (x, y) [m]."""
         return np.asarray(self.origin) + self.resolution * pixels
 
     def to_pixel(self, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
@@ -250,15 +275,15 @@ class GradientMap:
     elevation: Float[Array, "rows columns"]  # posterior mean [m], Eq. (2)
     variance: Float[Array, "rows columns"]  # posterior variance of it [m²], Eq. (3)
     slope: Float[Array, "rows columns 2"]  # (dz/dx, dz/dy) [m/m], Eqs. (4), (5)
-    signal_std: float  # standard deviation of the terrain before any point is seen [m]
-    length_scale: float  # distance over which its height stays alike [m]
+    signal_std: float  # prior standard deviation of the terrain's height [m]
+    length_scale: float  # distance over which heights are similar [m]
     gradient: Float[Array, "rows columns"] = field(init=False)  # steepness [m/m]
     std: Float[Array, "rows columns"] = field(init=False)  # of the elevation [m]
 
     def __post_init__(self) -> None:
-        """Derive the image that keypoints are drawn from, once."""
+        """Derive the gradient image and the standard deviation, once."""
         along_x, along_y = self.slope[..., 0], self.slope[..., 1]
-        # A seventh of the time of np.hypot, whose care for huge numbers no slope needs.
+        # This takes a seventh of the time of np.hypot, which also copes with huge numbers.
         object.__setattr__(self, "gradient", np.sqrt(along_x * along_x + along_y * along_y))
         object.__setattr__(self, "std", np.sqrt(self.variance))
         for field_of_grid in (
@@ -271,9 +296,9 @@ class GradientMap:
             read_only(field_of_grid)
 
     def trusted(self, max_std_ratio: float) -> Bool[NDArray[np.bool_], "rows columns"]:
-        """Say which cells lie close enough to points: std / signal_std <= max_std_ratio.
+        """Tell which cells lie close enough to points: std / signal_std <= max_std_ratio.
 
-        The ratio is in (0, 1], so one value means the same on every dataset.
+        The ratio is in (0, 1], so a value means the same on every dataset.
         """
         return self.std <= max_std_ratio * self.signal_std
 
@@ -283,11 +308,11 @@ class Features:
     """Keypoints of one gradient map."""
 
     positions: Float[Array, "k 2"]  # [m]
-    scales: Float[Array, "k"]  # diameter of the neighbourhood described [m]
-    responses: Float[Array, "k"]  # strength, as the detector has it
-    std_ratios: Float[Array, "k"]  # std / signal_std of the map there
+    scales: Float[Array, "k"]  # diameter of the described neighbourhood [m]
+    responses: Float[Array, "k"]  # strength, in the detector's own unit
+    std_ratios: Float[Array, "k"]  # std / signal_std of the map at the keypoint
+    # uint8: strings of bits, compared by Hamming distance; float32: vectors, compared by L2
     descriptors: Float[NDArray[np.float32], "k d"] | UInt8[NDArray[np.uint8], "k d"]
-    # uint8 descriptors are strings of bits (Hamming), float32 ones vectors (L2)
 
     def __len__(self) -> int:
         """Number of keypoints."""
@@ -323,15 +348,16 @@ class Registration:
     """What Algorithm 1 found for a pair of maps.
 
     Attributes:
-        T_database_query: Maps the query's frame into the database's; None where no motion
-            was supported by two associations.
-        inliers: Which associations agree with it, one to one.
+        T_database_query: Maps the query's frame into the database's; None if no motion is
+            supported by two associations.
+        inliers: Which associations agree with the motion; each keypoint counts once at most.
         dissimilarity: The paper's SSD metric h over the overlap.
-        overlap_area: Trusted area that both maps share under it [m²].
-        correlation: Of the two slope fields over that area, in [-1, 1].
-        score: How likely the pair is a loop closure; what ranking uses.
-        z_offset: What is to be added to the query's heights to lie on the database [m].
-        covariance: Of x [m], y [m] and yaw [rad] of the motion; None where it is not known.
+        overlap_area: Trusted area that both maps share under the motion [m²].
+        correlation: Correlation of the two slope fields over that area, in [-1, 1].
+        score: How likely the pair is a loop closure; pairs are ranked by it.
+        z_offset: Height to add to the query so that it lies on the database [m].
+        covariance: Covariance of the motion's x [m], y [m] and yaw [rad]; None if it is not
+            known.
     """
 
     T_database_query: SE2 | None
@@ -362,7 +388,7 @@ class LoopClosure:
 
 @runtime_checkable
 class LoopDetector(Protocol):
-    """Any way of registering a pair of submaps: the pipeline, and every baseline."""
+    """Registers a pair of submaps: the pipeline and every rival method satisfy it."""
 
     def __call__(self, query: Submap, database: Submap) -> Registration:
         """Register the query to the database."""

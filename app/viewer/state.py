@@ -5,7 +5,8 @@ from typing import Annotated, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
+import tomli_w
+
 from gpgrad_core.datasets.tables import read_text
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.toml import toml_lines, toml_value
 
 TEXT_KEYS = ("name", "description", "licence")
 SENSOR_KEYS = ("constant", "quadratic")
@@ -37,7 +38,7 @@ def read_about(path: Path, submap_ids: frozenset[str]) -> About:
             does not exist.
     """
     try:
-        table = tomllib.loads("\n".join(read_text(path)))
+        table = tomllib.loads(read_text(path))
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: is not TOML: {error}") from None
     texts: dict[str, str] = {}
@@ -104,15 +105,10 @@ def write_about(path: Path, about: About) -> None:
         path: The file; overwritten if it exists.
         about: What it should say; its notes are not written.
     """
-    lines = [
-        f"{key} = {toml_value(getattr(about, key))}" for key in TEXT_KEYS if getattr(about, key)
-    ]
+    parts = [tomli_w.dumps({key: getattr(about, key) for key in TEXT_KEYS if getattr(about, key)})]
     if about.sensor_noise:
-        lines += [
-            "",
-            "[sensor_noise]  # of a point at range r: constant + quadratic r^2 [m]",
-            *(f"{key} = {toml_value(value)}" for key, value in about.sensor_noise.items()),
-        ]
+        noise = tomli_w.dumps({"sensor_noise": about.sensor_noise})
+        parts.append(f"# Noise of a point at range r [m]: constant + quadratic r^2\n{noise}")
     if about.preferred:
-        lines += ["", "[preferred]", *toml_lines(about.preferred, "preferred")]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+        parts.append(tomli_w.dumps({"preferred": about.preferred}))
+    path.write_text("\n".join(parts), encoding="utf-8", newline="\n")

@@ -60,6 +60,12 @@ class _Header:
     num_bytes: int
     num_lines: int
 
+    def vertex(self, path: Path) -> _Element:
+        for element in self.elements:
+            if element.name == "vertex":
+                return element
+        raise InputError(f"{path}: its header has no 'element vertex'; it holds no points")
+
 
 def read_ply(path: Path) -> Float[NDArray[np.floating], "n 3"]:
     """Read the vertices of a PLY file, ascii or binary of either byte order.
@@ -88,8 +94,7 @@ def read_ply_colors(path: Path) -> Float[Array, "n 3"] | None:
     """
     data = path.read_bytes()
     header = _parse_header(data, path)
-    vertex = next(element for element in header.elements if element.name == "vertex")
-    kinds = dict(vertex.properties)
+    kinds = dict(header.vertex(path).properties)
     if not all(kinds.get(name) for name in RGB):
         return None
     colors = _read_vertices(data, header, RGB, path).astype(np.float64)
@@ -105,8 +110,7 @@ def read_ply_property(path: Path, name: str) -> Float[Array, "n"] | None:
     """
     data = path.read_bytes()
     header = _parse_header(data, path)
-    vertex = next(element for element in header.elements if element.name == "vertex")
-    if not dict(vertex.properties).get(name):
+    if not dict(header.vertex(path).properties).get(name):
         return None
     return _read_vertices(data, header, (name,), path).astype(np.float64).ravel()
 
@@ -114,11 +118,8 @@ def read_ply_property(path: Path, name: str) -> Float[Array, "n"] | None:
 def _read_vertices(
     data: bytes, header: _Header, properties: Sequence[str], path: Path
 ) -> NDArray[Any]:
-    names = [element.name for element in header.elements]
-    if "vertex" not in names:
-        raise InputError(f"{path}: its header has no 'element vertex'; it holds no points")
-    before = header.elements[: names.index("vertex")]
-    vertex = header.elements[names.index("vertex")]
+    vertex = header.vertex(path)
+    before = header.elements[: header.elements.index(vertex)]
     columns = _columns(vertex, properties, path)
     if header.layout == "ascii":
         if any(not kind for _, kind in vertex.properties[: max(columns)]):

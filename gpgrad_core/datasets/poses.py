@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.datasets.tables import read_text
+from gpgrad_core.datasets.tables import read_text, write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import Pose
 
@@ -29,7 +29,7 @@ def read_poses(path: Path, known: Mapping[int, str]) -> dict[int, Pose]:
     """
     poses: dict[int, Pose] = {}
     lines_of: dict[int, int] = {}
-    for number, line in enumerate(read_text(path), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         words = line.split("#", 1)[0].split()
         if not words:
             continue
@@ -95,7 +95,7 @@ def write_poses(path: Path, poses: Mapping[int, Pose]) -> None:
     """
     rows = ["# index tx ty tz qx qy qz qw   (p_world = R p_submap + t)"]
     rows += [pose_row(str(index), pose) for index, pose in poses.items()]
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8", newline="\n")
+    write_lines(path, rows)
 
 
 def pose_row(key: str, pose: Pose) -> str:

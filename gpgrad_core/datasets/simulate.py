@@ -10,6 +10,7 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.rover import Stop, Track, plan_track, scan
 from gpgrad_core.datasets.simulation_params import SimulationParams
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
+from gpgrad_core.datasets.voxel_means import voxel_means
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Submap
@@ -71,10 +72,8 @@ def true_pose(terrain: HeightField, stop: Stop) -> Pose:
 
 
 def _level_pose(x: float, y: float, z: float, yaw: float) -> Pose:
-    return Pose(
-        np.round([x, y, z], 6),
-        np.array([0.0, 0.0, np.sin(0.5 * yaw), np.cos(0.5 * yaw)]),
-    )
+    x, y, z = np.round([x, y, z], 6).tolist()
+    return Pose.from_planar(SE2(x, y, yaw), z)
 
 
 def drift(truth: list[Pose], params: SimulationParams, rng: Generator, step: float) -> list[Pose]:
@@ -124,7 +123,7 @@ def _make_submap(
             yaw_error += params.submap_drift * np.sqrt(driven) * rng.standard_normal()
         tilt = ATTITUDE_STD * rng.standard_normal(2)
         clouds.append(_misplace(local, offset, yaw_error, tilt))
-    points = _voxel_means(np.concatenate(clouds), params.voxel_size)
+    points = voxel_means(np.concatenate(clouds), params.voxel_size)
     if len(points) > params.max_points:
         points = points[np.sort(rng.choice(len(points), params.max_points, replace=False))]
     return np.round(points, 3).astype(np.float32).astype(np.float64)
@@ -142,14 +141,3 @@ def _misplace(
         ]
     )
     return points + points @ small.T + offset
-
-
-def _voxel_means(points: Float[Array, "n 3"], size: float) -> Float[Array, "m 3"]:
-    """Replace the points of each cube by their mean, in the order of the cubes."""
-    cells = np.floor(points / size).astype(np.int64)
-    cells -= cells.min(axis=0)
-    spans = cells.max(axis=0) + 1
-    keys = (cells[:, 0] * spans[1] + cells[:, 1]) * spans[2] + cells[:, 2]
-    _, owner, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    sums = [np.bincount(owner, points[:, axis]) for axis in range(3)]
-    return np.column_stack(sums) / counts[:, None]

@@ -1,7 +1,7 @@
 """Rows of numbers in text: XYZ, CSV, and the ascii bodies of PLY and PCD."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +13,22 @@ from gpgrad_core.errors import InputError
 COMMENT_MARKS = ("#", "//")
 
 
-def read_text(path: Path) -> list[str]:
-    """Read a text file as lines without their ends.
+def read_text(path: Path) -> str:
+    """Read a text file.
 
     Raises:
         InputError: If it is not text.
     """
     try:
         # Spreadsheets put a byte-order mark in front; utf-8-sig takes it off.
-        return path.read_text(encoding="utf-8-sig").splitlines()
+        return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not text; is its ending right?") from None
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """Write a text file, one line each; the line ends are the same on every system."""
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
 def read_table(path: Path) -> Float[Array, "n 3"]:
@@ -42,7 +47,7 @@ def read_table(path: Path) -> Float[Array, "n 3"]:
     Raises:
         InputError: If a row lacks a column, or a field is not a number; names the line.
     """
-    lines = read_text(path)
+    lines = read_text(path).splitlines()
     first = next((k for k, line in enumerate(lines) if _is_data(line)), None)
     if first is None:
         return np.empty((0, 3))

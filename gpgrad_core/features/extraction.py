@@ -10,7 +10,8 @@ from gpgrad_core.features.detection import Detection
 from gpgrad_core.features.opencv import detect_with_opencv
 from gpgrad_core.features.slope_field import detect_slope_field
 from gpgrad_core.features.surf import detect_surf
-from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.types import Features, GradientMap
 
 DetectorName = Literal["akaze", "kaze", "sift", "orb", "surf", "slope"]

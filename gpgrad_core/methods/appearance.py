@@ -44,7 +44,7 @@ class ImageFeatures:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class SeenSubmap:
     """What was seen from a submap, and how much of it had been seen before.
 
     Attributes:
@@ -67,26 +67,26 @@ class AppearanceDetector:
 
     def __call__(self, query: Submap, database: Submap) -> Registration:
         """Compare two submaps with no others known."""
-        sights = self.gather([self.extract(database), self.extract(query)])
-        return self.compare(sights[1], sights[0])
+        both = self.gather([self.extract(database), self.extract(query)])
+        return self.compare(both[1], both[0])
 
     def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
         """Nothing comes before the features."""
         progress(1.0)
         return submap
 
-    def extract(self, made: Submap, progress: Progress = silent) -> Sight:
+    def extract(self, made: Submap, progress: Progress = silent) -> SeenSubmap:
         """Draw features from the submap's images."""
-        sight = self.memo(see, made)
+        seen = self.memo(see, made)
         progress(1.0)
-        return sight
+        return seen
 
-    def gather(self, views: list[Sight]) -> list[Sight]:
+    def gather(self, views: list[SeenSubmap]) -> list[SeenSubmap]:
         """Let each submap know how similar those before it are."""
         vocabulary = Vocabulary()
-        return [Sight(s.place, s.images, vocabulary.look_up_and_learn(s)) for s in views]
+        return [SeenSubmap(s.place, s.images, vocabulary.look_up_and_learn(s)) for s in views]
 
-    def compare(self, query: Sight, database: Sight) -> Registration:
+    def compare(self, query: SeenSubmap, database: SeenSubmap) -> Registration:
         """Score a pair by its similarity, and by epipolar inliers where it is similar enough."""
         similarity = query.similarity.get(database.place, 0.0)
         if similarity < MIN_SIMILARITY:
@@ -100,7 +100,7 @@ class AppearanceDetector:
         return outcome(None, np.ones(most, bool), similarity + most)
 
 
-def see(submap: Submap) -> Sight:
+def see(submap: Submap) -> SeenSubmap:
     """Draw ORB features from all images of a submap.
 
     Raises:
@@ -111,7 +111,7 @@ def see(submap: Submap) -> Sight:
             f"{submap.id}: appearance needs camera images, and the dataset has none of this "
             "submap: put them into images/, in a folder of the submap's number"
         )
-    return Sight(submap.fingerprint, tuple(_features(file) for file in submap.images))
+    return SeenSubmap(submap.fingerprint, tuple(_features(file) for file in submap.images))
 
 
 def _features(file: Path) -> ImageFeatures:
@@ -134,14 +134,14 @@ class Vocabulary:
         self._seen_at: list[dict[str, int]] = []  # of each word: how often, by place
         self._num_words_at: dict[str, int] = {}
 
-    def look_up_and_learn(self, sight: Sight) -> dict[str, float]:
+    def look_up_and_learn(self, seen: SeenSubmap) -> dict[str, float]:
         """Tell how similar each earlier place is, then learn this one.
 
         The similarity is the sum of tf-idf over the words in common, stretched so that the most
         similar place has 1 and the least 0. A word takes the bits that all its descriptors have
         in common; what resembles no word becomes one.
         """
-        descriptors = np.concatenate([image.descriptors for image in sight.images])
+        descriptors = np.concatenate([image.descriptors for image in seen.images])
         nearest = nearest_words(descriptors, self._words)
         known = np.flatnonzero(nearest >= 0)
         scores = dict.fromkeys(self._num_words_at, 0.0)
@@ -152,11 +152,11 @@ class Vocabulary:
                 scores[place] += count / self._num_words_at[place] * idf
         for descriptor, word in zip(descriptors[known], nearest[known], strict=True):
             self._words[word] &= descriptor
-            self._note(int(word), sight.place)
+            self._note(int(word), seen.place)
         new = np.setdiff1d(np.arange(len(descriptors)), known)
         self._words = np.concatenate([self._words, descriptors[new]])
-        self._seen_at += [{sight.place: 1} for _ in new]
-        self._num_words_at[sight.place] = max(1, len(descriptors))
+        self._seen_at += [{seen.place: 1} for _ in new]
+        self._num_words_at[seen.place] = max(1, len(descriptors))
         return _stretched(scores)
 
     def _note(self, word: int, place: str) -> None:

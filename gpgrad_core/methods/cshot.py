@@ -7,7 +7,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods.cloud_detector import CloudDetector
-from gpgrad_core.methods.clouds import DescribedCloud, register_by_ransac
+from gpgrad_core.methods.described_clouds import DescribedCloud, register_by_ransac
 from gpgrad_core.methods.neighbours import neighbours_within
 from gpgrad_core.methods.shot import (
     curved_surface,

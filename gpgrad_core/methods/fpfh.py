@@ -9,7 +9,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array
 from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.cloud_detector import CloudDetector
-from gpgrad_core.methods.clouds import (
+from gpgrad_core.methods.described_clouds import (
     DescribedCloud,
     mutual_matches,
     register_by_ransac,

@@ -20,23 +20,27 @@ VOXEL = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
+class KissMatcherCloud:
     """Points as the package takes them."""
 
     points: Float[NDArray[np.float32], "n 3"]  # [m]
     middle: Float[NDArray[np.float64], "1 3"]  # [m]
 
 
-def kiss_matcher_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Cloud]:
+def kiss_matcher_detector(params: PipelineParams, memo: Memo) -> CloudDetector[KissMatcherCloud]:
     """Make KISS-Matcher; it must be installed."""
     return CloudDetector(_cloud, _register, params, memo)
 
 
-def _cloud(submap: Submap, params: PipelineParams) -> Cloud:  # noqa: ARG001 - as all rivals
-    return Cloud(submap.points.astype(np.float32), submap.points.mean(axis=0, keepdims=True))
+def _cloud(submap: Submap, params: PipelineParams) -> KissMatcherCloud:  # noqa: ARG001 - as all rivals
+    return KissMatcherCloud(
+        submap.points.astype(np.float32), submap.points.mean(axis=0, keepdims=True)
+    )
 
 
-def _register(query: Cloud, database: Cloud, params: PipelineParams) -> Registration:
+def _register(
+    query: KissMatcherCloud, database: KissMatcherCloud, params: PipelineParams
+) -> Registration:
     """Match and solve; its score is the number of its final inliers."""
     package: Any = load_library(PACKAGE, "gpgrad[peers]")
     # Quatro turns about the vertical alone: both clouds are gravity-aligned.

@@ -23,22 +23,24 @@ DATABASE_ID, QUERY_ID = 0, 100
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
+class MapClosuresCloud:
     """Points as the package takes them."""
 
     points: Float[Array, "n 3"]  # [m]
 
 
-def map_closures_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Cloud]:
+def map_closures_detector(params: PipelineParams, memo: Memo) -> CloudDetector[MapClosuresCloud]:
     """Make MapClosures; it must be installed."""
     return CloudDetector(_cloud, _register, params, memo)
 
 
-def _cloud(submap: Submap, params: PipelineParams) -> Cloud:  # noqa: ARG001 - as all rivals
-    return Cloud(np.array(submap.points))
+def _cloud(submap: Submap, params: PipelineParams) -> MapClosuresCloud:  # noqa: ARG001 - as all rivals
+    return MapClosuresCloud(np.array(submap.points))
 
 
-def _register(query: Cloud, database: Cloud, params: PipelineParams) -> Registration:
+def _register(
+    query: MapClosuresCloud, database: MapClosuresCloud, params: PipelineParams
+) -> Registration:
     """Ask a database of one map for the query; the score is the number of inliers."""
     module: Any = load_library(f"{PACKAGE}.map_closures", "gpgrad[peers]")
     config = module.MapClosuresConfig(density_map_resolution=RESOLUTION * params.map.length_scale)

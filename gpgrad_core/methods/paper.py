@@ -66,7 +66,7 @@ def paper_params(params: PipelineParams) -> PipelineParams:
 
 
 @dataclass(frozen=True, eq=False)
-class PaperView:
+class PaperSubmap:
     """All that the paper's comparison needs of one submap."""
 
     gradient_map: GradientMap
@@ -93,13 +93,13 @@ class PaperDetector:
         """Make the map."""
         return infer_map(submap, self.params, self.memo, progress)
 
-    def extract(self, made: GradientMap, progress: Progress = silent) -> PaperView:
+    def extract(self, made: GradientMap, progress: Progress = silent) -> PaperSubmap:
         """Draw the keypoints."""
         features = extract_kept(made, self.params, self.memo)
         progress(1.0)
-        return PaperView(made, features)
+        return PaperSubmap(made, features)
 
-    def compare(self, query: PaperView, database: PaperView) -> Registration:
+    def compare(self, query: PaperSubmap, database: PaperSubmap) -> Registration:
         """Register the query to the database; the score is n."""
         matches = self.memo(match_features, query.features, database.features, self.params.matching)
         params = self.params.registration

@@ -7,8 +7,8 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.methods.cloud_detector import CloudDetector
-from gpgrad_core.methods.clouds import DescribedCloud, register_by_ransac, thinned
 from gpgrad_core.methods.curvature import curved_keypoints
+from gpgrad_core.methods.described_clouds import DescribedCloud, register_by_ransac, thinned
 from gpgrad_core.methods.neighbours import Neighbours, neighbours_within
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import tomli_w
+
 from gpgrad_core.fitting import FitResult, fitted_names
 from gpgrad_core.outputs.files import replacing
 
@@ -21,12 +23,12 @@ def write_fitted(path: Path | str, result: FitResult) -> None:
         f"{', '.join(result.submap_ids)}:",
         f"# log likelihood per point {result.log_likelihood_before:.4f} before, "
         f"{result.log_likelihood_after:.4f} after.",
-        "[map]",
-        f'noise_model = "{result.params.noise_model}"',
     ]
+    fitted: dict[str, object] = {"noise_model": result.params.noise_model}
     for name in fitted_names(result.params):
         value = getattr(result.params, name)
-        if value is not None:  # the file's silence is None
-            lines.append(f"{name} = {float(f'{value:.6g}')!r}")
+        if value is not None:  # a file that does not name it leaves it at None
+            fitted[name] = float(f"{value:.6g}")
+    text = "\n".join([*lines, tomli_w.dumps({"map": fitted})])
     with replacing(path) as unfinished:
-        unfinished.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        unfinished.write_text(text, encoding="utf-8")

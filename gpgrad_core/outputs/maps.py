@@ -13,7 +13,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import check_output, replacing
 from gpgrad_core.types import Array, GradientMap, Grid
 
-Picture = UInt8[NDArray[np.uint8], "height width 3"]
+BgrImage = UInt8[NDArray[np.uint8], "height width 3"]
 """Blue, green, red, as OpenCV has it."""
 
 Layer = Float[NDArray[np.floating], "rows columns"]
@@ -161,14 +161,14 @@ def _write_mesh(path: Path, gradient_map: GradientMap, max_std_ratio: float) -> 
     trimesh.Trimesh(vertices, faces, process=False).export(path)
 
 
-def _write_picture(path: Path, picture: Picture) -> None:
+def _write_picture(path: Path, picture: BgrImage) -> None:
     done, png = cv2.imencode(".png", picture)
     if not done:
         raise OSError(f"{path}: OpenCV could not encode the picture")
     path.write_bytes(png.tobytes())
 
 
-def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0.3) -> Picture:
+def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0.3) -> BgrImage:
     """Draw the layers with their legends, for a person to look at; north is up.
 
     Args:
@@ -253,7 +253,7 @@ def _panel(
     *,
     colour_map: int | None = None,
     seen: Bool[NDArray[np.bool_], "rows columns"] | None = None,
-) -> Picture:
+) -> BgrImage:
     """One layer with its title and legend, of one size for all."""
     low, high = limits
     span = max(high - low, 1e-12)
@@ -291,7 +291,7 @@ def _panel(
     return panel
 
 
-def _coloured(shares: Array, colour_map: int | None) -> Picture:
+def _coloured(shares: Array, colour_map: int | None) -> BgrImage:
     grey = np.round(shares * 255).astype(np.uint8)
     coloured = (
         cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
@@ -301,7 +301,7 @@ def _coloured(shares: Array, colour_map: int | None) -> Picture:
     return np.asarray(coloured, dtype=np.uint8)
 
 
-def _write(picture: Picture, text: str, corner: tuple[int, int], scale: float) -> None:
+def _write(picture: BgrImage, text: str, corner: tuple[int, int], scale: float) -> None:
     """Write text into the picture; OpenCV's font has ASCII only."""
     ascii_text = text.encode("ascii", "replace").decode()
     cv2.putText(picture, ascii_text, corner, cv2.FONT_HERSHEY_SIMPLEX, scale, INK, 1, cv2.LINE_AA)

@@ -1,1 +1,1 @@
-"""Parameters: their bounds, their TOML files, and what can be known of a params dataclass."""
+"""Parameters: their bounds, the fields of params dataclasses, and their TOML files."""

@@ -1,9 +1,6 @@
 """Bounds of a parameter: one source for the checks, the sliders and ``--help``."""
 
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
-
-from typing_extensions import Doc
+from dataclasses import dataclass
 
 from gpgrad_core.errors import InputError
 
@@ -39,52 +36,18 @@ class Bounds:
         """
         return float(f"{round(value / self.step) * self.step:.9g}")
 
+    def check(self, name: str, value: float) -> None:
+        """Check that a value lies within the bounds.
 
-@dataclass(frozen=True)
-class Field:
-    """One bounded parameter of a params dataclass."""
+        Args:
+            name: What the message calls the parameter.
+            value: NaN is refused too.
 
-    name: str
-    bounds: Bounds
-    default: Any
-    doc: str
-
-
-def bounded_fields(params: type) -> tuple[Field, ...]:
-    """List the fields of a params dataclass that carry bounds, in order of definition.
-
-    Args:
-        params: A dataclass whose fields are ``Annotated[float, Bounds(…), Doc("…")]``.
-    """
-    hints = get_type_hints(params, include_extras=True)
-    found: list[Field] = []
-    for field in fields(params):
-        hint = hints[field.name]
-        if get_origin(hint) is not Annotated:
-            continue
-        extras = get_args(hint)[1:]
-        bounds = next((extra for extra in extras if isinstance(extra, Bounds)), None)
-        doc = next((extra.documentation for extra in extras if isinstance(extra, Doc)), "")
-        if bounds is not None:
-            found.append(Field(field.name, bounds, field.default, doc))
-    return tuple(found)
-
-
-def check_bounds(params: object) -> None:
-    """Check every bounded field of a params object; call it from ``__post_init__``.
-
-    Raises:
-        InputError: If a value lies outside its bounds; names the field, the rule, the value.
-    """
-    if not is_dataclass(params) or isinstance(params, type):
-        raise TypeError(f"check_bounds needs a dataclass object, got {params!r}")
-    for field in bounded_fields(type(params)):
-        value = getattr(params, field.name)
-        if value is None:
-            continue
-        bounds = field.bounds
-        if not bounds.low <= value <= bounds.high:  # also refuses NaN
-            unit = f" {bounds.unit}" if bounds.unit else ""
+        Raises:
+            InputError: If it does not; names the parameter, the rule and the value.
+        """
+        if not self.low <= value <= self.high:
+            unit = f" {self.unit}" if self.unit else ""
             raise InputError(
-                f"{field.name} must be from {bounds.low:g} to {bounds.high:g}{unit}, got {value!r}"
+                f"{name} must be from {self.low:g} to {self.high:g}{unit}, got {value!r}"
             )

@@ -1,6 +1,7 @@
-"""The single parameters of a params dataclass: what each may be, and how to read and change it."""
+"""The fields of params dataclasses: what each may be, and how to check, read and change it."""
 
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from functools import cache
 from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from typing_extensions import Doc
@@ -11,27 +12,40 @@ P = TypeVar("P")
 
 
 @dataclass(frozen=True)
-class Setting:
-    """One parameter as the panel sees it.
+class Field:
+    """One field of a params dataclass: a parameter, or a group of them.
 
     Attributes:
         path: Where it lies in the params, such as ``map.length_scale``.
-        kind: ``bool``, ``int`` or ``float``, or the values of a choice.
+        kind: ``bool``, ``int`` or ``float``; the values of a choice; or, of a group, its
+            dataclass.
         bounds: Of a number; None if it has none.
         optional: Whether None, "automatic", is a value too.
-        doc: One sentence for the tooltip.
+        default: Its value in params that are made without arguments; None if there is none.
+        doc: What it is, in a sentence for people.
     """
 
     path: str
     kind: type | tuple[str, ...]
     bounds: Bounds | None
     optional: bool
+    default: Any
     doc: str
+
+    @property
+    def name(self) -> str:
+        """Its name in its dataclass."""
+        return self.path.rpartition(".")[2]
+
+    @property
+    def is_group(self) -> bool:
+        """Whether it is a dataclass of parameters."""
+        return is_dataclass(self.kind)
 
     @property
     def label(self) -> str:
         """Its name in words, with the unit."""
-        return with_unit(self.path.rpartition(".")[2].replace("_", " "), self.bounds)
+        return with_unit(self.name.replace("_", " "), self.bounds)
 
 
 def with_unit(name: str, bounds: Bounds | None) -> str:
@@ -39,38 +53,86 @@ def with_unit(name: str, bounds: Bounds | None) -> str:
     return f"{name} [{bounds.unit}]" if bounds is not None and bounds.unit else name
 
 
-def settings_of(params: type, prefix: str = "") -> tuple[Setting, ...]:
-    """List the parameters of a dataclass, those of dataclasses within it included.
+@cache
+def fields_of(params: type, prefix: str = "") -> tuple[Field, ...]:
+    """List the fields of a params dataclass, in order of definition.
 
-    A field of a type that no widget shows is an error here, not a slider missing there.
+    Checks, files, flags and widgets all know params by this list. A type that one of them could
+    not handle is an error here, not a parameter missing there.
+
+    Args:
+        params: A dataclass whose fields are params dataclasses, truth values, choices (``Literal``)
+            or numbers; ``Annotated[float, Bounds(…), Doc("…")]`` gives bounds and a text.
+        prefix: What the paths begin with.
 
     Raises:
-        TypeError: If a field is neither a number, a truth value, a choice nor a dataclass.
+        TypeError: If a field is of another type.
     """
-    found: list[Setting] = []
+    found: list[Field] = []
     hints = get_type_hints(params, include_extras=True)
     for field in fields(params):
-        hint, path = hints[field.name], prefix + field.name
+        hint: Any = hints[field.name]
         extras: tuple[Any, ...] = ()
         if get_origin(hint) is Annotated:
             hint, *rest = get_args(hint)
             extras = tuple(rest)
-        bounds = next((extra for extra in extras if isinstance(extra, Bounds)), None)
-        doc = next((extra.documentation for extra in extras if isinstance(extra, Doc)), "")
-        members = get_args(hint)
-        optional = type(None) in members
+        optional = type(None) in get_args(hint)
         if optional:
-            hint = next(member for member in members if member is not type(None))
-        if isinstance(hint, type) and is_dataclass(hint):
-            found += settings_of(hint, path + ".")
-        elif get_origin(hint) is Literal:
-            choices = tuple(str(choice) for choice in get_args(hint))
-            found.append(Setting(path, choices, None, optional, doc))
-        elif hint in (bool, int, float):
-            found.append(Setting(path, hint, bounds, optional, doc))
-        else:
-            raise TypeError(f"{params.__name__}.{field.name}: no widget shows a {hint}")
+            hint = next(member for member in get_args(hint) if member is not type(None))
+        kind: Any = hint
+        if get_origin(hint) is Literal:
+            kind = tuple(str(choice) for choice in get_args(hint))
+        elif hint not in (bool, int, float) and not is_dataclass(hint):
+            raise TypeError(f"{params.__name__}.{field.name}: no parameter can be a {hint}")
+        default = field.default
+        if default is MISSING:
+            default = None if field.default_factory is MISSING else field.default_factory()
+        found.append(
+            Field(
+                prefix + field.name,
+                kind,
+                next((extra for extra in extras if isinstance(extra, Bounds)), None),
+                optional,
+                default,
+                next((extra.documentation for extra in extras if isinstance(extra, Doc)), ""),
+            )
+        )
     return tuple(found)
+
+
+def parameters_of(params: type, prefix: str = "") -> tuple[Field, ...]:
+    """List the parameters of a dataclass and of the groups within it.
+
+    Args:
+        params: As `fields_of`.
+        prefix: What the paths begin with.
+    """
+    found: list[Field] = []
+    for field in fields_of(params, prefix):
+        if isinstance(field.kind, type) and field.is_group:
+            found += parameters_of(field.kind, f"{field.path}.")
+        else:
+            found.append(field)
+    return tuple(found)
+
+
+def bounds_of(params: type) -> dict[str, Bounds]:
+    """Give the bounds of a dataclass's own fields, by name; fields without bounds are left out."""
+    return {one.name: one.bounds for one in fields_of(params) if one.bounds is not None}
+
+
+def check_bounds(params: object) -> None:
+    """Check every bounded field of a params object; call it from ``__post_init__``.
+
+    Raises:
+        InputError: If a value lies outside its bounds; names the field, the rule, the value.
+    """
+    if not is_dataclass(params) or isinstance(params, type):
+        raise TypeError(f"check_bounds needs a dataclass object, got {params!r}")
+    for name, bounds in bounds_of(type(params)).items():
+        value = getattr(params, name)
+        if value is not None:
+            bounds.check(name, value)
 
 
 def get_path(params: object, path: str) -> object:

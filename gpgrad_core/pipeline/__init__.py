@@ -5,10 +5,10 @@ Nothing else knows this order. What a changed parameter does not touch is not co
 
 from gpgrad_core.pipeline.detection import (
     DetectionResult,
+    ExtractedSubmap,
     MapDetector,
     PairResult,
     PipelineParams,
-    View,
     detect_loop_closures,
     extract_kept,
     infer_features,
@@ -18,10 +18,10 @@ from gpgrad_core.pipeline.detection import (
 
 __all__ = [
     "DetectionResult",
+    "ExtractedSubmap",
     "MapDetector",
     "PairResult",
     "PipelineParams",
-    "View",
     "detect_loop_closures",
     "extract_kept",
     "infer_features",

@@ -186,7 +186,7 @@ MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], Gradien
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class ExtractedSubmap:
     """All that the comparison needs of one submap; little of it, for it may go to a process."""
 
     features: Features
@@ -217,14 +217,14 @@ class MapDetector:
         """Make the map."""
         return self.make_map(submap, self.params, self.memo, progress)
 
-    def extract(self, made: GradientMap, progress: Progress = silent) -> View:
+    def extract(self, made: GradientMap, progress: Progress = silent) -> ExtractedSubmap:
         """Draw the keypoints."""
         image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
         features = extract_kept(image, self.params, self.memo)
         progress(1.0)
-        return View(features, self.memo(prepare, made))
+        return ExtractedSubmap(features, self.memo(prepare, made))
 
-    def compare(self, query: View, database: View) -> Registration:
+    def compare(self, query: ExtractedSubmap, database: ExtractedSubmap) -> Registration:
         """Match and register."""
         matches = self.memo(match_features, query.features, database.features, self.params.matching)
         return self.memo(

@@ -14,6 +14,7 @@ from gpgrad_core.datasets.about import About, write_about
 from gpgrad_core.datasets.folder import ABOUT_FILE, ODOMETRY_FILES, TRUTH_FILE, check_vacant
 from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import pose_row, write_poses
+from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.scans.bag import is_bag, open_bag
@@ -308,7 +309,7 @@ def _write_rest(
         for k in scans:
             stamp = f"{k}" if recording.stamps is None else f"{recording.stamps[k]:.6f}"
             rows.append(pose_row(stamp, (level.inverse() @ recording.sensor(k)).one(0)))
-        _write_lines(trajectories / f"{entry['id']}.txt", rows)
+        write_lines(trajectories / f"{entry['id']}.txt", rows)
     write_poses(journal.folder / ODOMETRY_FILES[0], odometry)
     if truth:
         write_poses(journal.folder / TRUTH_FILE, truth)
@@ -320,10 +321,6 @@ def _write_rest(
         ),
     )
     write_about(journal.folder / ABOUT_FILE, about)
-
-
-def _write_lines(path: Path, lines: list[str]) -> None:
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
 def _limits(params: BuildParams) -> str:

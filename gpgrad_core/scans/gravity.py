@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.scans.voxels import Voxels
-from gpgrad_core.se2 import Pose
+from gpgrad_core.se2 import SE2, Pose
 
 GROUND_VOXEL = 0.2
 """Points are thinned to this [m] first: else the dense ground at the robot's feet decides."""
@@ -47,8 +47,8 @@ def level_pose(pose: Pose) -> Pose:
     forward = pose.rotation[:, 0]
     if abs(forward[2]) > UPRIGHT:  # looks up or down: it heads nowhere
         forward = pose.rotation[:, 1]
-    yaw = float(np.arctan2(forward[1], forward[0]))
-    return Pose(pose.translation, np.array([0.0, 0.0, np.sin(0.5 * yaw), np.cos(0.5 * yaw)]))
+    x, y, z = pose.translation.tolist()
+    return Pose.from_planar(SE2(x, y, float(np.arctan2(forward[1], forward[0]))), z)
 
 
 def ground_normal(points: Float[Array, "n 3"]) -> Array | None:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from gpgrad_core.datasets.folder import check_vacant
+from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
 
 Entry = dict[str, Any]
@@ -109,7 +110,7 @@ def open_journal(
 
 def _begun(directory: Path, folder: Path, header: Mapping[str, Any]) -> Journal:
     (folder / UNFINISHED_CLOUDS).mkdir(parents=True)
-    (folder / JOURNAL).write_text(json.dumps(header) + "\n", encoding="utf-8", newline="\n")
+    write_lines(folder / JOURNAL, [json.dumps(header)])
     _to_disk(folder / JOURNAL)
     return Journal(directory, folder, ())
 
@@ -140,7 +141,7 @@ def _taken_up(directory: Path, folder: Path, header: Mapping[str, Any]) -> Journ
         entries.append(entry)
     kept = [lines[0], *(json.dumps(entry) for entry in entries)]
     unfinished = path.with_suffix(".new")
-    unfinished.write_text("\n".join(kept) + "\n", encoding="utf-8", newline="\n")
+    write_lines(unfinished, kept)
     _to_disk(unfinished)
     unfinished.replace(path)
     known = {f"{entry['id']}.ply" for entry in entries}

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 from typing_extensions import Doc
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
 
 UpAxis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
 

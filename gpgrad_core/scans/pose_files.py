@@ -140,5 +140,7 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Give the words of each row that holds any, with its number."""
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    split = ((k, line.split("#", 1)[0].split()) for k, line in enumerate(read_text(path), 1))
+    split = (
+        (k, line.split("#", 1)[0].split()) for k, line in enumerate(read_text(path).splitlines(), 1)
+    )
     return [(number, words) for number, words in split if words]

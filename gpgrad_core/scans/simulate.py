@@ -18,6 +18,7 @@ from gpgrad_core.datasets.simulate import (
     true_pose,
 )
 from gpgrad_core.datasets.simulation_params import SimulationParams
+from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, silent
@@ -108,5 +109,4 @@ def _write_poses(
         of_truth.append(pose_row(stamp, true))
         of_odometry.append(pose_row(stamp, pose))
     for name, rows in (("poses_gt.txt", of_truth), ("poses.txt", of_odometry)):
-        text = "\n".join(rows) + "\n"
-        (directory / name).write_text(text, encoding="utf-8", newline="\n")
+        write_lines(directory / name, rows)

@@ -3,6 +3,7 @@
 from gpgrad_core.slam.consistency import Consistency, measure_consistency
 from gpgrad_core.slam.g2o import read_graph, write_graph
 from gpgrad_core.slam.graph import Edge, GraphParams, PoseGraph, build_pose_graph, odometry_poses
+from gpgrad_core.slam.joining import JoinedDatasets, Placed, join_datasets, place_traverses
 from gpgrad_core.slam.loop_closer import LoopCloser, Step
 from gpgrad_core.slam.merge import MergedMap, MergeParams, gather, merge_clouds, merge_maps
 from gpgrad_core.slam.optimise import (
@@ -12,30 +13,29 @@ from gpgrad_core.slam.optimise import (
     check_solver,
     optimise_pose_graph,
 )
-from gpgrad_core.slam.report import (
-    Judged,
+from gpgrad_core.slam.solution import (
+    MapErrors,
     Solution,
-    judge_solution,
-    solve_sessions,
+    measure_errors,
+    solve_datasets,
     write_merged,
     write_solution,
 )
-from gpgrad_core.slam.sessions import Placed, Sessions, join_datasets, place_traverses
-from gpgrad_core.slam.trajectory import TrajectoryError, trajectory_error, true_poses
+from gpgrad_core.slam.truth import TrajectoryError, trajectory_error, true_poses
 
 __all__ = [
     "Consistency",
     "Edge",
     "EdgeFit",
     "GraphParams",
-    "Judged",
+    "JoinedDatasets",
     "LoopCloser",
+    "MapErrors",
     "MergeParams",
     "MergedMap",
     "OptimisedGraph",
     "Placed",
     "PoseGraph",
-    "Sessions",
     "Solution",
     "SolverParams",
     "Step",
@@ -44,15 +44,15 @@ __all__ = [
     "check_solver",
     "gather",
     "join_datasets",
-    "judge_solution",
     "measure_consistency",
+    "measure_errors",
     "merge_clouds",
     "merge_maps",
     "odometry_poses",
     "optimise_pose_graph",
     "place_traverses",
     "read_graph",
-    "solve_sessions",
+    "solve_datasets",
     "trajectory_error",
     "true_poses",
     "write_graph",

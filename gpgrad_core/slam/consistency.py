@@ -1,4 +1,4 @@
-"""How well submaps lie on one another: what a map shows of its poses without any truth."""
+"""How well submaps lie on one another: a measure of a map that needs no true poses."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -10,7 +10,8 @@ from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Submap
 
 FEWEST_SHARE = 0.2
-"""Of the smaller submap's cells that must be common: less is an edge, seen from afar by both."""
+"""Share of the smaller submap's cells that must be common. A smaller overlap is an edge that both
+submaps saw from far away."""
 
 
 @dataclass(frozen=True)
@@ -18,9 +19,9 @@ class Consistency:
     """Differences in height where submaps overlap.
 
     Attributes:
-        count: Pairs of submaps that share more than a fifth of their 10 cm cells.
-        median: Median of the pairs' median height differences [m]; None without such a pair.
-        high: Their 95th percentile [m].
+        count: Number of pairs of submaps that share more than a fifth of their 10 cm cells.
+        median: Median of the pairs' median height differences [m]; None if there is no such pair.
+        high: 95th percentile of them [m]; None if there is no such pair.
     """
 
     count: int
@@ -32,8 +33,8 @@ def measure_consistency(submaps: Iterable[Submap], poses: Mapping[str, Pose]) ->
     """Compare the heights of all submaps that overlap.
 
     Args:
-        submaps: Any iterable: each is looked at once, and of each only its 10 cm cells are kept.
-        poses: ``T_world_submap`` by id; submaps without one are left out.
+        submaps: Any iterable; it is iterated once, and only the 10 cm cells are kept in memory.
+        poses: ``T_world_submap`` by id; submaps without a pose are left out.
     """
     footprints = [
         make_footprint(poses[submap.id].apply(submap.points))

@@ -1,4 +1,4 @@
-"""The traverse before and after, drawn; matplotlib's objects only, so that nothing global moves."""
+"""Figures of the traverse before and after, by matplotlib's objects without its global state."""
 
 from collections.abc import Mapping, Sequence
 
@@ -14,12 +14,12 @@ from matplotlib.lines import Line2D
 from gpgrad_core.evaluation.figures.style import COLOURS, FALSE, new_figure
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.optimise import OptimisedGraph
-from gpgrad_core.slam.trajectory import align_points
+from gpgrad_core.slam.truth import align_points
 from gpgrad_core.types import Array
 
 TRUE_PATH = "#999999"
 MOST_NAMES = 60
-"""More submaps than this are not named: the names would hide the path."""
+"""Submaps are named in a figure up to this number; more names would hide the path."""
 
 
 def draw_trajectories(
@@ -32,11 +32,12 @@ def draw_trajectories(
     """Draw all traverses from above, before and after, with their closures by score.
 
     Args:
-        name: Of the dataset.
-        traverses: Ids of the submaps of each.
-        before: Poses by id, in one frame.
-        result: The corrected poses, and what became of the closures.
-        true: True poses of those that have one; drawn moved onto the corrected ones.
+        name: The dataset's name.
+        traverses: Ids of the submaps of each traverse.
+        before: Poses by id before the correction, in one frame.
+        result: The corrected poses and the closures.
+        true: True poses by id, where they are known; they are drawn aligned with the corrected
+            ones.
     """
     figure = new_figure(14.0, 6.5, f"{name}: the traverse before and after")
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -71,7 +72,7 @@ def draw_trajectories(
 
 
 def draw_errors(name: str, before: Mapping[str, float], after: Mapping[str, float]) -> Figure:
-    """Draw how far each submap is from where it truly is, before and after [m]."""
+    """Draw each submap's distance from its true position [m], before and after."""
     figure = new_figure(11.0, 5.0, f"{name}: distance from the truth")
     panel = figure.subplots()
     places = np.arange(len(before))

@@ -1,6 +1,7 @@
 """A pose graph in g2o's text format, which most optimisers read."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.datasets.folder import index_of
+from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.se2 import Pose
@@ -15,7 +17,8 @@ from gpgrad_core.slam.graph import Edge, EdgeKind, GraphParams, PoseGraph
 from gpgrad_core.types import Array
 
 HALVED = np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
-"""g2o's error of a turn is the quaternion's vector part: half of a small angle."""
+"""Converts a covariance: g2o measures a turn by the quaternion's vector part, half of a small
+angle."""
 VERTEX, EDGE = "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT"
 COLUMNS = {VERTEX: 1 + 7, EDGE: 2 + 7 + 21}
 
@@ -25,13 +28,13 @@ def write_graph(
 ) -> None:
     """Write a pose graph.
 
-    A vertex has the number that the submap is named by, or its place in the graph where names have
-    no number of their own.
+    A vertex has the number in the submap's name; if not every submap has a number of its own, the
+    vertices are numbered in their order.
 
     Args:
-        path: The ``.g2o`` file, of ``VERTEX_SE3:QUAT`` and ``EDGE_SE3:QUAT`` lines.
-        graph: Its edges; gravity, which the format has no line for, is left out.
-        poses: Where its vertices are, such as an optimised graph's; None: where they were before.
+        path: The ``.g2o`` file, with ``VERTEX_SE3:QUAT`` and ``EDGE_SE3:QUAT`` lines.
+        graph: The graph. What is known of gravity is left out: the format has no line for it.
+        poses: Poses of the vertices, such as those of a solved graph; None takes the graph's own.
 
     Raises:
         InputError: If the file cannot be written there.
@@ -47,11 +50,11 @@ def write_graph(
         ends = f"{numbers[edge.start]} {numbers[edge.end]}"
         lines.append(f"{EDGE} {ends} {_text(edge.T_start_end)} {weights}")
     with replacing(path) as unfinished:
-        unfinished.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_lines(unfinished, lines)
 
 
 def vertex_numbers(graph: PoseGraph) -> dict[str, int]:
-    """Number the vertices: as the submaps' names do, or in their order where two are alike."""
+    """Number the vertices by the submaps' names, or in their order if these are ambiguous."""
     numbers = {name: index_of(name) for name in graph.poses}
     named = {name: number for name, number in numbers.items() if number is not None}
     if len(set(named.values())) == len(numbers):
@@ -60,62 +63,81 @@ def vertex_numbers(graph: PoseGraph) -> dict[str, int]:
 
 
 def read_graph(path: Path | str, tilt_std: float | None = None) -> PoseGraph:
-    """Read a pose graph, of any tool.
+    """Read a pose graph that any tool wrote.
 
-    The format does not tell odometry from loop closures: the first edge from a vertex to the one
-    that follows it is taken for odometry, and all others for closures.
+    The format does not tell odometry from loop closures: the first edge from a vertex to the next
+    one counts as odometry, and all others count as closures.
 
     Args:
-        path: The ``.g2o`` file; lines of other kinds are not understood.
-        tilt_std: How well each pose knows its roll and pitch [rad]; None is `GraphParams`'.
+        path: The ``.g2o`` file, with 3D vertices and edges.
+        tilt_std: Standard deviation of each pose's roll and pitch [rad]; None takes the default of
+            `GraphParams`.
 
     Returns:
         The graph; its submaps are named by their numbers.
 
     Raises:
-        InputError: If a line is of another kind, has not its columns, or names a vertex that there
-            is not; names the line.
+        InputError: If a line is of another kind, has the wrong number of columns, or names an
+            unknown vertex; the message names the line.
         OSError: If the file cannot be read.
     """
     path = Path(path)
     poses: dict[str, Pose] = {}
-    rows: list[tuple[str, list[str], list[float]]] = []
+    edge_rows: list[_Row] = []
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
-        tag, *words = line.split("#", 1)[0].split() or [""]
-        if not tag or tag == "FIX":
+        row = _read_row(line, f"{path}, line {number}")
+        if row is None:
             continue
-        where = f"{path}, line {number}"
-        if tag not in COLUMNS:
-            raise InputError(f"{where}: {tag[:40]!r} is not one of {VERTEX}, {EDGE}")
-        if len(words) != COLUMNS[tag]:
-            raise InputError(f"{where}: {tag} has {COLUMNS[tag]} columns, found {len(words)}")
-        num_ends = 1 if tag == VERTEX else 2
-        try:
-            ends = [str(int(word)) for word in words[:num_ends]]
-            values = [float(word) for word in words[num_ends:]]
-        except ValueError:
-            raise InputError(f"{where}: holds something that is not a number") from None
-        if not np.isfinite(values).all() or np.linalg.norm(values[3:7]) == 0:
-            raise InputError(f"{where}: holds a value that is not finite, or no turn")
-        if tag == VERTEX:
-            poses[ends[0]] = _pose(values)
+        if len(row.vertices) == 1:
+            poses[row.vertices[0]] = _pose(row.values)
         else:
-            rows.append((where, ends, values))
+            edge_rows.append(row)
     names = sorted(poses, key=int)
     following = set(pairwise(names))
     edges: list[Edge] = []
-    for where, (start, end), values in rows:
+    for row in edge_rows:
+        start, end = row.vertices
         if missing := [name for name in (start, end) if name not in poses]:
-            raise InputError(f"{where}: names vertex {missing[0]}, which the file does not have")
+            raise InputError(
+                f"{row.where}: names vertex {missing[0]}, which the file does not have"
+            )
         kind: EdgeKind = "odometry" if (start, end) in following else "loop"
         following.discard((start, end))
-        covariance = _covariance(values[7:], where)
-        T_start_end = _pose(values)
+        covariance = _covariance(row.values[7:], row.where)
         trusted = kind == "odometry"
-        edges.append(Edge(start, end, T_start_end, covariance, kind, trusted=trusted))
+        edges.append(Edge(start, end, _pose(row.values), covariance, kind, trusted=trusted))
     tilt = GraphParams().tilt_std if tilt_std is None else tilt_std
     edges.sort(key=lambda edge: edge.kind == "loop")
     return PoseGraph({name: poses[name] for name in names}, tuple(edges), tilt)
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One line of the file: a vertex has one number, an edge has two."""
+
+    where: str
+    vertices: tuple[str, ...]
+    values: list[float]
+
+
+def _read_row(line: str, where: str) -> _Row | None:
+    """Parse a line; None if it holds nothing that is needed."""
+    tag, *words = line.split("#", 1)[0].split() or [""]
+    if not tag or tag == "FIX":
+        return None
+    if tag not in COLUMNS:
+        raise InputError(f"{where}: {tag[:40]!r} is not one of {VERTEX}, {EDGE}")
+    if len(words) != COLUMNS[tag]:
+        raise InputError(f"{where}: {tag} has {COLUMNS[tag]} columns, found {len(words)}")
+    num_vertices = 1 if tag == VERTEX else 2
+    try:
+        vertices = tuple(str(int(word)) for word in words[:num_vertices])
+        values = [float(word) for word in words[num_vertices:]]
+    except ValueError:
+        raise InputError(f"{where}: holds something that is not a number") from None
+    if not np.isfinite(values).all() or np.linalg.norm(values[3:7]) == 0:
+        raise InputError(f"{where}: holds a value that is not finite, or a quaternion of length 0")
+    return _Row(where, vertices, values)
 
 
 def _covariance(upper: list[float], where: str) -> Float[Array, "6 6"]:

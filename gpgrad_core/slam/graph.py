@@ -10,24 +10,25 @@ from jaxtyping import Float
 from typing_extensions import Doc
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Array, Dataset, LoopClosure, Registration, read_only
 
 EdgeKind = Literal["odometry", "loop"]
 
 LEAST_LEVER = 0.1
-"""Inliers as good as at one point hold a turn no worse than over this distance [m]."""
+"""Shortest lever of a turn's uncertainty [m], for inliers that lie almost at one point."""
 
 
 @dataclass(frozen=True)
 class GraphParams:
-    """How sure the edges of a pose graph are of themselves.
+    """How certain the edges of a pose graph are.
 
     An odometry edge over a distance d has the standard deviations ``odometry_std +
     odometry_drift d`` along x and y, ``odometry_std + height_drift d`` in height and
-    ``heading_std + heading_drift √d`` in turn: its heading walks at random. A closure brings its
-    own covariance where the registration knows it.
+    ``heading_std + heading_drift √d`` in yaw, because its heading is a random walk. A closure has
+    the covariance of its registration, if that is known.
     """
 
     odometry_drift: Annotated[
@@ -83,17 +84,17 @@ class GraphParams:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """What was measured between two submaps.
+    """A measured motion between two submaps.
 
     Attributes:
-        start: Id of the submap in whose frame the motion ends: the earlier one, the database.
-        end: Id of the submap whose points it maps: the later one, the query.
-        T_start_end: The motion.
-        covariance: Of its error ``T_start_end⁻¹ T_true``: x, y, z [m], then the vector of the
-            turn [rad], all in the frame of `end`, as g2o has it.
-        kind: Where it comes from.
-        score: Of the loop closure; None for odometry.
-        trusted: Whether it is held to be right whatever the others say, as odometry is.
+        start: Id of the earlier submap: the database of a loop closure.
+        end: Id of the later submap: the query of a loop closure.
+        T_start_end: The motion; it maps points of `end` into the frame of `start`.
+        covariance: Covariance of its error ``T_start_end⁻¹ T_true``: x, y, z [m], then the
+            rotation vector [rad], in the frame of `end`, as in g2o.
+        kind: Whether it is odometry or a loop closure.
+        score: Score of the loop closure; None for odometry.
+        trusted: Whether it is never refused, as odometry never is.
     """
 
     start: str
@@ -111,12 +112,12 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class PoseGraph:
-    """Submaps and what was measured between them.
+    """Submaps and the measured motions between them.
 
     Attributes:
-        poses: ``T_world_submap`` by id, before any closure; the order is the traverse's.
-        edges: Odometry first, then loop closures.
-        tilt_std: How well each pose knows its roll and pitch [rad]: gravity holds them.
+        poses: ``T_world_submap`` by id, in the order of the traverse, before any closure is used.
+        edges: The motions: odometry first, then loop closures.
+        tilt_std: Standard deviation of each pose's roll and pitch [rad], which gravity gives.
     """
 
     poses: dict[str, Pose]
@@ -137,17 +138,17 @@ def build_pose_graph(
     trusted: Iterable[tuple[str, str]] = (),
     starts: Iterable[str] = (),
 ) -> PoseGraph:
-    """Gather a traverse's odometry and its accepted closures.
+    """Build the pose graph of a traverse from its odometry and its accepted closures.
 
     Args:
-        dataset: Its odometry is needed.
-        closures: Those refused are left out.
-        params: How sure the edges are.
-        trusted: Pairs (query id, database id) whose closure a person vouches for.
-        starts: Submaps with which another traverse begins: no odometry leads there.
+        dataset: The submaps, each with an odometry pose.
+        closures: The loop closures; refused ones are left out.
+        params: How certain the edges are.
+        trusted: Pairs (query id, database id) whose closures a person has confirmed.
+        starts: Submaps with which another traverse begins; no odometry edge leads to them.
 
     Raises:
-        InputError: If a submap has no odometry pose, or a closure names one that there is not.
+        InputError: If a submap has no odometry pose, or a closure names an unknown submap.
     """
     params = params or GraphParams()
     poses = odometry_poses(dataset)
@@ -163,8 +164,8 @@ def build_pose_graph(
         for name in (closure.query_id, closure.database_id):
             if name not in poses:
                 raise InputError(
-                    f"{dataset.name}: a closure names submap {name!r}, which there is not; the "
-                    "closures must be those of this dataset"
+                    f"{dataset.name}: a closure names submap {name!r}, which the dataset does not "
+                    "have; give the closures of this dataset"
                 )
         pair = closure.query_id, closure.database_id
         edges.append(_loop_edge(closure, poses, params, trusted=pair in vouched))
@@ -172,17 +173,17 @@ def build_pose_graph(
 
 
 def odometry_poses(dataset: Dataset) -> dict[str, Pose]:
-    """Give the odometry's pose of every submap, by id, in the dataset's order.
+    """Give the odometry pose of every submap, by id, in the dataset's order.
 
     Raises:
-        InputError: If a submap has none: check it before the long work.
+        InputError: If a submap has none. Call this before long work that needs them.
     """
     poses = {submap.id: submap.pose_odometry for submap in dataset.submaps}
     missing = [name for name, pose in poses.items() if pose is None]
     if missing:
         raise InputError(
             f"{dataset.name}: a pose graph needs odometry, and submap {missing[0]} has none "
-            f"({len(missing)} of {len(poses)} lack it); add it to poses_odom.txt"
+            f"({len(missing)} of {len(poses)} have none); add it to poses_odom.txt"
         )
     return {name: pose for name, pose in poses.items() if pose is not None}
 
@@ -200,19 +201,19 @@ def _odometry_edge(start: str, end: str, poses: dict[str, Pose], params: GraphPa
 def _loop_edge(
     closure: LoopClosure, poses: dict[str, Pose], params: GraphParams, *, trusted: bool
 ) -> Edge:
-    """Lift a closure of the plane into space: gravity holds roll and pitch of both submaps."""
+    """Turn a planar closure into a motion in space; gravity gives roll and pitch."""
     registration, start, end = closure.registration, closure.database_id, closure.query_id
     motion = registration.T_database_query
     assert motion is not None
     planar = registration.covariance
     if planar is not None:
         height, height_std = registration.z_offset, params.closure_height_std
-        # Known for an error in the database's frame; an edge's is in the query's.
+        # The registration's covariance is in the database's frame, an edge's in the query's.
         turn = np.eye(3)
         turn[:2, :2] = motion.rotation.T
         planar = turn @ planar @ turn.T
     else:
-        # Nobody aligned the heights: the odometry's stands in, with next to no weight.
+        # The heights were not aligned: take the odometry's height, with almost no weight.
         height, height_std = (poses[start].inverse() @ poses[end]).translation[2], params.unseen_std
         planar = _covariance_of_inliers(registration, params)
     covariance = np.zeros((6, 6))
@@ -223,8 +224,8 @@ def _loop_edge(
 
 
 def _covariance_of_inliers(registration: Registration, params: GraphParams) -> Float[Array, "3 3"]:
-    """Guess how well so many inliers on so large an overlap place a pair."""
+    """Estimate the covariance of a motion from its inliers and the area that they spread over."""
     offset_std = params.association_std / np.sqrt(max(registration.num_inliers, 1))
-    # Points spread over a disc lie sqrt(area / 2 pi) rms from its centre: the lever of the yaw.
+    # Points spread over a disc lie sqrt(area / 2 pi) rms from its centre: the yaw's lever.
     lever = max(np.sqrt(registration.overlap_area / (2 * np.pi)), LEAST_LEVER)
     return np.diag(np.array([offset_std, offset_std, offset_std / lever]) ** 2)

@@ -1,4 +1,4 @@
-"""Loop closing while the robot drives: submaps come one by one."""
+"""Loop closing while the robot drives: submaps are added one by one."""
 
 import pickle
 import tempfile
@@ -21,22 +21,22 @@ from gpgrad_core.run.memo import Memo, array_bytes
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
+from gpgrad_core.slam.joining import place_traverses
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
-from gpgrad_core.slam.sessions import place_traverses
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 
-VIEWS_IN_MEMORY = 1_000_000_000
-"""Bytes of maps and keypoints of earlier submaps; the rest waits on disk."""
+BYTES_IN_MEMORY = 1_000_000_000
+"""Bytes of maps and keypoints of earlier submaps to keep in memory; the rest is kept on disk."""
 MEMO_BYTES = 200_000_000
-"""Each pair is compared once: there is little to remember."""
+"""Small, because each pair is compared only once."""
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What a new submap brought.
+    """The result of adding a submap.
 
     Attributes:
-        closures: The new submap's, with every earlier one that it was compared to.
+        closures: The verdict on the new submap and each earlier one that it was compared to.
         poses: ``T_world_submap`` of all submaps so far, by id.
     """
 
@@ -52,9 +52,9 @@ class Step:
 class LoopCloser:
     """Finds the closures of each new submap, and keeps the trajectory corrected.
 
-    What it has found after the last submap is what `detect_loop_closures` and
-    `optimise_pose_graph` find on all at once. Points are not kept, and maps beyond 1 GB wait in a
-    temporary folder that `close`, or the end of a ``with`` block, removes.
+    After the last submap it has found what `detect_loop_closures` and `optimise_pose_graph` find
+    on all submaps at once. Points are not kept, and maps beyond 1 GB are kept in a temporary
+    folder, which `close` or the end of a ``with`` block removes.
 
     >>> from gpgrad_core.datasets import demo_path, load_dataset
     >>> with LoopCloser() as closer:
@@ -73,51 +73,51 @@ class LoopCloser:
         detector: StagedDetector | None = None,
         search_radius: float | None = None,
         executor: Executor | None = None,
-        views_in_memory: int = VIEWS_IN_MEMORY,
+        bytes_in_memory: int = BYTES_IN_MEMORY,
     ) -> None:
         """Begin with no submap.
 
         Args:
-            params: Of all stages of the detection.
-            graph: How sure odometry and closures are.
+            params: Parameters of all stages of the detection.
+            graph: How certain odometry and closures are.
             solver: When a closure counts as wrong.
-            detector: Another way to register pairs; None is the pipeline.
+            detector: Another way to register pairs; None uses the pipeline.
             search_radius: Compare only submaps whose origins lie within this distance of each
-                other by the present estimate [m]; None compares all.
-            executor: Threads to share the comparisons out to.
-            views_in_memory: Bytes of maps and keypoints to keep at hand.
+                other in the current estimate [m]; None compares all.
+            executor: Threads that share the comparisons.
+            bytes_in_memory: Bytes of maps and keypoints to keep in memory.
         """
         self._params = params or PipelineParams()
         self._graph_params, self._solver = graph, solver
         self._detector = detector or MapDetector(self._params, Memo(MEMO_BYTES))
         self._radius, self._executor = search_radius, executor
-        self._views = _Views(views_in_memory)
+        self._extracted = _Store(bytes_in_memory)
         self._submaps: list[Submap] = []
-        self._traverses: list[int] = []  # the number of each submap's
+        self._traverses: list[int] = []  # number of each submap's traverse
         self._poses: dict[str, Pose] = {}
         self._closures: list[LoopClosure] = []
         self._solved: tuple[int, OptimisedGraph] | None = None
 
     def __enter__(self) -> "LoopCloser":
-        """Be used in a ``with`` block."""
+        """Begin a ``with`` block."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close at its end."""
+        """Close at the end of the block."""
         self.close()
 
     def close(self) -> None:
-        """Remove what waits on disk; no more submaps can be added."""
-        self._views.close()
+        """Remove the temporary folder; no more submaps can be added."""
+        self._extracted.close()
 
     @property
     def closures(self) -> tuple[LoopClosure, ...]:
-        """The verdicts on all pairs compared so far, by query and then by database."""
+        """The verdicts on all pairs compared so far, sorted by query and then by database."""
         return tuple(self._closures)
 
     @property
     def graph(self) -> PoseGraph:
-        """Odometry and accepted closures so far, all traverses that closures join in one frame."""
+        """The odometry and the accepted closures so far; joined traverses share one frame."""
         starts = [
             self._submaps[k].id
             for k, (before, number) in enumerate(pairwise(self._traverses), start=1)
@@ -133,7 +133,7 @@ class LoopCloser:
 
     @property
     def result(self) -> OptimisedGraph:
-        """The graph so far at rest; solved once for each new submap at most."""
+        """The solved graph of all submaps so far; each new submap causes one solution at most."""
         if self._solved is None or self._solved[0] != len(self._submaps):
             self._solved = len(self._submaps), optimise_pose_graph(self.graph, self._solver)
         return self._solved[1]
@@ -149,29 +149,32 @@ class LoopCloser:
         """Take the next submap of the traverse.
 
         Args:
-            submap: With its odometry's pose.
-            progress: Called as it gets on; may raise Cancelled: the submap is then not added.
-            starts_traverse: Whether no odometry leads from the submap before to this one.
-            solve: Whether a closure corrects the poses at once; else `result` does when asked.
+            submap: The submap, with an odometry pose.
+            progress: Called with the fraction done; if it raises Cancelled, the submap is not
+                added.
+            starts_traverse: Whether a new traverse begins, to which no odometry leads.
+            solve: Whether an accepted closure corrects the poses at once; otherwise they are
+                corrected when `result` is asked for.
 
         Raises:
-            InputError: If it has no odometry pose, its id was there before, or no map can be made.
+            InputError: If the submap has no odometry pose, its id is not new, or its map cannot be
+                made.
         """
         if submap.pose_odometry is None:
             raise InputError(f"submap {submap.id} has no odometry pose, which a pose graph needs")
         if submap.id in self._poses:
-            raise InputError(f"submap {submap.id} was added before; ids must differ")
+            raise InputError(f"submap {submap.id} was already added; ids must differ")
         number = self._traverses[-1] + starts_traverse if self._traverses else 0
         predicted = self._predicted(submap.pose_odometry, starts_traverse=starts_traverse)
         made = side_by_side(self._detector.infer, [submap], None, part(progress, 0.0, 0.4))[0]
-        view = side_by_side(self._detector.extract, [made], None, part(progress, 0.4, 0.5))[0]
+        extracted = side_by_side(self._detector.extract, [made], None, part(progress, 0.4, 0.5))[0]
         earlier = [
             other.id
             for other, of_traverse in zip(self._submaps, self._traverses, strict=True)
             if of_traverse != number or self._near(predicted, self._poses[other.id])
         ]
         found = side_by_side(
-            _Comparison(view, self._detector.compare, self._views.get),
+            _Comparison(extracted, self._detector.compare, self._extracted.get),
             earlier,
             self._executor,
             part(progress, 0.5, 1.0),
@@ -180,7 +183,7 @@ class LoopCloser:
             classify(registration, self._params.closure, query_id=submap.id, database_id=name)
             for name, registration in zip(earlier, found, strict=True)
         )
-        self._views.put(submap.id, view)
+        self._extracted.put(submap.id, extracted)
         self._submaps.append(replace(submap, points=np.empty((0, 3)), colors=None, noise_std=None))
         self._traverses.append(number)
         self._closures += closures
@@ -190,7 +193,7 @@ class LoopCloser:
         return Step(closures, dict(self._poses))
 
     def _predicted(self, odometry: Pose, *, starts_traverse: bool) -> Pose:
-        """Where odometry leads from the last submap."""
+        """Predict the next pose by odometry from the last submap's."""
         if not self._submaps or starts_traverse:
             return odometry
         last = self._submaps[-1]
@@ -204,8 +207,8 @@ class LoopCloser:
         return bool(distance <= self._radius)
 
 
-class _Views:
-    """What was made of each submap: the latest used in memory, the others on disk."""
+class _Store:
+    """What was extracted of each submap: the most recently used in memory, the others on disk."""
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes, self._bytes = max_bytes, 0
@@ -214,10 +217,10 @@ class _Views:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._lock = Lock()
 
-    def put(self, name: str, view: Any) -> None:
+    def put(self, name: str, extracted: Any) -> None:
         with self._lock:
             self._names[name] = len(self._names)
-            self._hold(name, view)
+            self._hold(name, extracted)
 
     def get(self, name: str) -> Any:
         with self._lock:
@@ -225,9 +228,9 @@ class _Views:
             if held is not None:
                 self._held.move_to_end(name)
                 return held[0]
-            view = pickle.loads(self._file(name).read_bytes())
-            self._hold(name, view)
-            return view
+            extracted = pickle.loads(self._file(name).read_bytes())
+            self._hold(name, extracted)
+            return extracted
 
     def close(self) -> None:
         with self._lock:
@@ -235,9 +238,9 @@ class _Views:
             if self._folder is not None:
                 self._folder.cleanup()
 
-    def _hold(self, name: str, view: Any) -> None:
-        size = array_bytes(view)
-        self._held[name] = view, size
+    def _hold(self, name: str, extracted: Any) -> None:
+        size = array_bytes(extracted)
+        self._held[name] = extracted, size
         self._bytes += size
         while self._bytes > self._max_bytes and len(self._held) > 1:
             oldest, (evicted, freed) = self._held.popitem(last=False)
@@ -256,11 +259,11 @@ class _Views:
 class _Comparison:
     """Compares the new submap with an earlier one."""
 
-    view: Any
+    new: Any
     compare: Callable[[Any, Any], Registration]
     earlier: Callable[[str], Any]
 
     def __call__(self, job: str, progress: Progress) -> Registration:
-        registration = self.compare(self.view, self.earlier(job))
+        registration = self.compare(self.new, self.earlier(job))
         progress(1.0)
         return registration

@@ -1,4 +1,4 @@
-"""One cloud and one elevation map of all submaps, tile by tile: memory does not grow with them."""
+"""One cloud and one elevation map of all submaps, tile by tile, in bounded memory."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -10,6 +10,7 @@ from jaxtyping import Float
 from typing_extensions import Doc
 
 from gpgrad_core.arrays import NDArray
+from gpgrad_core.datasets.voxel_means import voxel_means
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.binning import thin_dense
 from gpgrad_core.gradient_map import (
@@ -19,7 +20,8 @@ from gpgrad_core.gradient_map import (
     ordinary_noise,
     signal_std_of,
 )
-from gpgrad_core.params.bounds import Bounds, check_bounds
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.tiling import Tile, TileStore
@@ -30,11 +32,12 @@ Floats = NDArray[np.float32]
 TILE_SIDE = 40.0
 """Side of a tile, in length-scales."""
 BLEND = 2.0
-"""Length-scales on either side of an edge over which two tiles' maps fade into one another."""
+"""Width on either side of an edge over which the maps of two tiles blend, in length-scales."""
 HALO = 6.0
-"""Length-scales of points beyond these that a tile sees: what it lacks no longer matters."""
+"""Width beyond the blend over which a tile sees points too, in length-scales. Points further away
+do not matter."""
 MAX_CELLS = 400_000_000
-"""Of a merged map; its layers lie on disk, 1.6 GB each at the most."""
+"""Largest number of cells of a merged map; its layers lie on disk, up to 1.6 GB each."""
 LAYERS = ("elevation", "variance", "slope_x", "slope_y")
 ROWS_AT_ONCE = 256
 
@@ -66,13 +69,14 @@ class MergeParams:
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """All submaps' points in the world, by place.
+    """The points of all submaps in the world, sorted into tiles.
 
     Attributes:
-        store: Rows of x, y, z and the noise of z [m].
-        low: Lowest x, y of all points [m].
-        high: Highest x, y [m].
-        signal_std: Of the terrain: the median of the submaps' own, or as the params say [m].
+        store: Rows of x, y, z and the standard deviation of z [m].
+        low: Lowest x and y of all points [m].
+        high: Highest x and y of all points [m].
+        signal_std: Prior standard deviation of the terrain [m]: the median over the submaps,
+            unless the parameters give it.
     """
 
     store: TileStore
@@ -83,13 +87,14 @@ class Gathered:
 
 @dataclass(frozen=True, eq=False)
 class MergedMap:
-    """An elevation map of all submaps; its layers lie in files until they are looked at.
+    """An elevation map of all submaps; its layers are memory-mapped files.
 
     Attributes:
-        grid: In the world; cell centres are whole multiples of the resolution.
-        layers: ``elevation`` [m], ``variance`` [m²], ``slope_x``, ``slope_y``, ``gradient`` [m/m],
-            as a `GradientMap` has them; NaN where nobody has been.
-        notes: What had to be left out, a line each.
+        grid: The cells in the world; their centres lie on whole multiples of the resolution.
+        layers: ``elevation`` [m], ``variance`` [m²], ``slope_x``, ``slope_y`` and ``gradient``
+            [m/m], each (rows, columns), as in a `GradientMap`; NaN where the elevation is not
+            known.
+        notes: What had to be left out, one line each.
     """
 
     grid: Grid
@@ -110,16 +115,16 @@ def gather(
     """Sort the points of all submaps into tiles of the world, one submap at a time.
 
     Args:
-        submaps: Any iterable: each is looked at once.
+        submaps: Any iterable; it is iterated once.
         poses: ``T_world_submap`` by id.
-        terrain: Says the noise of a point, and how large the tiles should be.
+        terrain: Gives the noise of a point; the size of a tile follows from its length-scale.
         folder: An empty folder for the files; the caller removes it.
-        count: How many submaps there are, for the progress.
-        voxel: The tiles' side becomes a whole number of these.
-        progress: Called once a submap.
+        count: Number of submaps, for the progress.
+        voxel: Side of a voxel [m]; a tile's side is a whole number of voxels.
+        progress: Called once per submap.
 
     Raises:
-        InputError: If a submap has no pose, or its noise is not known.
+        InputError: If there are no submaps, one has no pose, or its noise is not known.
     """
     side = voxel * np.ceil(TILE_SIDE * terrain.length_scale / voxel)
     store = TileStore(folder, float(side), 4)
@@ -143,24 +148,17 @@ def gather(
 def merge_clouds(
     gathered: Gathered, voxel: float, progress: Progress = silent
 ) -> Iterable[Float[Array, "n 3"]]:
-    """Give the means of all voxels, tile by tile.
+    """Yield the means of all voxels, tile by tile [m].
 
     Args:
-        gathered: Its tiles' side is a whole number of voxels: no voxel lies in two tiles.
+        gathered: The points. A tile's side is a whole number of voxels, so no voxel lies in two
+            tiles.
         voxel: Side of a voxel [m].
-        progress: Called once a tile.
+        progress: Called once per tile.
     """
     tiles = gathered.store.tiles
     for k, tile in enumerate(tiles):
-        points = gathered.store.read(tile)[:, :3]
-        _, owner, counts = np.unique(
-            np.floor(points / voxel).astype(np.int64),
-            axis=0,
-            return_inverse=True,
-            return_counts=True,
-        )
-        sums = [np.bincount(owner.ravel(), points[:, axis]) for axis in range(3)]
-        yield np.column_stack(sums) / counts[:, None]
+        yield voxel_means(gathered.store.read(tile)[:, :3], voxel)
         progress((k + 1) / len(tiles))
 
 
@@ -171,22 +169,28 @@ def merge_maps(
     folder: Path,
     progress: Progress = silent,
 ) -> MergedMap:
-    """Infer the elevation of all the ground seen, Eqs. (2)-(5), tile by tile without a seam.
+    """Infer the elevation of all the ground, Eqs. (2)-(5), tile by tile without seams.
 
-    Each tile's GP sees the points around it too, and its map fades into those of the tiles
-    beside it: over an edge the elevation changes as smoothly as within a tile.
+    The GP of each tile also sees the points around the tile, and its map blends into those of the
+    neighbouring tiles. So the elevation changes as smoothly across an edge as within a tile.
 
     Args:
         gathered: All points.
-        terrain: The GP.
-        params: Of the map.
-        folder: For the layers' files; the caller removes it.
-        progress: Called once a tile; may raise Cancelled.
+        terrain: Parameters of the GP.
+        params: Parameters of the map.
+        folder: Where the layers' files are written; the caller removes it.
+        progress: Called once per tile; may raise Cancelled.
 
     Raises:
         InputError: If the map would be too large.
     """
-    grid = _grid(gathered, params.resolution)
+    grid = Grid.covering(
+        np.stack([gathered.low, gathered.high]),
+        params.resolution,
+        name="the merged map",
+        max_cells=MAX_CELLS,
+        on_multiples=True,
+    )
     sums = {name: _on_disk(folder / f"{name}.npy", grid.shape) for name in (*LAYERS, "weight")}
     known = replace(
         terrain,
@@ -209,10 +213,10 @@ def merge_maps(
 
 
 def _thinned(gathered: Gathered, length_scale: float, folder: Path) -> TileStore:
-    """Replace points by the means of small cells in all tiles that this at least halves.
+    """Replace points by the means of small cells, in all tiles that this at least halves.
 
-    So ground that many submaps saw takes no more memory than any other. Cells are laid out
-    before anything looks across a tile's edge: both sides of a seam see the same means.
+    So ground that many submaps saw takes no more memory than other ground. This is done before
+    anything reads across a tile's edge, so that both sides of an edge see the same means.
     """
     folder.mkdir()
     thinned = TileStore(folder, gathered.store.side, gathered.store.columns)
@@ -221,20 +225,6 @@ def _thinned(gathered: Gathered, length_scale: float, folder: Path) -> TileStore
         means, noise_std = thin_dense(rows[:, :3], rows[:, 3], length_scale, gathered.signal_std)
         thinned.add(np.column_stack([means, noise_std]))
     return thinned
-
-
-def _grid(gathered: Gathered, resolution: float) -> Grid:
-    """Cover all points; cells lie on whole multiples of the resolution."""
-    first = np.floor(gathered.low / resolution).astype(np.int64)
-    columns, rows = np.ceil(gathered.high / resolution).astype(np.int64) - first + 1
-    if rows * columns > MAX_CELLS:
-        fitting = np.sqrt(np.prod(gathered.high - gathered.low) / MAX_CELLS)
-        raise InputError(
-            f"the merged map would have {rows * columns:,} cells of {resolution:g} m, more than "
-            f"{MAX_CELLS:,}; raise its resolution to {np.ceil(fitting * 100) / 100:g} m or more"
-        )
-    x, y = first * resolution
-    return Grid((float(x), float(y)), resolution, (int(rows), int(columns)))
 
 
 def _on_disk(path: Path, shape: tuple[int, int]) -> Floats:
@@ -249,7 +239,11 @@ def _add_tile(
     sums: Mapping[str, Floats],
     progress: Progress,
 ) -> list[str]:
-    """Fit one tile and add its map, weighed down towards its edges."""
+    """Fit one tile and add its map, with weights that fall towards its edges.
+
+    Returns:
+        A note if nothing can be inferred there.
+    """
     blend = BLEND * terrain.length_scale
     low = np.array(tile) * store.side
     window = [_cells(grid, axis, low[axis], low[axis] + store.side, blend) for axis in (0, 1)]
@@ -260,7 +254,7 @@ def _add_tile(
     if not len(near):
         return []
     seen = store.read_around(tile, blend + HALO * terrain.length_scale)
-    # In the tile's own frame: sums over coordinates of a country's grid would lose digits.
+    # In the tile's own frame: with the large coordinates of a national grid, sums lose digits.
     points = seen[:, :3] - np.array([*low, 0.0])
     try:
         submap = Submap.from_points(points, "the merged map", noise_std=seen[:, 3])
@@ -286,7 +280,10 @@ def _add_tile(
 
 
 def _cells(grid: Grid, axis: int, low: float, high: float, margin: float) -> slice:
-    """Columns (axis 0) or rows (axis 1) whose centres lie in low … high, or within a margin."""
+    """Find the columns (axis 0) or rows (axis 1) whose centres lie between low and high.
+
+    The margin [m] widens the range at both ends.
+    """
     start = np.ceil((low - margin - grid.origin[axis]) / grid.resolution)
     stop = np.floor((high + margin - grid.origin[axis]) / grid.resolution) + 1
     count = grid.shape[1 - axis]
@@ -296,9 +293,10 @@ def _cells(grid: Grid, axis: int, low: float, high: float, margin: float) -> sli
 def _fading(
     positions: Float[Array, "n"], low: float, side: float, blend: float
 ) -> Float[Array, "n"]:
-    """Weight of a tile along one axis: 1 inside, falling smoothly to 0 a blend beyond its edges.
+    """Give the weight of a tile along one axis.
 
-    At any place the weights of neighbouring tiles add up to 1.
+    It is 1 inside and falls smoothly to 0 one blend beyond the edges. Everywhere the weights of
+    neighbouring tiles add up to 1.
     """
     rising, falling = (
         np.clip((distance + blend) / (2 * blend), 0.0, 1.0)
@@ -308,14 +306,14 @@ def _fading(
 
 
 def _smooth(share: Float[Array, "n"]) -> Float[Array, "n"]:
-    """Rise from 0 to 1, level at either end: the slope has no seam either."""
+    """Rise from 0 to 1, level at both ends, so that the slope has no seam either."""
     return share * share * (3 - 2 * share)
 
 
 def _settle(sums: Mapping[str, Floats], most_std: float) -> None:
-    """Turn weighted sums into means, some rows at a time, and empty what nobody has seen.
+    """Turn weighted sums into means, some rows at a time, and empty the cells that are not known.
 
-    The weights, no longer needed, make room for the gradient.
+    The array of the weights, which are no longer needed, is reused for the gradient.
     """
     weight = sums["weight"]
     for start in range(0, len(weight), ROWS_AT_ONCE):

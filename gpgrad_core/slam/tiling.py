@@ -1,4 +1,4 @@
-"""Points of many submaps, sorted by place into files: ground of any size in bounded memory."""
+"""Points of many submaps, sorted into one file per tile: ground of any size in bounded memory."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,17 +11,17 @@ from jaxtyping import Float
 from gpgrad_core.types import Array
 
 Tile = tuple[int, int]
-"""Number of a square of ground along x and y."""
+"""Index of a square of ground along x and y."""
 
 
 @dataclass(frozen=True, eq=False)
 class TileStore:
-    """Rows of numbers that begin with x and y [m], kept by the square tile that they lie in.
+    """Rows of numbers that begin with x and y [m], one file per square tile.
 
     Attributes:
         folder: Where the files are; the caller removes it.
-        side: Of a tile [m].
-        columns: Numbers of a row.
+        side: Side of a tile [m].
+        columns: Number of values in a row.
     """
 
     folder: Path
@@ -40,19 +40,22 @@ class TileStore:
 
     @property
     def tiles(self) -> list[Tile]:
-        """Tiles that hold rows, row of tiles by row of tiles."""
+        """The tiles that hold rows, sorted by y and then by x."""
         found = [file.stem.split("_") for file in self.folder.glob("*.rows")]
         return sorted(((int(x), int(y)) for x, y in found), key=lambda tile: (tile[1], tile[0]))
 
     def read(self, tile: Tile) -> Float[Array, "n columns"]:
-        """Give a tile's rows, in the order in which they were added."""
+        """Read a tile's rows, in the order in which they were added."""
         file = self._file(tile)
         if not file.exists():
             return np.empty((0, self.columns))
         return np.fromfile(file, dtype=np.float64).reshape(-1, self.columns)
 
     def read_around(self, tile: Tile, margin: float) -> Float[Array, "n columns"]:
-        """Give the rows in a tile and up to a margin [m] around it, at most a tile's side."""
+        """Read the rows in a tile and within a margin [m] around it.
+
+        The margin must not be larger than a tile's side.
+        """
         x, y = tile
         low = np.array([x, y]) * self.side - margin
         high = (np.array([x, y]) + 1) * self.side + margin
@@ -64,7 +67,7 @@ class TileStore:
         return rows[inside]
 
     def neighbourhoods(self) -> Iterator[Tile]:
-        """Go through the tiles that hold rows, and those beside them."""
+        """Yield the tiles that hold rows, and all tiles next to them."""
         near = {
             (x + right, y + above)
             for x, y in self.tiles

@@ -61,7 +61,7 @@ def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
         (("detect", "x", "--out", "a.json", "--map.length-scale", "abc"), "--map.length-scale"),
         (
             ("detect", "x", "--out", "a.json", "--closure.min-inliers", "-1"),
-            "closure: min_inliers must be from 0 to 1000, got -1",
+            "--closure.min-inliers: the value must be from 0 to 1000, got -1",
         ),
         (("detect", "x", "--out", "a.txt"), "a.txt: the ending must be one of .json"),
         (("detect", "x", "--out", "no/where/a.json"), "no/where/a.json: cannot write"),
@@ -69,8 +69,10 @@ def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
         (("evaluate", "x", "--out", "r", "--method", "magic"), "unknown --method 'magic'"),
         (("map", "x.ply", "--out", "a.jpg"), "a.jpg: the ending must be one of .npz"),
         (("fit", "x", "--out", "a.json"), "a.json: the ending must be one of .toml"),
-        (("simulate", "x", "--num-submaps", "-3"), "num_submaps must be from"),
-        (("view", "--port", "abc"), "--port"),
+        (("simulate", "x", "--num-submaps", "-3"), "--num-submaps: the value must be from"),
+        (("view", "--port", "abc"), "--port: the value must be a whole number, got 'abc'"),
+        (("evaluate", "x", "--out", "y", "--seed", "q"), "--seed: the value must be a whole"),
+        (("map", "x", "--out", "y.npz", "--map.max-points", "3.5"), "a whole number, got '3.5'"),
     ],
 )
 def test_wrong_usage_is_one_line(arguments: tuple[str, ...], said: str) -> None:

@@ -67,8 +67,9 @@ def test_closures_found_before_are_taken_and_no_map_is_made(
     [
         (("--closures", "none.json"), "none.json"),
         (("--search-radius", "-1"), "--search-radius must be above 0 m"),
-        (("--graph.odometry-drift", "7"), "odometry_drift must be from 0 to 1"),
-        (("--merged.voxel", "0"), "voxel must be from 0.001"),
+        (("--search-radius", "far"), "--search-radius: the value must be a number, got 'far'"),
+        (("--graph.odometry-drift", "7"), "--graph.odometry-drift: the value must be from 0 to 1"),
+        (("--merged.voxel", "0"), "--merged.voxel: the value must be from 0.001"),
     ],
 )
 def test_wrong_usage_is_one_line(

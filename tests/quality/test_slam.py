@@ -25,10 +25,10 @@ from gpgrad_core.slam import (
     LoopCloser,
     build_pose_graph,
     join_datasets,
-    judge_solution,
+    measure_errors,
     odometry_poses,
     optimise_pose_graph,
-    solve_sessions,
+    solve_datasets,
     trajectory_error,
     true_poses,
 )
@@ -60,8 +60,8 @@ def found(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Found:
 
 @pytest.mark.parametrize("name", SETS)
 def test_the_drift_is_gone(name: str, real_data: Path, found: Found) -> None:
-    solution = solve_sessions(join_datasets([outline_dataset(real_data / name)]), found(name))
-    judged = judge_solution(solution)
+    solution = solve_datasets(join_datasets([outline_dataset(real_data / name)]), found(name))
+    judged = measure_errors(solution)
     before, after = judged.trajectories[name]
     first, last = judged.overlaps
     assert first.median is not None
@@ -142,7 +142,7 @@ def test_online_is_what_all_at_once_is(real_data: Path) -> None:
     dataset = replace(whole, submaps=whole.submaps[:8] + whole.submaps[-4:])
     with ThreadPoolExecutor(num_workers()) as executor:
         together: DetectionResult = detect_loop_closures(dataset, executor=executor)
-        with LoopCloser(executor=executor, views_in_memory=100_000_000) as closer:
+        with LoopCloser(executor=executor, bytes_in_memory=100_000_000) as closer:
             for submap in dataset.submaps:
                 closer.add(submap)
             online, closures = closer.result, closer.closures
@@ -179,7 +179,7 @@ def test_two_halves_with_no_common_frame_come_into_one_map(
         replace(c, query_id=names[c.query_id], database_id=names[c.database_id])
         for c in found(name)
     ]
-    solution = solve_sessions(sessions, closures)
+    solution = solve_datasets(sessions, closures)
     true = {names[key]: pose for key, pose in true_poses(outline.dataset).items()}
     error = trajectory_error(true, solution.result.poses).absolute
     alone = trajectory_error(true_poses(outline.dataset), odometry_poses(outline.dataset)).absolute

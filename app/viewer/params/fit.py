@@ -11,7 +11,7 @@ from app.viewer.runner import Runner
 from app.viewer.state import ViewState
 from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.gradient_map import MapParams, TerrainParams
-from gpgrad_core.params.bounds import Bounds, bounded_fields
+from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.run.progress import Progress
 
 
@@ -105,14 +105,10 @@ def _same_submaps(first: ViewState, second: ViewState) -> bool:
 
 def _value(params: TerrainParams, name: str) -> float:
     """Round a fitted value to the digits that its slider shows."""
-    bounds = _bounds()[name]
+    bounds = bounds_of(TerrainParams)[name]
     digits = len(f"{bounds.step:f}".rstrip("0").partition(".")[2])
     value = round(float(getattr(params, name)), digits)
     return min(max(value, bounds.low), bounds.high)
-
-
-def _bounds() -> dict[str, Bounds]:
-    return {field.name: field.bounds for field in bounded_fields(TerrainParams)}
 
 
 def _headline(result: FitResult, seconds: float) -> str:
@@ -126,7 +122,7 @@ def _rows(
     rows: list[tuple[str, str]] = []
     for name, value in found.items():
         before = getattr(start, name)
-        unit = _bounds()[name].unit
+        unit = bounds_of(TerrainParams)[name].unit
         old = "automatic" if before is None else f"{before:g}"
         rows.append((name.replace("_", " "), f"{old} → {value:g} {unit}".rstrip()))
     likelihood = f"{result.log_likelihood_before:.3f} → {result.log_likelihood_after:.3f}"

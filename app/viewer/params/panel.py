@@ -8,7 +8,7 @@ import viser
 from app.viewer.host import Host
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import Setting, get_path, settings_of, with_path, with_unit
+from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path, with_unit
 
 P = TypeVar("P")
 
@@ -49,7 +49,7 @@ class ParamsPanel(Generic[P]):
         self._on_error = on_error
         self._inputs: dict[str, viser.GuiInputHandle[Any]] = {}
         self._automatic: dict[str, viser.GuiInputHandle[bool]] = {}
-        self._settings = {setting.path: setting for setting in settings_of(type(value))}
+        self._settings = {setting.path: setting for setting in parameters_of(type(value))}
         for path, name in main.items():
             self._add(self._settings[path], name)
         others = [setting for path, setting in self._settings.items() if path not in main]
@@ -77,8 +77,8 @@ class ParamsPanel(Generic[P]):
         """Say what `reset` goes back to."""
         self._default = value
 
-    def _add_groups(self, settings: list[Setting]) -> None:
-        groups: dict[str, list[Setting]] = {}
+    def _add_groups(self, settings: list[Field]) -> None:
+        groups: dict[str, list[Field]] = {}
         for setting in settings:
             groups.setdefault(setting.path.partition(".")[0], []).append(setting)
         for group, members in groups.items():
@@ -88,7 +88,7 @@ class ParamsPanel(Generic[P]):
                     self._add(setting, None)
                 self._add_defaults(title, members)
 
-    def _add_defaults(self, title: str, members: list[Setting]) -> None:
+    def _add_defaults(self, title: str, members: list[Field]) -> None:
         button = self._host.gui.add_button(
             f"{title} defaults", hint="Back to the marks, for the parameters of this folder."
         )
@@ -102,7 +102,7 @@ class ParamsPanel(Generic[P]):
             self.set(value)
             self._on_change(value)
 
-    def _add(self, setting: Setting, name: str | None) -> None:
+    def _add(self, setting: Field, name: str | None) -> None:
         gui, path = self._host.gui, setting.path
         label = with_unit(name, setting.bounds) if name else setting.label
         current: Any = get_path(self._value, path)
@@ -128,7 +128,7 @@ class ParamsPanel(Generic[P]):
                 self._change(setting, event.target.value)
 
     def _add_slider(
-        self, setting: Setting, label: str, current: float | None
+        self, setting: Field, label: str, current: float | None
     ) -> viser.GuiInputHandle[float]:
         bounds = setting.bounds
         assert bounds is not None
@@ -153,7 +153,7 @@ class ParamsPanel(Generic[P]):
             f"Allowed: {bounds.low:g} to {bounds.high:g}{unit}.",
         )
 
-    def _add_automatic(self, setting: Setting, label: str, current: float | None) -> None:
+    def _add_automatic(self, setting: Field, label: str, current: float | None) -> None:
         box = self._host.gui.add_checkbox(
             f"automatic {label.partition(' [')[0]}", current is None, hint=setting.doc
         )
@@ -167,7 +167,7 @@ class ParamsPanel(Generic[P]):
             slider.disabled = event.target.value
             self._change(setting, None if event.target.value else slider.value)
 
-    def _change(self, setting: Setting, raw: object) -> None:
+    def _change(self, setting: Field, raw: object) -> None:
         value = raw
         if setting.bounds is not None and isinstance(raw, int | float):
             value = setting.bounds.round(float(raw))
@@ -182,7 +182,7 @@ class ParamsPanel(Generic[P]):
             return
         self._on_change(self._value)
 
-    def _show(self, setting: Setting, value: object) -> None:
+    def _show(self, setting: Field, value: object) -> None:
         handle: Any = self._inputs[setting.path]
         box = self._automatic.get(setting.path)
         if box is not None:

@@ -5,11 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import tomli_w
+
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods.paper import paper_params
 from gpgrad_core.outputs import replacing
 from gpgrad_core.params.files import read_parameters, to_tables, with_tables
-from gpgrad_core.params.toml import toml_lines
 from gpgrad_core.pipeline import PipelineParams
 
 NAME = re.compile(r"[^\W_][\w .()+-]{0,59}")
@@ -119,7 +120,7 @@ def delete_preset(folder: Path, name: str) -> None:
 
 def preset_text(name: str, params: PipelineParams) -> str:
     """Write the TOML of a preset."""
-    return "\n".join([f"# gpgrad parameters: {name}", *toml_lines(to_tables(params))]) + "\n"
+    return f"# gpgrad parameters: {name}\n{tomli_w.dumps(to_tables(params))}"
 
 
 def _path(folder: Path, name: str) -> Path:

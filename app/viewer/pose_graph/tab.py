@@ -39,7 +39,7 @@ from gpgrad_core.slam import (
     optimise_pose_graph,
     write_graph,
 )
-from gpgrad_core.slam.trajectory import trajectory_error, true_poses
+from gpgrad_core.slam.truth import trajectory_error, true_poses
 from gpgrad_core.types import Dataset, LoopClosure, Registration
 
 FILES: dict[Format, str] = {

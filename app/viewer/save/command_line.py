@@ -4,7 +4,7 @@ import shlex
 from pathlib import Path
 
 from app.viewer.state import ViewState
-from gpgrad_core.params.fields import get_path, settings_of
+from gpgrad_core.params.fields import get_path, parameters_of
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
 
@@ -27,7 +27,7 @@ def detect_command(state: ViewState) -> str:
 def flags(params: PipelineParams, base: PipelineParams) -> list[str]:
     """List the flags that turn a base into params, by the names that the command line has."""
     found: list[str] = []
-    for setting in settings_of(type(params)):
+    for setting in parameters_of(type(params)):
         value = get_path(params, setting.path)
         if value == get_path(base, setting.path):
             continue

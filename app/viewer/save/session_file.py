@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
+import tomli_w
+
 from app.viewer.draw.placement import Camera
 from app.viewer.state import ViewOptions, ViewState, with_options, with_pair, with_params
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import to_tables, with_tables
-from gpgrad_core.params.toml import toml_lines
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset
 
@@ -74,7 +75,7 @@ def saved_text(state: ViewState, camera: Camera | None) -> str:
             "look_at": camera.look_at,
         }
     table["params"] = to_tables(state.params)
-    return "\n".join(["# gpgrad view --state FILE", *toml_lines(table)]) + "\n"
+    return f"# gpgrad view --state FILE\n{tomli_w.dumps(table)}"
 
 
 def read_saved(path: Path) -> Saved:

@@ -1,17 +1,18 @@
 """The command line without a process: what a process cannot easily be brought to."""
 
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Annotated
 
 import numpy as np
 import pytest
+import tyro
 from typing_extensions import Doc
 
-import app.cli
+import app.cli.inputs
+import app.cli.view
 from app.cli import FAILED, INTERRUPTED, run
+from app.cli.flags import Given, parse
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset, Submap
@@ -68,10 +69,10 @@ def stage(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stage:
         stage.loaded.append(path)
         return DATASET
 
-    monkeypatch.setitem(sys.modules, "app.viewer.server", SimpleNamespace(Viewer=make))
-    monkeypatch.setattr(app.cli, "load_dataset", load)
-    monkeypatch.setattr(app.cli, "demo_path", lambda: tmp_path / "demo")
-    monkeypatch.setattr(app.cli.webbrowser, "open", stage.pages.append)
+    monkeypatch.setattr(app.cli.view, "Viewer", make)
+    monkeypatch.setattr(app.cli.inputs, "load_dataset", load)
+    monkeypatch.setattr(app.cli.view, "demo_path", lambda: tmp_path / "demo")
+    monkeypatch.setattr(app.cli.view.webbrowser, "open", stage.pages.append)
     return stage
 
 
@@ -109,7 +110,7 @@ def test_an_error_of_the_system_is_one_line_too(
         del progress
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(app.cli, "load_dataset", fail)
+    monkeypatch.setattr(app.cli.inputs, "load_dataset", fail)
     assert run(["detect", "secret", "--out", str(tmp_path / "a.json")]) == FAILED
     assert capsys.readouterr().err == "gpgrad: secret: Permission denied\n"
 
@@ -118,7 +119,7 @@ def test_a_mistake_of_ours_is_not_hidden(monkeypatch: pytest.MonkeyPatch, tmp_pa
     def fail(path: Path, progress: object) -> Dataset:
         raise ZeroDivisionError(f"loading {path}, {progress}")
 
-    monkeypatch.setattr(app.cli, "load_dataset", fail)
+    monkeypatch.setattr(app.cli.inputs, "load_dataset", fail)
     with pytest.raises(ZeroDivisionError):
         run(["detect", "here", "--out", str(tmp_path / "a.json")])
 
@@ -130,7 +131,11 @@ def test_help_tells_the_unit_and_the_range_from_the_bounds(
     class Params:
         width: Annotated[float, Bounds(0.5, 20_000, 0.5, "m"), Doc("How wide.")] = 2.0
 
+    @dataclass(frozen=True)
+    class Verb:
+        params: Annotated[Given[Params], tyro.conf.arg(name="")] = Given(Params)
+
     with pytest.raises(SystemExit, match="0"):
-        app.cli._flags(Params, ["--help"])
+        parse(Verb, "verb", ["--help"], "Does it.")
     said = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert "--width FLOAT How wide. From 0.5 to 20,000 m. (default: 2.0)" in said

@@ -13,7 +13,8 @@ from gpgrad_core.features import FeatureParams
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.matching import MatchParams
-from gpgrad_core.params.bounds import Bounds, bounded_fields, check_bounds
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import bounds_of, check_bounds, fields_of
 from gpgrad_core.registration import RegistrationParams
 
 PARAMS = (MapParams, FeatureParams, MatchParams, RegistrationParams, ClosureParams)
@@ -25,7 +26,6 @@ class Oven:
     heat: Annotated[float, Bounds(20.0, 250.0, 5.0, "°C"), Doc("How hot.")] = 180.0
     minutes: Annotated[int | None, Bounds(1, 90, 1)] = None
     fan: Annotated[bool, Doc("Whether it blows.")] = False
-    name: str = "oven"
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -55,8 +55,9 @@ def test_a_slider_offers_all_unless_told() -> None:
     assert Bounds(0.0, 2.0, 0.1, slider=(0.5, 1.0)).slider_range == (0.5, 1.0)
 
 
-def test_bounded_fields_are_found_in_order() -> None:
-    heat, minutes = bounded_fields(Oven)
+def test_fields_are_found_in_order() -> None:
+    heat, minutes, fan = fields_of(Oven)
+    assert heat.bounds is not None
     assert (heat.name, heat.default, heat.doc, heat.bounds.unit) == (
         "heat",
         180.0,
@@ -64,6 +65,9 @@ def test_bounded_fields_are_found_in_order() -> None:
         "°C",
     )
     assert (minutes.name, minutes.default, minutes.doc) == ("minutes", None, "")
+    assert (heat.kind, minutes.kind, fan.kind) == (float, int, bool)
+    assert (heat.optional, minutes.optional, fan.bounds) == (False, True, None)
+    assert list(bounds_of(Oven)) == ["heat", "minutes"]
 
 
 @pytest.mark.parametrize("heat", [20.0, 250.0, 33])
@@ -89,8 +93,10 @@ def test_every_parameter_of_the_pipeline_is_sound(params: type) -> None:
     default = params()
     assert default == params()
     assert hash(default) == hash(params())
-    for field in bounded_fields(params):
+    for field in fields_of(params):
         bounds = field.bounds
+        if bounds is None:
+            continue
         low, high = bounds.slider_range
         assert bounds.low <= low < high <= bounds.high
         assert 0 < bounds.step <= high - low

@@ -1,7 +1,9 @@
-"""A second process beside this one: it answers, it stops, and nothing is lost when it dies."""
+"""A second process beside this one: it answers, it stops, and it comes back when it dies."""
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,7 +16,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams, register_pair
 from gpgrad_core.pipeline.coarse import infer_quick_maps
-from gpgrad_core.run.helper import Answer, Helper, beside
+from gpgrad_core.run.helper import Answer, Helper, HelperGone, beside
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 from tests.app.synthetic import make_dataset
@@ -115,6 +117,38 @@ def test_when_it_dies_the_work_is_done_here() -> None:
     ask(helper, die, "now")
     time.sleep(0.2)
     assert beside(helper, where, ("a",), ("b",))[1] == ("b", os.getpid())
+    helper.close()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_after_its_death_it_comes_back_as_another_process() -> None:
+    helper = started()
+    first = ask(helper, where, "first").wait()[1]
+    with pytest.raises(HelperGone):
+        ask(helper, die, "now").wait()
+    second = ask(helper, where, "second").wait()[1]
+    assert second not in (first, os.getpid())
+    with pytest.raises(ProcessLookupError):
+        os.kill(first, 0)
+    assert beside(helper, where, ("a",), ("b",))[1] == ("b", second)
+    helper.close()
+    with pytest.raises(ProcessLookupError):
+        os.kill(second, 0)
+
+
+def test_what_dies_before_it_is_ready_is_not_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    started_at: list[float] = []
+
+    def start() -> "subprocess.Popen[bytes]":
+        started_at.append(time.monotonic())
+        command = [sys.executable, "-c", "pass"]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    monkeypatch.setattr("gpgrad_core.run.helper._start_process", start)
+    helper = Helper()
+    time.sleep(1.0)
+    assert helper.ask(where, "anyone") is None
+    assert len(started_at) == 1
     helper.close()
 
 

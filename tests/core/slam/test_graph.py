@@ -99,6 +99,6 @@ def test_without_odometry_there_is_no_graph() -> None:
         dataset,
         submaps=(*dataset.submaps[:2], replace(dataset.submaps[2], pose_odometry=None)),
     )
-    with pytest.raises(InputError, match=r"rows: .*submap 0002 has none \(1 of 3 lack it\)"):
+    with pytest.raises(InputError, match=r"rows: .*submap 0002 has none \(1 of 3 have none\)"):
         odometry_poses(lacking)
     assert list(odometry_poses(dataset)) == ["0000", "0001", "0002"]

@@ -51,7 +51,7 @@ def test_the_same_as_all_at_once(in_memory: int) -> None:
     traverse = simulate(15, row=5, wrong=0.1)
     together = detect_loop_closures(traverse.dataset, detector=Oracle.of(traverse))
     batch = optimise_pose_graph(build_pose_graph(traverse.dataset, together.closures))
-    with LoopCloser(detector=Oracle.of(traverse), views_in_memory=in_memory) as closer:
+    with LoopCloser(detector=Oracle.of(traverse), bytes_in_memory=in_memory) as closer:
         for k, submap in enumerate(traverse.dataset.submaps):
             step = closer.add(submap)
             assert list(step.poses) == [one.id for one in traverse.dataset.submaps[: k + 1]]
@@ -127,7 +127,7 @@ def test_what_cannot_be_added_is_refused_and_what_is_cancelled_is_not_added() ->
 
     with LoopCloser(detector=Oracle.of(traverse)) as closer:
         closer.add(first)
-        with pytest.raises(InputError, match="0000 was added before"):
+        with pytest.raises(InputError, match="0000 was already added"):
             closer.add(first)
         with pytest.raises(InputError, match="0001 has no odometry"):
             closer.add(replace(second, pose_odometry=None))

@@ -8,8 +8,8 @@ from typing_extensions import Doc
 from app.viewer.params.panel import ParamsPanel
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.params.bounds import Bounds, check_bounds
-from gpgrad_core.params.fields import get_path, settings_of, with_path
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds, get_path, parameters_of, with_path
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.widgets import find, labels, user_sets
 
@@ -52,7 +52,7 @@ class Panel:
 def test_every_parameter_of_the_pipeline_has_a_widget(server: viser.ViserServer) -> None:
     ParamsPanel(server, PipelineParams(), lambda value: None, main=MAIN)  # noqa: ARG005
     names = labels(server)
-    for setting in settings_of(PipelineParams):
+    for setting in parameters_of(PipelineParams):
         name = MAIN.get(setting.path, setting.path.rpartition(".")[2].replace("_", " "))
         assert any(label.startswith(name) for label in names), setting.path
     assert names[0] == "Length-scale [m]"
@@ -156,8 +156,8 @@ def test_a_field_without_a_widget_is_an_error_not_a_gap() -> None:
     class Odd:
         names: list[str]
 
-    with pytest.raises(TypeError, match=r"Odd\.names: no widget"):
-        settings_of(Odd)
+    with pytest.raises(TypeError, match=r"Odd\.names: no parameter"):
+        parameters_of(Odd)
 
 
 def test_paths_reach_into_groups() -> None:

@@ -6,18 +6,19 @@ from typing import Any
 
 import pytest
 
-from app.cli import Detect, _flags
+from app.cli.detect import Detect
+from app.cli.flags import parse
 from app.viewer.save.command_line import detect_command, flags
 from app.viewer.state import open_dataset, with_pair, with_params
-from gpgrad_core.params.fields import Setting, get_path, settings_of, with_path
+from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.synthetic import make_dataset
 
-SETTINGS = settings_of(PipelineParams)
+SETTINGS = parameters_of(PipelineParams)
 
 
-def another(setting: Setting) -> Any:
+def another(setting: Field) -> Any:
     """Give a value that is not the default."""
     default: Any = get_path(PipelineParams(), setting.path)
     if isinstance(setting.kind, tuple):
@@ -30,15 +31,14 @@ def another(setting: Setting) -> Any:
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.path)
-def test_every_parameter_is_read_back_and_taken_back(setting: Setting) -> None:
+def test_every_parameter_is_read_back_and_taken_back(setting: Field) -> None:
     base = PipelineParams()
     params = with_path(base, setting.path, another(setting))
     for asked, start in ((params, base), (base, params)):
         words = flags(asked, start)
         assert 1 <= len(words) <= 2
-        head = ["data", "--out", "closures.json"]
-        verb = _flags(Detect, [*head, *words], replace(_flags(Detect, head), pipeline=start))
-        assert verb.pipeline == asked
+        verb = parse(Detect, "detect", ["data", "--out", "closures.json", *words], "")
+        assert verb.pipeline.over(start) == asked
 
 
 def test_only_what_differs_from_the_datasets_own_is_named_and_all_is_quoted() -> None:

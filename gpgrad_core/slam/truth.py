@@ -1,4 +1,4 @@
-"""Absolute and relative trajectory error, as the field and its tools define them."""
+"""True poses, and the absolute and relative trajectory error by them, as `evo` defines them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ class TrajectoryError:
     """How far a trajectory is from the true one.
 
     Attributes:
-        count: Poses that were compared.
-        absolute: Root mean square of the distances after the rigid motion that makes it least [m].
-        absolute_median: Their median [m].
-        absolute_most: Their largest [m].
-        absolute_unaligned: Root mean square of the distances as they are, in the truth's frame [m].
+        count: Number of poses that were compared.
+        absolute: Root mean square of the distances [m], after the rigid motion that minimises it.
+        absolute_median: Median of these distances [m].
+        absolute_most: Largest of these distances [m].
+        absolute_unaligned: Root mean square of the distances without that motion [m].
         relative: Root mean square error of the offset from each pose to the next [m].
-        relative_turn: The same of the turn [rad].
+        relative_turn: Root mean square error of the turn from each pose to the next [rad].
     """
 
     count: int
@@ -46,16 +46,16 @@ def trajectory_error(true: Mapping[str, Pose], found: Mapping[str, Pose]) -> Tra
     """Compare two trajectories, pose by pose.
 
     Args:
-        true: By id, in the order of the traverse.
-        found: The same; poses that only one of both has are left out.
+        true: True poses by id, in the order of the traverse.
+        found: Estimated poses by id; submaps that have only one of the two poses are left out.
 
     Raises:
-        InputError: If they have fewer than two poses in common.
+        InputError: If fewer than two submaps have both.
     """
     names = [name for name in true if name in found]
     if len(names) < 2:
         raise InputError(
-            f"a trajectory error needs two poses or more with a true one, found {len(names)}"
+            f"a trajectory error needs two or more poses with a true pose, found {len(names)}"
         )
     truth = np.array([true[name].translation for name in names])
     places = np.array([found[name].translation for name in names])
@@ -80,10 +80,10 @@ def trajectory_error(true: Mapping[str, Pose], found: Mapping[str, Pose]) -> Tra
 
 
 def align_points(points: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """Move points onto their counterparts by the best rigid motion, without a change of scale.
+    """Move points [m] onto their targets by the best rigid motion, without a change of scale.
 
-    Umeyama 1991, Eqs. (39) to (41). Where the points lie on a line the turn about it is free, and
-    the distances that are left are the same for all.
+    Umeyama 1991, Eqs. (39) to (41). If the points lie on one line, the turn about it is arbitrary,
+    but the remaining distances do not depend on it.
     """
     middle, aim = points.mean(axis=0), target.mean(axis=0)
     left, _, right = np.linalg.svd((target - aim).T @ (points - middle))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.graph import odometry_poses
-from gpgrad_core.slam.trajectory import trajectory_error, true_poses
+from gpgrad_core.slam.truth import trajectory_error, true_poses
 from tests.core.slam.traverses import simulate
 
 

@@ -10,10 +10,10 @@ from gpgrad_core.datasets import Outline
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import (
-    Sessions,
+    JoinedDatasets,
     join_datasets,
     place_traverses,
-    solve_sessions,
+    solve_datasets,
     trajectory_error,
 )
 from gpgrad_core.slam.graph import build_pose_graph
@@ -23,7 +23,7 @@ from tests.core.slam.traverses import Traverse, simulate
 FRAME = Pose.from_planar(SE2(300.0, -50.0, 2.0), 12.0)
 
 
-def split(traverse: Traverse, at: int = 20) -> tuple[Sessions, tuple[LoopClosure, ...]]:
+def split(traverse: Traverse, at: int = 20) -> tuple[JoinedDatasets, tuple[LoopClosure, ...]]:
     """Cut a traverse in two, the second in another frame, with its closures renamed."""
     submaps = traverse.dataset.submaps
     second = [
@@ -44,8 +44,8 @@ def split(traverse: Traverse, at: int = 20) -> tuple[Sessions, tuple[LoopClosure
 @pytest.mark.parametrize("wrong", [0.0, 0.3])
 def test_two_sessions_come_into_one_map(wrong: float) -> None:
     traverse = simulate(40, row=10, wrong=wrong)
-    sessions, closures = split(traverse)
-    solution = solve_sessions(sessions, closures)
+    joined, closures = split(traverse)
+    solution = solve_datasets(joined, closures)
     renamed = dict(zip(solution.result.poses, traverse.true_poses.values(), strict=True))
     assert trajectory_error(renamed, solution.result.poses).absolute < 0.4
     assert len(solution.result.refused) >= len(traverse.wrong)
@@ -55,10 +55,10 @@ def test_two_sessions_come_into_one_map(wrong: float) -> None:
 
 
 def test_a_session_that_nothing_joins_is_refused_by_name() -> None:
-    sessions, closures = split(simulate(40, row=10))
+    joined, closures = split(simulate(40, row=10))
     within = [c for c in closures if c.query_id.split(":")[0] == c.database_id.split(":")[0]]
     with pytest.raises(InputError, match="tuesday: no loop closure joins it to monday"):
-        solve_sessions(sessions, within)
+        solve_datasets(joined, within)
 
 
 def test_one_traverse_stays_where_it_is() -> None:
@@ -72,10 +72,10 @@ def test_one_traverse_stays_where_it_is() -> None:
 def test_sessions_of_one_name_are_told_apart() -> None:
     submaps = simulate(2, row=2).dataset.submaps
     outlines = [Outline(Dataset("yard", submaps), (Path("0.ply"), Path("1.ply")))] * 2
-    sessions = join_datasets(outlines)
-    assert list(sessions.traverses) == ["yard", "yard-2"]
-    assert sessions.starts == ("yard-2:0000",)
-    assert sessions.numbers["yard-2:0001"] == 1
+    joined = join_datasets(outlines)
+    assert list(joined.traverses) == ["yard", "yard-2"]
+    assert joined.starts == ("yard-2:0000",)
+    assert joined.numbers["yard-2:0001"] == 1
     alone = join_datasets(outlines[:1])
     assert list(alone.numbers) == ["0000", "0001"]
     assert alone.starts == ()
@@ -84,8 +84,8 @@ def test_sessions_of_one_name_are_told_apart() -> None:
 
 
 def test_the_frame_found_is_level() -> None:
-    sessions, closures = split(simulate(40, row=10))
-    placed = solve_sessions(sessions, closures).placed
+    joined, closures = split(simulate(40, row=10))
+    placed = solve_datasets(joined, closures).placed
     for pose in placed.graph.poses.values():
         assert pose.rotation[2, 2] == pytest.approx(1.0, abs=1e-6)
     assert np.all([np.isfinite(pose.translation).all() for pose in placed.graph.poses.values()])

@@ -16,18 +16,18 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import TerrainParams
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import (
-    Judged,
+    MapErrors,
     MergeParams,
     Solution,
     join_datasets,
-    judge_solution,
+    measure_errors,
     read_graph,
-    solve_sessions,
+    solve_datasets,
     write_graph,
     write_merged,
     write_solution,
 )
-from gpgrad_core.slam.report import used_graph
+from gpgrad_core.slam.solution import used_graph
 from gpgrad_core.types import Dataset, LoopClosure, Submap
 from tests.core.ground import Ground
 from tests.core.slam.traverses import closure
@@ -84,18 +84,20 @@ def found(dataset: Dataset) -> list[LoopClosure]:
 def solution(tmp_path_factory: pytest.TempPathFactory) -> Solution:
     folder = tmp_path_factory.mktemp("data") / "walk"
     write_dataset(traverse(), folder)
-    return solve_sessions(join_datasets([outline_dataset(folder)]), found(load_dataset(folder)))
+    return solve_datasets(join_datasets([outline_dataset(folder)]), found(load_dataset(folder)))
 
 
 @pytest.fixture(scope="module")
-def judged(solution: Solution) -> Judged:
-    return judge_solution(solution)
+def errors(solution: Solution) -> MapErrors:
+    return measure_errors(solution)
 
 
 @pytest.fixture(scope="module")
-def written(solution: Solution, judged: Judged, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(
+    solution: Solution, errors: MapErrors, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     folder = tmp_path_factory.mktemp("out") / "map"
-    write_solution(folder, solution, judged)
+    write_solution(folder, solution, errors)
     params = MergeParams(resolution=0.1, voxel=0.1)
     assert not write_merged(folder, solution, TERRAIN, params)
     return folder
@@ -108,10 +110,10 @@ def test_nothing_else_is_left(written: Path) -> None:
     }
 
 
-def test_the_map_is_better_than_odometry(judged: Judged) -> None:
-    before, after = judged.trajectories["walk"]
+def test_the_map_is_better_than_odometry(errors: MapErrors) -> None:
+    before, after = errors.trajectories["walk"]
     assert after.absolute < 0.5 * before.absolute
-    first, last = judged.overlaps
+    first, last = errors.overlaps
     assert first.median is not None
     assert last.median is not None
     assert last.median < 0.6 * first.median
@@ -178,7 +180,7 @@ def test_a_wrong_closure_is_left_out_of_the_graph(solution: Solution, tmp_path: 
     wrong = closure("006", "002", SE2(3.0, -3.0, 1.0), 0.5)
     dataset = traverse()
     right = [one for one in found(dataset) if (one.query_id, one.database_id) != ("006", "002")]
-    mixed = solve_sessions(solution.sessions, [*right, wrong])
+    mixed = solve_datasets(solution.joined, [*right, wrong])
     refused = [(fit.edge.end, fit.edge.start) for fit in mixed.result.refused]
     assert refused == [("006", "002")]
     write_graph(tmp_path / "graph.g2o", used_graph(mixed), mixed.result.poses)
@@ -204,9 +206,9 @@ def test_two_sessions_have_a_file_each(tmp_path: Path) -> None:
         replace(c, query_id=names[c.query_id], database_id=names[c.database_id])
         for c in found(dataset)
     ]
-    sessions = join_datasets([outline_dataset(tmp_path / name) for name in parts])
-    both = solve_sessions(sessions, closures)
-    write_solution(tmp_path / "out", both, judge_solution(both))
+    joined = join_datasets([outline_dataset(tmp_path / name) for name in parts])
+    both = solve_datasets(joined, closures)
+    write_solution(tmp_path / "out", both, measure_errors(both))
     first = (tmp_path / "out" / "poses_corrected_a.txt").read_text().splitlines()
     second = (tmp_path / "out" / "poses_corrected_b.txt").read_text().splitlines()
     assert [line.split()[0] for line in first[1:]] == ["0", "2", "4"]
@@ -217,7 +219,9 @@ def test_two_sessions_have_a_file_each(tmp_path: Path) -> None:
         assert np.linalg.norm(pose.translation - true.translation) < 0.4
 
 
-def test_a_file_in_the_way_is_refused(solution: Solution, judged: Judged, tmp_path: Path) -> None:
+def test_a_file_in_the_way_is_refused(
+    solution: Solution, errors: MapErrors, tmp_path: Path
+) -> None:
     (tmp_path / "taken").write_text("")
     with pytest.raises(InputError, match="taken: is a file"):
-        write_solution(tmp_path / "taken", solution, judged)
+        write_solution(tmp_path / "taken", solution, errors)

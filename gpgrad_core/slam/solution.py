@@ -1,4 +1,4 @@
-"""What a corrected map leaves in its folder: poses, graph, errors, figures, cloud and map."""
+"""Datasets put into one map, and the files of it: poses, graph, errors, figures, cloud and map."""
 
 import json
 import tempfile
@@ -21,10 +21,10 @@ from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.consistency import Consistency, measure_consistency
 from gpgrad_core.slam.g2o import vertex_numbers, write_graph
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
+from gpgrad_core.slam.joining import JoinedDatasets, Placed, place_traverses
 from gpgrad_core.slam.merge import MergeParams, gather, merge_clouds, merge_maps
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
-from gpgrad_core.slam.sessions import Placed, Sessions, place_traverses
-from gpgrad_core.slam.trajectory import TrajectoryError, align_points, trajectory_error, true_poses
+from gpgrad_core.slam.truth import TrajectoryError, align_points, trajectory_error, true_poses
 from gpgrad_core.types import LoopClosure, Submap
 from gpgrad_core.version import VERSION
 
@@ -34,76 +34,87 @@ class Solution:
     """Datasets in one map.
 
     Attributes:
-        sessions: What went in.
-        placed: Their graph, before it was solved.
-        result: The graph at rest.
+        joined: The datasets.
+        placed: Their pose graph before it was solved.
+        result: The solved graph.
     """
 
-    sessions: Sessions
+    joined: JoinedDatasets
     placed: Placed
     result: OptimisedGraph
 
     @property
     def before(self) -> dict[str, Pose]:
-        """Odometry's poses, all in the first session's frame."""
+        """The odometry's poses, all in the first dataset's frame."""
         return self.placed.graph.poses
 
     def submaps(self, note: Callable[[str], None] | None = None) -> Iterator[Submap]:
-        """Load the submaps one by one, saying aloud what was left out of each."""
-        for k in range(len(self.sessions.outline.clouds)):
-            submap, notes = self.sessions.load(k)
+        """Load the submaps one by one.
+
+        Args:
+            note: Called with each line about what was left out of a submap.
+        """
+        for k in range(len(self.joined.outline.clouds)):
+            submap, notes = self.joined.load(k)
             if note is not None:
                 for line in notes:
                     note(line)
             yield submap
 
 
-def solve_sessions(
-    sessions: Sessions,
+def solve_datasets(
+    joined: JoinedDatasets,
     closures: Iterable[LoopClosure],
     graph: GraphParams | None = None,
     solver: SolverParams | None = None,
 ) -> Solution:
     """Put datasets into one map by their closures.
 
+    Args:
+        joined: The datasets.
+        closures: The loop closures; refused ones are left out.
+        graph: How certain odometry and closures are.
+        solver: When a closure counts as wrong.
+
     Raises:
-        InputError: If a submap has no odometry, a closure names one that there is not, or no
-            closure joins a session to the others.
+        InputError: If a submap has no odometry, a closure names an unknown submap, or no closure
+            joins a dataset to the others.
     """
-    dataset = sessions.outline.dataset
-    placed = place_traverses(build_pose_graph(dataset, closures, graph, starts=sessions.starts))
+    dataset = joined.outline.dataset
+    placed = place_traverses(build_pose_graph(dataset, closures, graph, starts=joined.starts))
     if placed.alone:
         name = placed.alone[0].split(":")[0]
         raise InputError(
-            f"{name}: no loop closure joins it to {next(iter(sessions.traverses))}, so that there "
-            "is no one map of both; accept more closures (--closure.min-score), or leave it out"
+            f"{name}: no loop closure joins it to {next(iter(joined.traverses))}, so they cannot "
+            "be put into one map; accept more closures (--closure.min-score), or leave it out"
         )
-    return Solution(sessions, placed, optimise_pose_graph(placed.graph, solver))
+    return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
 
 
 @dataclass(frozen=True)
-class Judged:
-    """How good the map is.
+class MapErrors:
+    """Errors of a map, before and after the correction.
 
     Attributes:
-        trajectories: Errors before and after of each session with a truth, by its name.
-        overlaps: Differences in height of overlapping submaps, before and after.
+        trajectories: Trajectory errors (before, after) of each dataset with true poses, by the
+            dataset's name.
+        overlaps: Height differences of overlapping submaps (before, after).
     """
 
     trajectories: Mapping[str, tuple[TrajectoryError, TrajectoryError]]
     overlaps: tuple[Consistency, Consistency]
 
 
-def judge_solution(solution: Solution, progress: Progress = silent) -> Judged:
-    """Measure trajectories by the truth where there is one, and how well submaps lie together.
+def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors:
+    """Measure the trajectories by the true poses, and how well submaps lie on one another.
 
     Args:
-        solution: Its clouds are loaded one by one, twice.
+        solution: The map; its clouds are loaded twice, one by one.
         progress: Called twice; may raise Cancelled.
     """
-    true = true_poses(solution.sessions.outline.dataset)
+    true = true_poses(solution.joined.outline.dataset)
     trajectories: dict[str, tuple[TrajectoryError, TrajectoryError]] = {}
-    for session, names in solution.sessions.traverses.items():
+    for session, names in solution.joined.traverses.items():
         known = {name: true[name] for name in names if name in true}
         if len(known) >= 2:
             trajectories[session] = (
@@ -114,22 +125,22 @@ def judge_solution(solution: Solution, progress: Progress = silent) -> Judged:
     for k, poses in enumerate((solution.before, solution.result.poses)):
         overlaps.append(measure_consistency(solution.submaps(), poses))
         progress((k + 1) / 2)
-    return Judged(trajectories, (overlaps[0], overlaps[1]))
+    return MapErrors(trajectories, (overlaps[0], overlaps[1]))
 
 
 def write_solution(
     directory: Path | str,
     solution: Solution,
-    judged: Judged,
+    errors: MapErrors,
     progress: Progress = silent,
 ) -> None:
-    """Write poses, graph, errors and figures into a folder; it is made if it is not there.
+    """Write poses, graph, errors and figures into a folder.
 
     Args:
-        directory: The folder.
-        solution: What was found.
-        judged: How good it is.
-        progress: Called now and then.
+        directory: The folder; it is made if it does not exist.
+        solution: The map.
+        errors: Its errors.
+        progress: Called from time to time.
 
     Raises:
         InputError: If the folder cannot be made or written to.
@@ -141,18 +152,18 @@ def write_solution(
 
     directory = check_directory(directory)
     directory.mkdir(exist_ok=True)
-    sessions, result = solution.sessions, solution.result
-    for session, names in sessions.traverses.items():
-        poses = {sessions.numbers[name]: result.poses[name] for name in names}
-        with replacing(directory / poses_file(sessions, session)) as unfinished:
+    joined, result = solution.joined, solution.result
+    for session, names in joined.traverses.items():
+        poses = {joined.numbers[name]: result.poses[name] for name in names}
+        with replacing(directory / poses_file(joined, session)) as unfinished:
             write_poses(unfinished, poses)
     write_graph(directory / "graph.g2o", used_graph(solution), result.poses)
     progress(0.3)
-    true = true_poses(sessions.outline.dataset)
-    name = sessions.outline.dataset.name
+    true = true_poses(joined.outline.dataset)
+    name = joined.outline.dataset.name
     figures = {
         "trajectory": draw_trajectories(
-            name, list(sessions.traverses.values()), solution.before, result, true
+            name, list(joined.traverses.values()), solution.before, result, true
         )
     }
     distances = [_distances(solution, poses, true) for poses in (solution.before, result.poses)]
@@ -163,20 +174,20 @@ def write_solution(
             figure.savefig(unfinished)
     progress(0.9)
     with replacing(directory / "report.json") as unfinished:
-        text = json.dumps(_content(solution, judged), indent=1, ensure_ascii=False, allow_nan=False)
+        text = json.dumps(_content(solution, errors), indent=1, ensure_ascii=False, allow_nan=False)
         unfinished.write_text(text + "\n", encoding="utf-8")
     progress(1.0)
 
 
-def poses_file(sessions: Sessions, session: str) -> str:
-    """Name of the file of a session's corrected poses."""
-    if len(sessions.traverses) == 1:
+def poses_file(joined: JoinedDatasets, session: str) -> str:
+    """Name the file of a dataset's corrected poses."""
+    if len(joined.traverses) == 1:
         return "poses_corrected.txt"
     return f"poses_corrected_{''.join(c if c.isalnum() or c in '-_' else '_' for c in session)}.txt"
 
 
 def used_graph(solution: Solution) -> PoseGraph:
-    """The graph without the closures that were found wrong: what other tools should solve."""
+    """Give the graph without the refused closures, for other tools to solve."""
     graph = solution.placed.graph
     kept = tuple(fit.edge for fit in solution.result.edges if fit.weight >= 0.5)
     return PoseGraph(graph.poses, kept, graph.tilt_std)
@@ -189,25 +200,25 @@ def write_merged(
     params: MergeParams | None = None,
     progress: Progress = silent,
 ) -> tuple[str, ...]:
-    """Write all submaps as one cloud and one elevation map, in memory that does not grow.
+    """Write all submaps as one cloud and one elevation map, in bounded memory.
 
     Writes ``cloud.ply``, ``map.npz`` and ``map.tif``.
 
     Args:
-        directory: A folder that is there.
-        solution: Where the submaps lie; they are loaded one by one.
-        terrain: The GP.
-        params: Of cloud and map.
-        progress: Called now and then; may raise Cancelled.
+        directory: An existing folder.
+        solution: The map; its submaps are loaded one by one.
+        terrain: Parameters of the GP.
+        params: Parameters of the cloud and the map.
+        progress: Called from time to time; may raise Cancelled.
 
     Returns:
-        What had to be left out, a line each.
+        What had to be left out, one line each.
 
     Raises:
         InputError: If the map would be too large, or the noise of a point is not known.
     """
     directory, params = Path(directory), params or MergeParams()
-    # Beside the results: what lies there for a while may be as large as they are.
+    # Beside the results, because the temporary files can be as large as they are.
     with tempfile.TemporaryDirectory(dir=directory, prefix=".merging-") as folder:
         tiles, layers = Path(folder, "tiles"), Path(folder, "layers")
         tiles.mkdir()
@@ -237,9 +248,9 @@ def write_merged(
 def _distances(
     solution: Solution, poses: Mapping[str, Pose], true: Mapping[str, Pose]
 ) -> dict[str, float]:
-    """Of each submap from the truth, each session aligned by itself [m]."""
+    """Measure each submap's distance [m] from its true position, each dataset aligned by itself."""
     found: dict[str, float] = {}
-    for names in solution.sessions.traverses.values():
+    for names in solution.joined.traverses.values():
         known = [name for name in names if name in true]
         if len(known) < 2:
             continue
@@ -250,27 +261,27 @@ def _distances(
     return found
 
 
-def _content(solution: Solution, judged: Judged) -> dict[str, Any]:
-    """What ``report.json`` tells: metres and radians, null for unknown."""
+def _content(solution: Solution, errors: MapErrors) -> dict[str, Any]:
+    """Make the content of ``report.json``: metres and radians, null for unknown."""
     numbers = vertex_numbers(solution.placed.graph)
     return {
-        "dataset": solution.sessions.outline.dataset.name,
+        "dataset": solution.joined.outline.dataset.name,
         "gpgrad": VERSION,
         "sessions": {
             session: {
-                "poses": poses_file(solution.sessions, session),
+                "poses": poses_file(solution.joined, session),
                 "submaps": len(names),
                 "closures_that_agree_on_its_place": solution.placed.support.get(names[0]),
             }
-            for session, names in solution.sessions.traverses.items()
+            for session, names in solution.joined.traverses.items()
         },
         "trajectory_error": {
             session: {"before": asdict(before), "after": asdict(after)}
-            for session, (before, after) in judged.trajectories.items()
+            for session, (before, after) in errors.trajectories.items()
         },
         "height_differences": {
-            "before": asdict(judged.overlaps[0]),
-            "after": asdict(judged.overlaps[1]),
+            "before": asdict(errors.overlaps[0]),
+            "after": asdict(errors.overlaps[1]),
         },
         "submaps": [{"id": name, "vertex": number} for name, number in numbers.items()],
         "edges": [

@@ -1,0 +1,86 @@
+"""``gpgrad build``: make submaps from scans and poses."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from typing_extensions import Doc
+
+from app.cli.flags import Given
+from app.cli.terminal import count, progress_bar, say, warn
+from gpgrad_core.scans import BuildParams, RecordingSources, build_dataset
+
+
+@dataclass(frozen=True)
+class Build:
+    """Arguments of ``gpgrad build``."""
+
+    scans: Annotated[
+        tyro.conf.Positional[Path],
+        Doc("Folder of clouds with a file of poses, or a ROS 1 or ROS 2 bag."),
+    ]
+    out: Annotated[Path, Doc("Dataset folder to make; must not exist yet.")]
+    poses: Annotated[
+        Path | None,
+        Doc("File of poses, TUM or KITTI; None: poses.txt beside the scans, or a bag's topic."),
+    ] = None
+    truth: Annotated[
+        Path | None,
+        Doc("File of true poses, to evaluate by; None: poses_gt.txt beside the scans, if any."),
+    ] = None
+    times: Annotated[
+        Path | None,
+        Doc("File of the scans' times [s], one a row; None: times.txt, or else their names."),
+    ] = None
+    mount: Annotated[
+        Path | None,
+        Doc(
+            "File with the sensor's pose on the body that the poses are of, tx ty tz qx qy qz qw, "
+            "or KITTI's calib.txt; None: mount.txt, a bag's transforms, or the body itself."
+        ),
+    ] = None
+    cloud_topic: Annotated[
+        str | None, Doc("Topic of a bag's clouds; None: the only one there is.")
+    ] = None
+    pose_topic: Annotated[
+        str | None,
+        Doc("Topic of a bag's poses; None: the only one there is, or else the transforms."),
+    ] = None
+    world_frame: Annotated[
+        str | None,
+        Doc("Frame to build in where poses are transforms; None: the root of their tree."),
+    ] = None
+    restart: Annotated[bool, Doc("Throw away what a stopped build has left.")] = False
+    build: Annotated[Given[BuildParams], tyro.conf.arg(name="")] = Given(BuildParams)
+
+    def run(self) -> None:
+        """Build and write."""
+        sources = RecordingSources(
+            poses=self.poses,
+            truth=self.truth,
+            times=self.times,
+            mount=self.mount,
+            cloud_topic=self.cloud_topic,
+            pose_topic=self.pose_topic,
+            world_frame=self.world_frame,
+        )
+        try:
+            with progress_bar("build") as progress:
+                report = build_dataset(
+                    self.scans,
+                    self.out,
+                    self.build.over(BuildParams()),
+                    sources=sources,
+                    restart=self.restart,
+                    progress=progress,
+                )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt("interrupted; the same command goes on from here") from None
+        for note in report.notes:
+            warn(note)
+        resumed = f", {report.num_resumed} of them from before" if report.num_resumed else ""
+        say(
+            f"{count(report.num_submaps, 'submap')} of {count(report.num_scans, 'scan')}"
+            f"{resumed}: {self.out}"
+        )

@@ -1,0 +1,74 @@
+"""``gpgrad detect``: register, score and judge pairs of submaps."""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from typing_extensions import Doc
+
+from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load
+from app.cli.terminal import count, progress_bar, say
+from gpgrad_core.errors import InputError
+from gpgrad_core.methods import METHODS, find_method
+from gpgrad_core.outputs import check_output, report_closures, write_closures
+from gpgrad_core.pipeline import detect_loop_closures
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.threads import num_workers
+from gpgrad_core.slam import build_pose_graph, odometry_poses, write_graph
+from gpgrad_core.types import Dataset
+
+
+@dataclass(frozen=True)
+class Detect:
+    """Arguments of ``gpgrad detect``."""
+
+    dataset: Annotated[tyro.conf.Positional[Path], Doc("Dataset folder or folder of clouds.")]
+    out: Annotated[Path, Doc("File to write: closures.json.")]
+    method: Annotated[str, Doc(f"How to detect: {', '.join(METHODS)}.")] = "gradient"
+    g2o: Annotated[Path | None, Doc("Also write the pose graph to this .g2o file.")] = None
+    pair: Annotated[
+        tuple[str, str] | None,
+        Doc("Compare these two submaps only: the id of the query, then of the database."),
+    ] = None
+    params: ParamsFile = None
+    pipeline: AllParams = ALL_PARAMS
+
+    def run(self) -> None:
+        """Detect and write."""
+        method = find_method(self.method)
+        check_output(self.out, (".json",))
+        if self.g2o:
+            check_output(self.g2o, (".g2o",))
+        dataset = load(self.dataset)
+        if self.pair:
+            dataset = _only(dataset, *self.pair)
+        asked = self.pipeline.over(base_params(dataset, self.params))
+        params = method.adapt(asked)
+        if self.g2o:
+            odometry_poses(dataset)  # a graph without odometry should not cost minutes
+        num_pairs = math.comb(len(dataset.submaps), 2)
+        with progress_bar("pairs") as progress, workers(num_workers(), num_pairs) as executor:
+            result = detect_loop_closures(
+                dataset,
+                params,
+                detector=method.detector(params, Memo()),
+                executor=executor,
+                progress=progress,
+            )
+        report = report_closures(dataset, result, params, method=method.name)
+        write_closures(self.out, report)
+        if self.g2o:
+            write_graph(self.g2o, build_pose_graph(dataset, result.closures))
+        closures, pairs = count(len(report.accepted), "loop closure"), len(report.pairs)
+        submaps, seconds = count(len(report.submaps), "submap"), report.seconds["total"]
+        say(f"{closures} in {count(pairs, 'pair')} of {submaps}, {seconds:.1f} s: {self.out}")
+
+
+def _only(dataset: Dataset, query_id: str, database_id: str) -> Dataset:
+    """Keep two submaps, the database first: the later one is the query."""
+    if query_id == database_id:
+        raise InputError(f"--pair: {query_id} beside itself is no pair; name two submaps")
+    return replace(dataset, submaps=(dataset.submap(database_id), dataset.submap(query_id)))

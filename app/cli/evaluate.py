@@ -1,0 +1,115 @@
+"""``gpgrad evaluate``: judge methods by the true poses."""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from typing_extensions import Doc
+
+from app.cli.flags import Given
+from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load
+from app.cli.terminal import progress_bar, say, warn
+from gpgrad_core.evaluation import (
+    Evaluation,
+    EvaluationParams,
+    Section,
+    calibrate,
+    check_directory,
+    describe_calibration,
+    evaluate,
+    measure_pairs,
+    rank_pairs,
+    read_rivals,
+    run_methods,
+    write_report,
+)
+from gpgrad_core.methods import METHODS, find_method
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.threads import num_workers
+from gpgrad_core.types import Dataset
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Arguments of ``gpgrad evaluate``."""
+
+    dataset: Annotated[tyro.conf.Positional[Path], Doc("Dataset folder with poses_gt.txt.")]
+    out: Annotated[Path, Doc("Folder for report.md, report.json and figures; made if need be.")]
+    method: Annotated[
+        tuple[str, ...],
+        Doc(
+            f"Methods to run, of: {', '.join(METHODS)}; gradient if neither methods nor files of "
+            "closures are given."
+        ),
+    ] = ()
+    closures: Annotated[
+        tuple[Path, ...], Doc("Files of closures to judge besides, as `gpgrad detect` writes them.")
+    ] = ()
+    seed: Annotated[
+        int | None, Doc("Seed of every random choice; None takes that of the parameters, 0.")
+    ] = None
+    calibration: Annotated[
+        bool, Doc("Also judge the maps' uncertainty by points held out; takes about a minute.")
+    ] = False
+    evaluation: Annotated[Given[EvaluationParams], tyro.conf.arg(name="")] = Given(EvaluationParams)
+    params: ParamsFile = None
+    pipeline: AllParams = ALL_PARAMS
+
+    def run(self) -> None:
+        """Detect with each method, judge and write."""
+        names = self.method if self.method or self.closures else ("gradient",)
+        methods = [find_method(name) for name in names]
+        check_directory(self.out)
+        rivals = read_rivals(self.closures, taken=names)
+        dataset = load(self.dataset)
+        params = self.pipeline.over(base_params(dataset, self.params))
+        if self.seed is not None:
+            params = replace(params, registration=replace(params.registration, seed=self.seed))
+        pairs = measure_pairs(dataset)
+        for name, report in rivals.items():
+            rank_pairs(report, dataset, pairs, name)  # a wrong file should not cost an hour
+        num_jobs = math.comb(len(dataset.submaps), 2) * len(methods)
+        with progress_bar("evaluate") as progress, workers(num_workers(), num_jobs) as executor:
+            found = run_methods(dataset, methods, params, executor=executor, progress=progress)
+        evaluation = evaluate(
+            dataset,
+            found | rivals,
+            self.evaluation.over(EvaluationParams()),
+            pairs=pairs,
+            seed=params.registration.seed,
+        )
+        sections = self._sections(dataset, params)
+        with progress_bar("figures") as progress:
+            write_report(self.out, evaluation, closures=found, sections=sections, progress=progress)
+        for note in evaluation.notes:
+            warn(note)
+        for line in (*_told(evaluation), str(self.out / "report.md")):
+            say(line)
+
+    def _sections(self, dataset: Dataset, params: PipelineParams) -> tuple[Section, ...]:
+        if not self.calibration:
+            return ()
+        with progress_bar("calibration") as progress:
+            judged = calibrate(dataset, params, seed=params.registration.seed, progress=progress)
+        return (describe_calibration(judged),)
+
+
+def _told(evaluation: Evaluation) -> list[str]:
+    """What an evaluation found, a line a method."""
+    rule, lines = evaluation.rules[0], list[str]()
+    for method in evaluation.methods:
+        verdict = method.rules[0]
+        line = f"{method.name}: "
+        if verdict.ranked:
+            line += (
+                f"AP {verdict.ranked.average_precision.value:.3f}, "
+                f"R100 {verdict.ranked.recall_at_full_precision.value:.3f}, "
+            )
+        lines.append(
+            f"{line}accepts {verdict.accepted_true} true and {verdict.accepted_false} false pairs, "
+            f"misses {verdict.missed} ({rule.name})"
+        )
+    return lines

@@ -1,0 +1,67 @@
+"""``gpgrad fit``: find the terrain's hyperparameters."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from typing_extensions import Doc
+
+from app.cli.flags import Given
+from app.cli.inputs import ParamsFile, base_params, load
+from app.cli.terminal import count, progress_bar, say
+from gpgrad_core.errors import InputError
+from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
+from gpgrad_core.gradient_map import TerrainParams
+from gpgrad_core.outputs import check_output, write_fitted
+from gpgrad_core.params.fields import bounds_of
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Arguments of ``gpgrad fit``."""
+
+    dataset: Annotated[
+        tyro.conf.Positional[Path], Doc("Dataset folder, folder of clouds, or one cloud.")
+    ]
+    out: Annotated[
+        Path | None, Doc("File to write: .toml, which the other verbs take as parameters.")
+    ] = None
+    seed: Annotated[int, Doc("Seed of the choice of points.")] = 0
+    params: ParamsFile = None
+    map: Given[TerrainParams] = Given(TerrainParams)
+
+    def run(self) -> None:
+        """Fit, tell and write."""
+        if self.out:
+            check_output(self.out, (".toml",))
+        if self.seed < 0:
+            raise InputError(f"--seed must be 0 or more, got {self.seed}")
+        dataset = load(self.dataset)
+        start = self.map.over(base_params(dataset, self.params).map.terrain)
+        with progress_bar("fit") as progress:
+            result = fit_parameters(dataset.submaps, start, seed=self.seed, progress=progress)
+        for line in _fitted(start, result):
+            say(line)
+        if self.out:
+            write_fitted(self.out, result)
+            say(str(self.out))
+
+
+def _fitted(start: TerrainParams, result: FitResult) -> list[str]:
+    """What a fit found, a line a parameter."""
+    units = {name: bounds.unit for name, bounds in bounds_of(TerrainParams).items()}
+    lines: list[str] = []
+    for name in fitted_names(start):
+        before, after = (
+            "the points' own" if value is None else f"{value:.4g}"
+            for value in (getattr(start, name), getattr(result.params, name))
+        )
+        unit = f" {units[name]}" if units[name] else ""
+        lines.append(f"{name}: {before} -> {after}{unit}")
+    lines.append(
+        f"log likelihood per point: {result.log_likelihood_before:.3f} -> "
+        f"{result.log_likelihood_after:.3f} ({result.num_points:,} points of "
+        f"{count(len(result.submap_ids), 'submap')}, {result.num_evaluations} evaluations)"
+    )
+    return lines

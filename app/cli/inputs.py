@@ -1,0 +1,41 @@
+"""What most verbs read: a dataset, a file of parameters, and the flags of all parameters."""
+
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import tyro
+from typing_extensions import Doc
+
+from app.cli.flags import Given
+from app.cli.terminal import progress_bar, warn
+from gpgrad_core.datasets import load_dataset
+from gpgrad_core.params.files import preferred_parameters, read_parameters
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.types import Dataset
+
+ParamsFile: TypeAlias = Annotated[
+    Path | None,
+    Doc("TOML file of parameters, a table a group: [map] length_scale = 0.3. A flag outweighs it."),
+]
+AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
+ALL_PARAMS = Given(PipelineParams)
+
+
+def load(path: Path) -> Dataset:
+    """Load a dataset, and report what loading left out."""
+    with progress_bar("load") as progress:
+        dataset = load_dataset(path, progress)
+    for note in dataset.notes:
+        warn(note)
+    return dataset
+
+
+def base_params(dataset: Dataset, file: Path | None) -> PipelineParams:
+    """Give the parameters that flags override: the file's, over the dataset's, over built-in ones.
+
+    Args:
+        dataset: May prefer parameters.
+        file: TOML file of parameters, if there is one.
+    """
+    params = preferred_parameters(dataset, PipelineParams())
+    return params if file is None else read_parameters(file, params)

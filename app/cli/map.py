@@ -1,0 +1,54 @@
+"""``gpgrad map``: infer the maps of one cloud."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from typing_extensions import Doc
+
+from app.cli.flags import Given
+from app.cli.inputs import ParamsFile, base_params, load
+from app.cli.terminal import progress_bar, say, warn
+from gpgrad_core.errors import InputError
+from gpgrad_core.gradient_map import MapParams, infer_gradient_map, point_noise
+from gpgrad_core.outputs import MAP_ENDINGS, check_output, write_map
+
+
+@dataclass(frozen=True)
+class Map:
+    """Arguments of ``gpgrad map``."""
+
+    cloud: Annotated[tyro.conf.Positional[Path], Doc("A gravity-aligned point cloud.")]
+    out: Annotated[Path, Doc(f"File to write, one of {', '.join(MAP_ENDINGS)}.")]
+    params: ParamsFile = None
+    map: Given[MapParams] = Given(MapParams)
+
+    def run(self) -> None:
+        """Infer and write."""
+        check_output(self.out, MAP_ENDINGS)
+        if self.cloud.is_dir():
+            raise InputError(f"{self.cloud}: is a folder; give one cloud")
+        dataset = load(self.cloud)
+        base = base_params(dataset, self.params)
+        params = self.map.over(base.map)
+        (cloud,) = dataset.submaps
+        with progress_bar("map") as progress:
+            gradient_map = infer_gradient_map(cloud, params, progress)
+        write_map(
+            self.out,
+            gradient_map,
+            name=cloud.id,
+            max_std_ratio=base.features.max_std_ratio,
+        )
+        outlying = int(point_noise(cloud, params.terrain).outlying.sum())
+        if outlying:
+            warn(
+                f"{outlying:,} of {len(cloud.points):,} points lie far off the ground around them "
+                "and count as little as that"
+            )
+        rows, columns = gradient_map.grid.shape
+        say(
+            f"{columns} x {rows} cells of {params.resolution:g} m "
+            f"from {len(cloud.points):,} points: {self.out}"
+        )

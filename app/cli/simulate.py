@@ -1,0 +1,38 @@
+"""``gpgrad simulate``: make a synthetic dataset."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from typing_extensions import Doc
+
+from app.cli.flags import Given
+from app.cli.terminal import count, progress_bar, say
+from gpgrad_core.datasets import SimulationParams, simulate_dataset, write_dataset
+from gpgrad_core.scans import simulate_recording
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Arguments of ``gpgrad simulate``."""
+
+    directory: Annotated[tyro.conf.Positional[Path], Doc("Folder to make; must not exist yet.")]
+    scans: Annotated[
+        int,
+        Doc("Make a recording of so many scans instead, for `gpgrad build`; 0: submaps."),
+    ] = 0
+    simulation: Annotated[Given[SimulationParams], tyro.conf.arg(name="")] = Given(SimulationParams)
+
+    def run(self) -> None:
+        """Simulate and write."""
+        params = self.simulation.over(SimulationParams())
+        if self.scans:
+            with progress_bar("simulate") as progress:
+                simulate_recording(self.directory, self.scans, params, progress=progress)
+            say(f"{count(self.scans, 'scan')}: {self.directory}")
+            return
+        with progress_bar("simulate") as progress:
+            dataset = simulate_dataset(params, progress)
+        write_dataset(dataset, self.directory)
+        say(f"{count(len(dataset.submaps), 'submap')}: {self.directory}")

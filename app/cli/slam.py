@@ -1,0 +1,153 @@
+"""``gpgrad slam``: correct a traverse by its loop closures."""
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from typing_extensions import Doc
+
+from app.cli.flags import Given
+from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params
+from app.cli.terminal import count, progress_bar, say, warn
+from gpgrad_core.datasets import outline_dataset
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation import check_directory
+from gpgrad_core.outputs import read_closures, report_closures, restore_closures, write_closures
+from gpgrad_core.pipeline import DetectionResult, PipelineParams
+from gpgrad_core.run.progress import part
+from gpgrad_core.run.threads import num_workers
+from gpgrad_core.slam import (
+    GraphParams,
+    MapErrors,
+    LoopCloser,
+    MergeParams,
+    JoinedDatasets,
+    Solution,
+    SolverParams,
+    check_solver,
+    join_datasets,
+    measure_errors,
+    odometry_poses,
+    solve_datasets,
+    write_merged,
+    write_solution,
+)
+from gpgrad_core.types import LoopClosure
+
+
+@dataclass(frozen=True)
+class Slam:
+    """Arguments of ``gpgrad slam``."""
+
+    datasets: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        Doc("Dataset folders with odometry; closures between several put them into one map."),
+    ]
+    out: Annotated[Path, Doc("Folder for poses, graph, figures, cloud and map; made if need be.")]
+    closures: Annotated[
+        Path | None, Doc("File of closures, as `gpgrad detect` writes it; None: detect them.")
+    ] = None
+    search_radius: Annotated[
+        float | None,
+        Doc(
+            "Compare only submaps of a traverse within this many metres of each other, by the "
+            "estimate so far; None: all."
+        ),
+    ] = None
+    merge: Annotated[bool, Doc("Write the merged cloud and map too.")] = True
+    graph: Given[GraphParams] = Given(GraphParams)
+    solver: Given[SolverParams] = Given(SolverParams)
+    merged: Given[MergeParams] = Given(MergeParams)
+    params: ParamsFile = None
+    pipeline: AllParams = ALL_PARAMS
+
+    def run(self) -> None:
+        """Detect, solve, judge and write."""
+        check_directory(self.out)
+        if self.search_radius is not None and not self.search_radius > 0:
+            raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
+        sessions = join_datasets([outline_dataset(path) for path in self.datasets])
+        dataset = sessions.outline.dataset
+        odometry_poses(dataset)  # what lacks it, or a solver, should not cost minutes
+        check_solver()
+        for note in dataset.notes:
+            warn(note)
+        params = self.pipeline.over(base_params(dataset, self.params))
+        graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
+        if self.closures:
+            closures = restore_closures(read_closures(self.closures))
+        else:
+            closures = self._detect(sessions, params, graph, solver)
+        solution = solve_datasets(sessions, closures, graph, solver)
+        with progress_bar("judge") as progress:
+            judged = measure_errors(solution, progress)
+        with progress_bar("write") as progress:
+            write_solution(self.out, solution, judged, progress)
+        if self.merge:
+            with progress_bar("merge") as progress:
+                merged = self.merged.over(MergeParams())
+                notes = write_merged(self.out, solution, params.map.terrain, merged, progress)
+            for note in notes:
+                warn(note)
+        for line in (*_corrected(solution, judged), str(self.out)):
+            say(line)
+
+    def _detect(
+        self,
+        sessions: JoinedDatasets,
+        params: PipelineParams,
+        graph: GraphParams,
+        solver: SolverParams,
+    ) -> tuple[LoopClosure, ...]:
+        """Find the closures submap by submap, and keep them beside the results."""
+        total, sizes, start = len(sessions.outline.clouds), dict[str, int](), time.perf_counter()
+        with (
+            progress_bar("closures") as progress,
+            ThreadPoolExecutor(num_workers()) as executor,
+            LoopCloser(
+                params, graph, solver, search_radius=self.search_radius, executor=executor
+            ) as closer,
+        ):
+            for k in range(total):
+                submap, notes = sessions.load(k)
+                for note in notes:
+                    warn(note)
+                sizes[submap.id] = len(submap.points)
+                closer.add(
+                    submap,
+                    part(progress, (k / total) ** 2, ((k + 1) / total) ** 2),
+                    starts_traverse=submap.id in sessions.starts,
+                    solve=self.search_radius is not None,
+                )
+            closures = closer.closures
+        seconds = {"total": time.perf_counter() - start}
+        self.out.mkdir(exist_ok=True)
+        report = report_closures(
+            sessions.outline.dataset, DetectionResult(closures, seconds), params
+        )
+        write_closures(self.out / "closures.json", replace(report, submaps=sizes))
+        return closures
+
+
+def _corrected(solution: Solution, judged: MapErrors) -> list[str]:
+    """What a corrected map is like, a line a session and one for the overlaps."""
+    loops, refused = len(solution.result.loops), len(solution.result.refused)
+    lines = [
+        f"{count(len(solution.result.poses), 'submap')}, "
+        f"{count(loops - refused, 'loop closure')} used, {refused} refused as wrong"
+    ]
+    for session, (before, after) in judged.trajectories.items():
+        lines.append(
+            f"{session}: trajectory error {before.absolute:.3f} m -> {after.absolute:.3f} m, "
+            f"from submap to submap {before.relative:.3f} m -> {after.relative:.3f} m"
+        )
+    first, last = judged.overlaps
+    if first.median is not None and last.median is not None:
+        lines.append(
+            f"median height difference where submaps overlap: {100 * first.median:.1f} cm "
+            f"({first.count} pairs) -> {100 * last.median:.1f} cm ({last.count} pairs)"
+        )
+    return lines

@@ -1,0 +1,84 @@
+"""What the command line says: results, notes, progress bars, and errors as exit codes."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Generator
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.progress import Progress, silent
+
+FAILED, INTERRUPTED = 2, 130
+
+
+def exit_code(work: Callable[[], None]) -> int:
+    """Do a verb's work, and turn how it ends into an exit code.
+
+    Args:
+        work: May raise `InputError`, what the system refuses, or the user's Ctrl-C.
+
+    Returns:
+        0, or 2 after one line on standard error that says what was wrong, or 130 if interrupted.
+    """
+    try:
+        work()
+    except InputError as error:
+        warn(one_line(str(error)))
+        return FAILED
+    except OSError as error:
+        what = error.strerror or str(error)
+        warn(one_line(f"{error.filename}: {what}" if error.filename else what))
+        return FAILED
+    except KeyboardInterrupt as stopped:
+        warn(str(stopped) or "interrupted")
+        return INTERRUPTED
+    return 0
+
+
+def say(line: str) -> None:
+    """Print a line of what was asked for."""
+    print(line, flush=True)  # noqa: T201
+
+
+def warn(line: str) -> None:
+    """Print a line on standard error, where it does not mix with what was asked for."""
+    print(f"gpgrad: {line}", file=sys.stderr, flush=True)  # noqa: T201
+
+
+@contextlib.contextmanager
+def progress_bar(what: str) -> Generator[Progress]:
+    """Draw a bar on a terminal, and nothing into a file or a pipe.
+
+    Args:
+        what: One word in front of the bar.
+    """
+    if not sys.stderr.isatty():
+        yield silent
+        return
+    from tqdm import tqdm  # noqa: PLC0415 - for terminals only
+
+    layout = "{desc:>9} {percentage:3.0f} %|{bar}| {elapsed}<{remaining}"
+    with tqdm(total=1.0, desc=what, bar_format=layout, leave=False) as bar:
+
+        def progress(fraction: float) -> None:
+            bar.n = fraction
+            bar.refresh()
+
+        yield progress
+
+
+def count(number: int, what: str) -> str:
+    """Say how many there are.
+
+    >>> count(1, "scan"), count(1200, "scan")
+    ('1 scan', '1,200 scans')
+    """
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
+
+
+def one_line(text: str) -> str:
+    r"""Join the lines of a text.
+
+    >>> one_line("one  and\n  two")
+    'one and two'
+    """
+    return " ".join(text.split())

@@ -1,0 +1,104 @@
+"""``gpgrad view``: serve the viewer."""
+
+import socket
+import webbrowser
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from platformdirs import user_config_path
+from typing_extensions import Doc
+
+from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load
+from app.cli.terminal import say
+from app.viewer.permissions import Places
+from app.viewer.save.session_file import read_saved
+from app.viewer.server import Viewer
+from gpgrad_core.datasets import demo_path
+from gpgrad_core.errors import InputError
+from gpgrad_core.params.files import read_parameters
+
+
+@dataclass(frozen=True)
+class View:
+    """Arguments of ``gpgrad view``."""
+
+    dataset: Annotated[
+        tyro.conf.Positional[Path | None],
+        Doc("Dataset folder, folder of clouds, or one cloud; without it the built-in demo."),
+    ] = None
+    host: Annotated[str, Doc("Address to serve on; 0.0.0.0 lets other machines in.")] = "127.0.0.1"
+    port: Annotated[int, Doc("Port to serve on; the next free one if it is taken, any if 0.")] = (
+        8080
+    )
+    open: Annotated[bool, Doc("Open the browser by itself.")] = True
+    sessions: Annotated[
+        Literal["shared", "separate"],
+        Doc("shared: all pages see and change the same. separate: each page has its own."),
+    ] = "shared"
+    state: Annotated[
+        Path | None,
+        Doc("Begin as the viewer was when it saved this file; DATASET and flags outweigh it."),
+    ] = None
+    root: Annotated[
+        Path | None,
+        Doc("Pages may choose among the datasets in this folder, and open none elsewhere."),
+    ] = None
+    config: Annotated[
+        Path | None,
+        Doc("Folder of your presets and of the list of recent datasets; by default your own."),
+    ] = None
+    max_upload: Annotated[int, Doc("Largest file that a page may upload, in MB.")] = 200
+    params: ParamsFile = None
+    pipeline: AllParams = ALL_PARAMS
+
+    def run(self) -> None:
+        """Serve until interrupted."""
+        _check_address(self.host, self.port)
+        if self.root is not None and not self.root.is_dir():
+            raise InputError(f"--root {self.root}: no such folder")
+        if self.max_upload < 1:
+            raise InputError(f"--max-upload must be 1 MB or more, got {self.max_upload}")
+        saved = None if self.state is None else read_saved(self.state)
+        source = self.dataset or (saved and saved.dataset) or demo_path()
+        dataset = load(source)
+        base = base_params(dataset, None if saved else self.params)
+        start = base
+        if saved is not None:
+            saved.check(dataset)
+            start = read_parameters(self.params, saved.params) if self.params else saved.params
+        params = self.pipeline.over(start)
+        viewer = Viewer(
+            dataset,
+            params if saved is None else base,
+            self.host,
+            self.port,
+            source=str(source),
+            saved=saved and replace(saved, params=params),
+            sessions=self.sessions,
+            places=Places(
+                config=self.config or user_config_path("gpgrad", appauthor=False),
+                root=self.root,
+                max_upload=1_000_000 * self.max_upload,
+            ),
+        )
+        try:
+            say(f"{dataset.name} is at {viewer.url} (Ctrl-C ends)")
+            if self.open:
+                webbrowser.open(viewer.url)
+            viewer.run_forever()
+        finally:
+            viewer.close()
+
+
+def _check_address(host: str, port: int) -> None:
+    """Refuse where nothing can be served: the server would wait for itself without end."""
+    if not 0 <= port <= 65535:
+        raise InputError(f"--port must be from 0 to 65535, got {port}")
+    try:
+        family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family) as probe:
+            probe.bind(address)
+    except OSError as error:
+        raise InputError(f"--host {host}: cannot serve there: {error.strerror}") from error
