@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import gpgrad_core  # noqa: E402 - found only now
-from gpgrad_core.params.fields import Setting, get_path, settings_of, with_unit  # noqa: E402
+from gpgrad_core.params.fields import Field, parameters_of, with_unit  # noqa: E402
 
 project = "gpgrad"
 author = "the gpgrad authors"
@@ -53,25 +53,24 @@ class ParameterTable(Directive):
         """Write a row for each parameter."""
         params = getattr(gpgrad_core, self.arguments[0])
         rows = ["| parameter | default | range | meaning |", "|---|---|---|---|"]
-        for setting in settings_of(params):
-            default = get_path(params(), setting.path)
-            shown = "automatic" if default is None else str(default)
-            rows.append(f"| `{setting.path}` | {shown} | {allowed(setting)} | {setting.doc} |")
+        for field in parameters_of(params):
+            shown = "automatic" if field.default is None else str(field.default)
+            rows.append(f"| `{field.path}` | {shown} | {allowed(field)} | {field.doc} |")
         holder = nodes.container()
         self.state.nested_parse(StringList(rows, "parameters"), self.content_offset, holder)
         return holder.children
 
 
-def allowed(setting: Setting) -> str:
+def allowed(field: Field) -> str:
     """Say which values a parameter may have."""
-    if isinstance(setting.kind, tuple):
-        return ", ".join(setting.kind)
-    if setting.kind is bool:
+    if isinstance(field.kind, tuple):
+        return ", ".join(field.kind)
+    if field.kind is bool:
         return "yes or no"
-    if setting.bounds is None:
+    if field.bounds is None:
         return "any whole number"
-    low, high = (f"{end:,.10g}" for end in (setting.bounds.low, setting.bounds.high))
-    return with_unit(f"{low} to {high}", setting.bounds)
+    low, high = (f"{end:,.10g}" for end in (field.bounds.low, field.bounds.high))
+    return with_unit(f"{low} to {high}", field.bounds)
 
 
 def visit_math(translator: Any, node: Any) -> None:
