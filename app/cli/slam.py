@@ -21,10 +21,10 @@ from gpgrad_core.run.progress import part
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import (
     GraphParams,
-    MapErrors,
-    LoopCloser,
-    MergeParams,
     JoinedDatasets,
+    LoopCloser,
+    MapErrors,
+    MergeParams,
     Solution,
     SolverParams,
     check_solver,
