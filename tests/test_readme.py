@@ -135,6 +135,13 @@ def test_files_named_in_the_listing_exist() -> None:
     assert named > 10
 
 
+def test_the_layers_are_those_of_the_contract() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    core = next(one for one in contracts["contracts"] if one.get("containers") == ["gpgrad_core"])
+    (told,) = blocks(GUIDE / "architecture.md", "text")
+    assert told.splitlines() == core["layers"]
+
+
 @every_page
 def test_files_named_in_the_text_exist(page: Path) -> None:
     for text in quoted(page):
