@@ -80,7 +80,7 @@ UNITS = {"elevation": "m", "variance": "m2", "slope_x": "m/m", "slope_y": "m/m",
 def write_arrays(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
     """Write layers and their grid as an NPZ; layers on disk are not brought into memory."""
     arrays = {"origin": np.asarray(grid.origin), "resolution": np.asarray(grid.resolution)}
-    np.savez_compressed(path, allow_pickle=False, **layers, **arrays)
+    np.savez_compressed(path, **layers, **arrays)
 
 
 def write_raster(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
