@@ -109,7 +109,7 @@ def _read_npy(path: Path) -> Points:
     try:
         array = np.load(path, allow_pickle=False)
     except (ValueError, EOFError, MemoryError) as error:  # MemoryError: a damaged shape
-        raise InputError(f"{path}: is not a whole NPY file: {_first_line(error)}") from None
+        raise InputError(f"{path}: is not a complete NPY file: {_first_line(error)}") from None
     if not isinstance(array, np.ndarray):  # np.load goes by content: this is a renamed NPZ
         array.close()
         raise InputError(f"{path}: is an NPZ archive; rename it to .npz")
@@ -127,7 +127,7 @@ def _read_npz(path: Path) -> Points:
     except InputError:
         raise
     except (ValueError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{path}: is not a whole NPZ file: {_first_line(error)}") from None
+        raise InputError(f"{path}: is not a complete NPZ file: {_first_line(error)}") from None
     if "points" in arrays:
         return _check_points(arrays["points"], f"{path}, array 'points'")
     clouds = [name for name, array in arrays.items() if _has_points_shape(array)]
@@ -156,7 +156,7 @@ def _read_bin(path: Path) -> Points:
     size = path.stat().st_size
     if size % 16:
         raise InputError(
-            f"{path}: is not a whole KITTI scan: {size:,} bytes are no multiple of 16, four "
+            f"{path}: is not a complete KITTI scan: {size:,} bytes are no multiple of 16, four "
             "float32 a point"
         )
     return np.fromfile(path, "<f4").reshape(-1, 4)[:, :3]
@@ -172,7 +172,7 @@ def _read_las(path: Path) -> Points:
     except OSError:
         raise
     except Exception as error:  # laspy, lazrs and NumPy each raise their own on broken files
-        raise InputError(f"{path}: is not a whole LAS file: {_first_line(error)}") from None
+        raise InputError(f"{path}: is not a complete LAS file: {_first_line(error)}") from None
 
 
 def _first_line(error: Exception) -> str:

@@ -177,7 +177,7 @@ def _parse_header(data: bytes, path: Path) -> tuple[dict[str, list[str]], int, i
         if words[0].upper() == "DATA":
             _check_header(header, path)
             return header, position, number
-    raise InputError(f"{path}: is not a whole PCD file: its header has no 'DATA' line")
+    raise InputError(f"{path}: is not a complete PCD file: its header has no 'DATA' line")
 
 
 def _check_header(header: dict[str, list[str]], path: Path) -> None:

@@ -50,7 +50,7 @@ def test_a_cut_file_is_refused(layout: str, points: np.ndarray, tmp_path: Path) 
         path.write_bytes(whole[: int(share * len(whole))])
         assert_refused(lambda: load_cloud(path), str(path), "is cut short")
     path.write_bytes(whole[:60])
-    assert_refused(lambda: load_cloud(path), str(path), "not a whole PCD")
+    assert_refused(lambda: load_cloud(path), str(path), "not a complete PCD")
 
 
 def test_doubles_padding_and_counts(tmp_path: Path) -> None:
