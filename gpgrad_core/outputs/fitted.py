@@ -8,11 +8,11 @@ from gpgrad_core.outputs.files import replacing
 
 
 def write_fitted(path: Path | str, result: FitResult) -> None:
-    """Write what a fit found, with the noise model that it holds for.
+    """Write the fitted hyperparameters and the noise model that they belong to.
 
     Args:
-        path: File to write; a table ``[map]`` of six digits a value.
-        result: Of `fit_parameters`.
+        path: File to write: a table ``[map]``, six digits per value.
+        result: The result of `fit_parameters`.
 
     Raises:
         InputError: If it cannot be written there.
@@ -27,7 +27,7 @@ def write_fitted(path: Path | str, result: FitResult) -> None:
     ]
     for name in fitted_names(result.params):
         value = getattr(result.params, name)
-        if value is not None:  # the file's silence is None
+        if value is not None:  # a missing line means None
             lines.append(f"{name} = {float(f'{value:.6g}')!r}")
     with replacing(path) as unfinished:
         write_lines(unfinished, lines)
