@@ -79,8 +79,8 @@ def test_doubles_padding_and_counts(tmp_path: Path) -> None:
         ("FIELDS x y z\n", "", "no 'FIELDS' line"),
         ("SIZE 4 4 4", "SIZE 4 4", "SIZE line does not have 3 entries"),
         ("SIZE 4 4 4", "SIZE 4 4 3", "TYPE F of SIZE 3"),
-        ("POINTS 4000", "POINTS all", "no whole number"),
-        ("DATA binary", "DATA zipped", "DATA 'zipped' is none of"),
+        ("POINTS 4000", "POINTS all", "not a whole number"),
+        ("DATA binary", "DATA zipped", "DATA 'zipped' is not one of"),
     ],
 )
 def test_broken_headers(old: str, new: str, rule: str, points: np.ndarray, tmp_path: Path) -> None:
