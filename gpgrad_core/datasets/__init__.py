@@ -1,4 +1,4 @@
-"""Where submaps come from: cloud files, dataset folders, the simulator, the built-in demo."""
+"""Sources of submaps: cloud files, dataset folders, the simulator and the built-in demo."""
 
 from gpgrad_core.datasets.clouds import load_cloud
 from gpgrad_core.datasets.demo import demo_params, demo_path, simulate_demo

@@ -1,4 +1,4 @@
-"""Files that others read: loop closures, maps."""
+"""Files that other programs read: loop closures, maps, fitted parameters."""
 
 from gpgrad_core.outputs.closure_table import write_closure_table
 from gpgrad_core.outputs.closures import (
