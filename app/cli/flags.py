@@ -23,8 +23,7 @@ from tyro.constructors import (
 from app.cli.terminal import one_line
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import Field, fields_of
-from gpgrad_core.params.files import AUTOMATIC
+from gpgrad_core.params.fields import AUTOMATIC, Field, fields_of
 
 V = TypeVar("V")
 P = TypeVar("P")
