@@ -100,7 +100,7 @@ class Evaluate:
             write_report(self.out, evaluation, closures=found, sections=sections, progress=progress)
         for note in evaluation.notes:
             warn(note)
-        for line in (*_told(evaluation), str(self.out / "report.md")):
+        for line in (*_summary(evaluation), str(self.out / "report.md")):
             say(line)
 
     def _sections(self, dataset: Dataset, params: PipelineParams) -> tuple[Section, ...]:
@@ -111,7 +111,7 @@ class Evaluate:
         return (describe_calibration(judged),)
 
 
-def _told(evaluation: Evaluation) -> list[str]:
+def _summary(evaluation: Evaluation) -> list[str]:
     """Say what an evaluation found, in one line for each method."""
     rule, lines = evaluation.rules[0], list[str]()
     for method in evaluation.methods:
