@@ -22,11 +22,14 @@ class MatchParams:
     ratio: Annotated[
         float,
         Bounds(0.1, 1.0, 0.01),
-        Doc("Keep a match if its distance is at most this share of the second best; 1 keeps all."),
+        Doc(
+            "Keep an association if its distance is at most this share of the second best one's. 1"
+            " keeps all."
+        ),
     ] = 1.0
-    mutual: Annotated[bool, Doc("Keep a match only if each keypoint is the other's nearest.")] = (
-        True
-    )
+    mutual: Annotated[
+        bool, Doc("Keep an association only if each keypoint is the other's nearest.")
+    ] = True
 
     def __post_init__(self) -> None:
         """Check the bounds."""
