@@ -151,16 +151,16 @@ class View:
     def run(self, given: Sequence[str]) -> None:
         """Serve until interrupted."""
         # Here, because viser is heavy, and for this verb only.
-        from app.viewer.permissions import Places  # noqa: PLC0415
-        from app.viewer.save.session_file import read_saved  # noqa: PLC0415
+        from app.viewer.permissions import Permissions  # noqa: PLC0415
         from app.viewer.server import Viewer  # noqa: PLC0415
+        from app.viewer.session_file import read_session  # noqa: PLC0415
 
         _check_address(self.host, self.port)
         if self.root is not None and not self.root.is_dir():
             raise InputError(f"--root {self.root}: no such folder")
         if self.max_upload < 1:
             raise InputError(f"--max-upload must be 1 MB or more, got {self.max_upload}")
-        saved = None if self.state is None else read_saved(self.state)
+        saved = None if self.state is None else read_session(self.state)
         source = self.dataset or (saved and saved.dataset) or demo_path()
         dataset = _load(source)
         base = _base(dataset, None if saved else self.params)
@@ -177,7 +177,7 @@ class View:
             source=str(source),
             saved=saved and replace(saved, params=params),
             sessions=self.sessions,
-            places=Places(
+            permissions=Permissions(
                 config=self.config or user_config_path("gpgrad", appauthor=False),
                 root=self.root,
                 max_upload=1_000_000 * self.max_upload,

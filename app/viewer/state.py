@@ -139,7 +139,7 @@ def with_pair(
         database_id=state.database_id if database_id is None else database_id,
     )
     _ = chosen.query, chosen.database
-    if (chosen.query_id, chosen.database_id) == (state.query_id, state.database_id):
+    if same_pair(chosen, state):
         return chosen
     return replace(chosen, match=0, probe=None)
 
@@ -154,6 +154,11 @@ def with_options(state: ViewState, options: ViewOptions) -> ViewState:
     return replace(state, options=options)
 
 
+def registered(options: ViewOptions) -> ViewOptions:
+    """Show both submaps, the query laid onto the database."""
+    return replace(options, layout="registered", compare="both")
+
+
 def with_match(state: ViewState, number: int) -> ViewState:
     """Point at an association by its number from 1, or with 0 at none."""
     return replace(state, match=number)
@@ -164,11 +169,17 @@ def with_probe(state: ViewState, probe: Probe | None) -> ViewState:
     return replace(state, probe=probe)
 
 
+def same_pair(first: ViewState, second: ViewState) -> bool:
+    """Say whether two snapshots show the same query and database."""
+    return first.dataset is second.dataset and (
+        (first.query_id, first.database_id) == (second.query_id, second.database_id)
+    )
+
+
 def same_surfaces(first: ViewState, second: ViewState) -> bool:
     """Say whether two snapshots show the same surfaces alike."""
     return (
-        first.dataset is second.dataset
-        and (first.query_id, first.database_id) == (second.query_id, second.database_id)
+        same_pair(first, second)
         and first.params.map == second.params.map
         and first.params.features.max_std_ratio == second.params.features.max_std_ratio
         and first.options == second.options

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from app.viewer.session import MAIN_PARAMETERS
+from app.viewer.params.tab import MAIN_PARAMETERS
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams
 

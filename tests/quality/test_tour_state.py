@@ -24,7 +24,7 @@ import pytest
 import tifffile
 import trimesh
 
-from app.viewer.permissions import Places
+from app.viewer.permissions import Permissions
 from app.viewer.server import Viewer
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.outputs import read_closures
@@ -128,7 +128,7 @@ def viewer(data: Path, tmp_path: Path) -> Iterator[Viewer]:
         QUICK,
         port=0,
         source=str(source),
-        places=Places(config=tmp_path / "config", root=data, max_upload=20_000_000),
+        permissions=Permissions(config=tmp_path / "config", root=data, max_upload=20_000_000),
     )
     yield made
     made.close()
@@ -317,7 +317,7 @@ def test_datasets_come_from_the_browser(tour: Tour, data: Path) -> None:
     loading.wait_for(timeout=20_000)
     page.screenshot(path=str(tour.pictures / "31_loading.png"))
     loading.click()
-    page.get_by_text("Cancelled: long").wait_for(timeout=20_000)
+    page.get_by_text("Cancelled.").wait_for(timeout=20_000)
     assert page.get_by_text("demo · 10 submaps").count() <= 1
     view.type_text("Folder", "/etc")
     view.press("Load")

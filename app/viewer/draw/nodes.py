@@ -21,7 +21,7 @@ from gpgrad_core.types import Submap
 LinePoints: TypeAlias = Float[NDArray[np.float32], "n 2 3"]
 
 
-class Cloud:
+class PointsNode:
     """One point cloud node, made when first needed and then changed in place."""
 
     def __init__(self, host: Host, name: str, *, shape: str = "square") -> None:
@@ -76,7 +76,7 @@ class Cloud:
             self._handle.visible = False
 
 
-class Segments:
+class LinesNode:
     """One node of line segments, made when first needed and then changed in place."""
 
     def __init__(self, host: Host, name: str, color: Rgb, thickness: float) -> None:
@@ -150,10 +150,10 @@ class SubmapNode:
         self._role = role
         root = f"{parent}/{role}"
         self._frame = host.scene.add_frame(root, show_axes=False)
-        self.surface = Cloud(host, f"{root}/surface")
-        self.cloud = Cloud(host, f"{root}/cloud", shape="circle")
-        self.keypoints = Cloud(host, f"{root}/keypoints", shape="circle")
-        self.outline = Segments(host, f"{root}/outline", color, thickness=2.0)
+        self.surface = PointsNode(host, f"{root}/surface")
+        self.cloud = PointsNode(host, f"{root}/cloud", shape="circle")
+        self.keypoints = PointsNode(host, f"{root}/keypoints", shape="circle")
+        self.outline = LinesNode(host, f"{root}/outline", color, thickness=2.0)
         self._label = host.scene.add_label(
             f"{root}/label", role, anchor="bottom-left" if outer == "left" else "bottom-right"
         )

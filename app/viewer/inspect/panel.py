@@ -3,13 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
-from typing import Any
 
 import numpy as np
-import viser
 from jaxtyping import UInt8
 
 from app.viewer.host import Host
+from app.viewer.widgets.actions import on_choice, on_option
 from app.viewer.widgets.html import BAD, FAINT, paragraph, table
 from gpgrad_core.arrays import NDArray
 
@@ -86,18 +85,11 @@ class MatchesPanel:
         )
         self._key = gui.add_html("")
 
-        @self._number.on_update
-        async def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id is not None:
-                on_match(int(event.target.value))
-
-        @self._steps.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            asked = event.target.value
-            if asked == NONE:
-                on_match(0)
-            else:
-                on_step(1 if asked == NEXT else -1)
+        on_choice(self._number, lambda number: on_match(int(number)))
+        on_option(
+            self._steps,
+            lambda label: on_match(0) if label == NONE else on_step(1 if label == NEXT else -1),
+        )
 
     def show_match(self, number: int, figures: MatchFigures | None) -> None:
         """Show the figures of an association, or with None that none is pointed at."""

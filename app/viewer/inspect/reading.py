@@ -3,9 +3,8 @@
 from collections.abc import Callable
 from html import escape
 
-import viser
-
 from app.viewer.host import Host
+from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.html import BUSY, FAINT, paragraph, table
 
 HOW = "Hold Shift and click a surface to read its values there."
@@ -26,10 +25,7 @@ class ReadingPanel:
             "Clear the reading", visible=False, hint="Takes the mark off the surface."
         )
 
-        @self._clear.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            on_clear()
+        on_press(self._clear, on_clear)
 
     def show(self, title: str, rows: tuple[tuple[str, str], ...], *, trusted: bool) -> None:
         """Show the values of a place.

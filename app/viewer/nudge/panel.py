@@ -2,11 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from html import escape
-from typing import Any
 
 from app.viewer.host import Host
-from app.viewer.widgets.html import BAD, BUSY, FAINT, paragraph, table
+from app.viewer.widgets.actions import on_choice, on_press
+from app.viewer.widgets.html import BAD, BUSY, FAINT, message_line, paragraph, table
 
 INTRODUCTION = (
     "Did the search miss a closure, or find a wrong motion? Drag the query to where it belongs, "
@@ -66,21 +65,10 @@ class NudgePanel:
         self._figures = gui.add_html("")
         self._message = gui.add_html("")
 
-        @self._active.on_update
-        async def _(event: Any) -> None:
-            if event.client_id is not None:
-                calls.on_active(event.target.value)
-
-        for button, call in (
-            (self._refine, calls.on_refine),
-            (self._back, calls.on_back),
-            (self._use, calls.on_use),
-        ):
-
-            @button.on_click
-            async def _(event: Any, call: Callable[[], None] = call) -> None:
-                del event
-                call()
+        on_choice(self._active, calls.on_active)
+        on_press(self._refine, calls.on_refine)
+        on_press(self._back, calls.on_back)
+        on_press(self._use, calls.on_use)
 
     def set_active(self, active: bool) -> None:
         """Show whether the query can be moved; nothing is called."""
@@ -103,9 +91,4 @@ class NudgePanel:
 
     def say(self, message: str, *, bad: bool = False) -> None:
         """Say what happens or went wrong; nothing if empty."""
-        self._message.content = (
-            f'<div data-testid="nudge-message" role="status" style="padding:.1em .75em;'
-            f'font-size:.8em;color:{BAD if bad else BUSY}">{escape(message)}</div>'
-            if message
-            else ""
-        )
+        self._message.content = message_line("nudge-message", message, BAD if bad else BUSY)

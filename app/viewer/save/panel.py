@@ -6,6 +6,7 @@ from html import escape
 import viser
 
 from app.viewer.host import Host
+from app.viewer.widgets.actions import on_press_by, on_upload
 from app.viewer.widgets.html import BAD, FAINT, paragraph
 
 # The button's own script: a page may write to the clipboard only while it is being clicked, and
@@ -26,14 +27,14 @@ class SavingPanel:
         host: Host,
         *,
         on_save: Callable[[viser.ClientHandle], None],
-        on_restore: Callable[[str, bytes, viser.ClientHandle], None],
+        on_restore: Callable[[str, bytes], None],
     ) -> None:
         """Make the widgets in the current container; callbacks must only hand on.
 
         Args:
             host: Whose GUI they join.
             on_save: Given the page that wants the session as a file.
-            on_restore: Given the name and content of a file, and the page that it came from.
+            on_restore: Given the name and the content of a file.
         """
         gui = host.gui
         self._command = gui.add_html("")
@@ -47,16 +48,8 @@ class SavingPanel:
         )
         self._message = gui.add_html("")
 
-        @save.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            if event.client is not None:
-                on_save(event.client)
-
-        @restore.on_upload
-        async def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
-            if event.client is not None:
-                file = event.target.value
-                on_restore(file.name, file.content, event.client)
+        on_press_by(save, on_save)
+        on_upload(restore, on_restore)
 
     def show_command(self, command: str) -> None:
         """Show the command; empty where there is none, as for one submap beside itself."""

@@ -3,13 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
-from typing import Any, TypeAlias
+from typing import Any
 
 import viser
 
 from app.viewer.host import Host
-
-Act: TypeAlias = Callable[[viser.ClientHandle], None]
+from app.viewer.widgets.actions import on_press
 
 CAMERA_KEYS = frozenset("WASDQE") | {"arrowup", "arrowdown", "arrowleft", "arrowright"}
 """With these the browser flies the camera; a command on one of them would do both."""
@@ -53,10 +52,10 @@ class Commands:
         """
         self._host = host
         self._commands: list[Command] = []
-        self.add(
+        self.add_for_page(
             "Help",
             "Show all keys and commands",
-            lambda client: show_help(client, self.commands),
+            lambda page: show_help(page, self.commands),
             key="H",
         )
 
@@ -69,7 +68,19 @@ class Commands:
         self,
         group: str,
         label: str,
-        act: Act,
+        act: Callable[[], None],
+        *,
+        key: Any = None,
+        modifier: Any = None,
+    ) -> None:
+        """Add a command that does the same whichever page asks; see `add_for_page`."""
+        self.add_for_page(group, label, lambda _: act(), key=key, modifier=modifier)
+
+    def add_for_page(
+        self,
+        group: str,
+        label: str,
+        act: Callable[[viser.ClientHandle], None],
         *,
         key: Any = None,
         modifier: Any = None,
@@ -107,10 +118,7 @@ def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None
         client.gui.add_html(help_html(commands))
         close = client.gui.add_button("Close")
 
-    @close.on_click
-    async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-        del event
-        modal.close()
+    on_press(close, modal.close)
 
 
 def help_html(commands: tuple[Command, ...]) -> str:

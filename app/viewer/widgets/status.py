@@ -4,9 +4,8 @@ import threading
 from collections.abc import Callable, Mapping
 from html import escape
 
-import viser
-
 from app.viewer.host import Host
+from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.html import BAD, BUSY, GOOD
 
 WORTH_TELLING = 0.0005
@@ -29,10 +28,7 @@ class StatusLine:
         self._bar = host.gui.add_progress_bar(0.0, visible=False, animated=True)
         self._cancel = host.gui.add_button("Cancel computing", visible=False, color="red")
 
-        @self._cancel.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            on_cancel()
+        on_press(self._cancel, on_cancel)
 
     def computing(self, what: str = "Computing …") -> None:
         """Say that the picture is about to change."""

@@ -53,7 +53,7 @@ class Loop:
         return self.query, self.database
 
 
-def way(poses: Mapping[str, Pose], lift: float) -> LinePoints:
+def trajectory_lines(poses: Mapping[str, Pose], lift: float) -> LinePoints:
     """Join the submaps' origins in order.
 
     Args:

@@ -4,20 +4,20 @@ from contextlib import suppress
 
 import pytest
 
-from app.viewer import session as app_session
-from app.viewer.server import Sessions, Viewer
+from app.viewer.pair import tab as pair_module
+from app.viewer.server import Sharing, Viewer
 from tests.app.page import ProtocolPage
 from tests.app.synthetic import FakePipeline, make_dataset, needing
 
-Serve = Callable[[Sessions], Viewer]
+Serve = Callable[[Sharing], Viewer]
 
 
 @pytest.fixture
 def serve(monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
-    monkeypatch.setattr(app_session, "register_pair", FakePipeline())
+    monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
     viewers: list[Viewer] = []
 
-    def start(sessions: Sessions) -> Viewer:
+    def start(sessions: Sharing) -> Viewer:
         viewers.append(Viewer(make_dataset(), needing(8), port=0, sessions=sessions))
         return viewers[-1]
 
@@ -110,6 +110,6 @@ def test_a_separate_session_ends_with_its_page(serve: Serve, visit: Visit) -> No
     first.set("Length-scale", 0.5)
     first.close()  # in the middle
     second.wait(lambda: len(viewer.sessions) == 1, "the other session's end")
-    second.wait(lambda: not gone._runner._thread.is_alive(), "its worker's end")
+    second.wait(lambda: not gone.pair._runner._thread.is_alive(), "its worker's end")
     second.set("Minimum inliers", 20)
     second.wait(lambda: "No loop closure" in second.html(), "the verdict")

@@ -21,7 +21,7 @@ KEYS = ("dataset", "query", "database", "view", "params", "camera")
 
 
 @dataclass(frozen=True, eq=False)
-class Saved:
+class SavedSession:
     """What the file holds.
 
     Attributes:
@@ -56,7 +56,7 @@ class Saved:
         return with_options(with_params(state, self.params), self.options)
 
 
-def saved_text(state: ViewState, camera: Camera | None) -> str:
+def session_text(state: ViewState, camera: Camera | None) -> str:
     """Write a session as TOML.
 
     Args:
@@ -77,7 +77,7 @@ def saved_text(state: ViewState, camera: Camera | None) -> str:
     return "\n".join(["# gpgrad view --state FILE", *toml_lines(table)]) + "\n"
 
 
-def read_saved(path: Path) -> Saved:
+def read_session(path: Path) -> SavedSession:
     """Read a session from a file.
 
     Raises:
@@ -88,10 +88,10 @@ def read_saved(path: Path) -> Saved:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "is not a text in UTF-8"
         raise InputError(f"{path}: cannot be read: {reason}") from error
-    return parse_saved(text, str(path))
+    return parse_session(text, str(path))
 
 
-def parse_saved(text: str, where: str) -> Saved:
+def parse_session(text: str, where: str) -> SavedSession:
     """Take a session out of the text of its file.
 
     Args:
@@ -99,7 +99,7 @@ def parse_saved(text: str, where: str) -> Saved:
         where: Name of the file, for the message.
 
     Raises:
-        InputError: As `read_saved`.
+        InputError: As `read_session`.
     """
     try:
         table = tomllib.loads(text)
@@ -111,7 +111,7 @@ def parse_saved(text: str, where: str) -> Saved:
             f"{where}: is not a saved session: unknown key {unknown[0]}; known: {', '.join(KEYS)}"
         )
     dataset = _text(table, "dataset", where)
-    return Saved(
+    return SavedSession(
         None if dataset is None else Path(dataset),
         _text(table, "query", where),
         _text(table, "database", where),

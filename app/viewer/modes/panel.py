@@ -1,0 +1,50 @@
+"""The three modes: explore all submaps, tune a pair, demonstrate it to others."""
+
+from collections.abc import Callable
+from html import escape
+from typing import Literal, TypeAlias, get_args
+
+from app.viewer.host import Host
+from app.viewer.widgets.actions import on_option, one_of
+
+Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
+
+MODES: tuple[Mode, ...] = get_args(Mode)
+GUIDES: dict[Mode, str] = {
+    "Explore": "All submaps where they lie. Click one for its figures; correct the map in the tab "
+    "Pose graph.",
+    "Tune": "Do the two submaps show the same place? Drag a slider: surfaces, matches and verdict "
+    "follow.",
+    "Demo": "Show it to others: views, motion, full screen, and a page to take away.",
+}
+"""What is to be seen in a mode, and what to do next."""
+
+
+class ModesPanel:
+    """Buttons for the modes, and a line on the present one."""
+
+    def __init__(self, host: Host, mode: Mode, on_change: Callable[[Mode], None]) -> None:
+        """Make the widgets in the current container.
+
+        Args:
+            host: Whose GUI they join.
+            mode: The present one.
+            on_change: Given the mode that a user chose; must be quick.
+        """
+        self._buttons = host.gui.add_button_group(
+            "Mode",
+            MODES,
+            hint="Explore all submaps, tune a pair, or demonstrate it.",
+        )
+        self._guide = host.gui.add_html("")
+        self.show(mode)
+
+        on_option(self._buttons, lambda label: on_change(one_of(MODES, label)))
+
+    def show(self, mode: Mode) -> None:
+        """Say which mode is the present one."""
+        self._guide.content = (
+            f'<div data-testid="mode" style="padding:0 .75em .2em;font-size:.85em;'
+            f'line-height:1.45"><b>{mode}.</b> <span style="opacity:.75">'
+            f"{escape(GUIDES[mode])}</span></div>"
+        )
