@@ -47,7 +47,8 @@ class Viewer:
         Args:
             dataset: What to open with.
             params: What to start with and to reset to; None takes what the dataset prefers.
-            host: Address to listen on. There is no password: whoever reaches it can use it.
+            host: Address to listen on. There is no password: anyone who can reach the
+                port can use the viewer.
             port: Port to listen on; if it is taken, the next free one. 0 takes any.
             source: Path of the dataset, for the box in which it can be changed.
             saved: What to begin with in place of that.

@@ -11,7 +11,7 @@ from app.viewer.widgets.html import BUSY, FAINT, message_line, paragraph
 from app.viewer.widgets.pair_list import PairList
 from app.viewer.widgets.work_bar import WorkBar
 
-INTRODUCTION = "Compare every submap with all earlier ones, with the parameters as they are now."
+INTRODUCTION = "Compare every submap with all earlier ones, using the present parameters."
 NO_CHOICE: str = "choose a pair …"
 ALL: str = "all"
 
@@ -44,7 +44,7 @@ class Findings:
 
     Attributes:
         summary: One line.
-        outdated: Why the pairs should be run again; empty while they need not.
+        outdated: Why the pairs should be compared again; empty while they need not.
         matrix: Picture of the scores, as HTML.
         matrix_caption: What its colours and marks mean.
         curve: Picture of precision over recall, as HTML; empty without truth.
@@ -87,7 +87,7 @@ class AllPairsPanel:
         gui = host.gui
         self._choices: tuple[Choice, ...] = ()
         gui.add_html(paragraph(INTRODUCTION, FAINT))
-        run = gui.add_button("Run all pairs", hint="Sliders can be used while it runs.")
+        run = gui.add_button("Run all pairs", hint="You can use the sliders while it runs.")
         self.work_bar = WorkBar(host, "Cancel", "all-pairs", starts=(run,))
         self._summary = gui.add_html("")
         self._matrix = gui.add_html("")
@@ -96,14 +96,15 @@ class AllPairsPanel:
             (ALL,),
             initial_value=ALL,
             visible=False,
-            hint="Which pairs to choose from. Right, wrong: accepted, and truly the same place or "
-            "not. Missed: the same place, but refused.",
+            hint="Narrows the list below. Right and wrong pairs are accepted, and truly the same "
+            "place or not. Missed pairs are the same place, but refused.",
         )
         self._pairs = PairList(
             host,
             "Pair",
             none=NO_CHOICE,
-            hint="Shows it; highest score first: query → database · score · what became of it.",
+            hint="Shows the pair. The highest score comes first: query → database · score · "
+            "outcome.",
             on_choose=lambda pair: None if pair is None else on_pair(*pair),
         )
         self._pairs.set_visible(False)
@@ -112,7 +113,7 @@ class AllPairsPanel:
             rules,
             initial_value=rules[0],
             visible=False,
-            hint="When the true poses say that a pair shows the same place.",
+            hint="By which rule the true poses say that a pair shows the same place.",
         )
         self._curve = gui.add_html("")
 

@@ -144,7 +144,7 @@ def findings(judged: JudgedPairs, state: ViewState) -> Findings:
         summary=f"{count} {closures} in {len(judged.closures):,} pairs · {seconds:.1f} s",
         outdated=""
         if compared.is_of(state)
-        else "Found with other parameters than those set now: run again to compare.",
+        else "The parameters have changed since: run again to update.",
         matrix=affinity_svg(judged, shown),
         matrix_caption=_matrix_caption(judged),
         curve="" if judged.check is None else curve_svg(judged.check),
@@ -159,23 +159,26 @@ def findings(judged: JudgedPairs, state: ViewState) -> Findings:
 
 def _matrix_caption(judged: JudgedPairs) -> str:
     below = (
-        "Row: query, column: database. Below the diagonal: the score, from dark (0) to yellow "
-        f"({highest_color(judged):.1f})."
+        "Rows are queries, columns are the database. Below the diagonal is the score, from dark "
+        "(0) "
+        f"to yellow ({highest_color(judged):.1f})."
     )
     if judged.check is None:
-        return f"{below} Ring: accepted. Magenta: the pair shown."
+        return f"{below} Rings mark accepted pairs, magenta the pair shown."
     measure = "of the boxes" if judged.check.rule.measure == "box" else "of the surfaces"
     return (
-        f"{below} Above it: the true overlap {measure}, from dark (0) to light (1). "
-        "Ring: green accepted, red wrongly accepted, orange missed. Magenta: the pair shown."
+        f"{below} Above it is the true overlap {measure}, from dark (0) to light (1). "
+        "Green rings mark right pairs, red ones wrong, orange ones missed; magenta marks the pair "
+        "shown."
     )
 
 
 def _curve_caption(check: TruthCheck) -> str:
     if check.curve is None:
-        return f"No pair is true by the rule {check.rule.name}: there is nothing to find."
+        return f"No pair is true by the rule {check.rule.name}, so there is nothing to find."
     precision = f"{check.precision:.3f}" if np.isfinite(check.precision) else "—"
     return (
-        f"At the thresholds set: precision {precision}, recall {check.recall:.3f} (magenta). "
+        f"At the present thresholds, precision is {precision} and recall {check.recall:.3f} "
+        "(magenta). "
         f"Average precision {check.average_precision:.3f}. {check.rule.statement}"
     )

@@ -50,7 +50,7 @@ def inside(root: Path, path: Path) -> Path:
     except OSError as error:
         raise InputError(f"{path}: no such file or folder in {root}") from error
     if not real.is_relative_to(real_root):
-        raise InputError(f"{path}: lies outside of {root}, all that this viewer may open")
+        raise InputError(f"{path}: lies outside of {root}, and this viewer may open nothing else")
     return real
 
 
@@ -79,7 +79,7 @@ def list_folder(root: Path, folder: Path) -> Listing:
     """
     real = inside(root, folder)
     if not real.is_dir():
-        raise InputError(f"{folder}: is no folder")
+        raise InputError(f"{folder}: is not a folder")
     folders: list[str] = []
     clouds: list[str] = []
     try:

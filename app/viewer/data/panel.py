@@ -71,7 +71,10 @@ class DatasetPanel:
         """
         gui = host.gui
         self._recent: viser.GuiDropdownHandle[str] = gui.add_dropdown(
-            "Recent", (NO_RECENT,), initial_value=NO_RECENT, hint="Datasets opened before."
+            "Recent",
+            (NO_RECENT,),
+            initial_value=NO_RECENT,
+            hint="Open a dataset that was open before.",
         )
         self._path = gui.add_text(
             "Folder",
@@ -88,14 +91,14 @@ class DatasetPanel:
             (CHOOSE,),
             initial_value=CHOOSE,
             visible=folder is not None,
-            hint="Look into a folder of the machine that runs the viewer, or choose a cloud.",
+            hint="Enter a folder on the machine that runs the viewer, or choose a cloud.",
         )
         self._here = gui.add_button("Use this folder", visible=False)
         self._upload = gui.add_upload_button(
             "Upload clouds or a .zip",
             visible=uploaded is not None,
-            hint="A zipped dataset, or a cloud; further clouds join those uploaded before. "
-            + upload_hint,
+            hint="A zipped dataset, or a cloud. Further clouds join the ones that you uploaded "
+            "before. " + upload_hint,
         )
         self.work_bar = WorkBar(host, "Cancel loading", "dataset")
         on_option(

@@ -128,7 +128,7 @@ class DataTab(Feature):
             self._panel.work_bar.failed(str(error))
             return
         up = () if found.folder == Path() else (UP,)
-        note = f"{found.num_hidden:,} more are not listed: type the path" * bool(found.num_hidden)
+        note = f"{found.num_hidden:,} more are not listed; type the path" * bool(found.num_hidden)
         self._panel.show_folder(
             Choices(
                 str(root / found.folder),
@@ -181,7 +181,7 @@ class DataTab(Feature):
         folder.mkdir(exist_ok=True)
         cloud = folder / name
         if cloud.exists():
-            raise InputError(f"{name}: was uploaded before; rename one of the two")
+            raise InputError(f"{name}: was uploaded before; rename one of them")
         cloud.write_bytes(content)
         try:
             check_cloud(cloud, most)

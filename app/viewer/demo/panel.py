@@ -60,31 +60,30 @@ class DemoPanel:
         """
         gui = host.gui
         subject = gui.add_button_group(
-            "Show", SUBJECTS, hint="The two submaps set in Tune, or the world of all submaps."
+            "Show", SUBJECTS, hint="Show the two submaps chosen in Tune, or all submaps."
         )
         views = gui.add_button_group(
             "View",
             bookmarks,
-            hint="From above, from the side, or along the way; moves this page's camera only.",
+            hint="From above, from the side, or along the trajectory. It moves the camera of this "
+            "page only.",
         )
-        keep = gui.add_button("Keep this view", hint="Adds the camera as it is to the list below.")
+        keep = gui.add_button("Save this view", hint="Adds the present view to the list below.")
         self._kept: viser.GuiDropdownHandle[str] = gui.add_dropdown(
-            "Kept views", (NO_VIEW,), initial_value=NO_VIEW, hint="Go back to a view kept before."
+            "Saved views", (NO_VIEW,), initial_value=NO_VIEW, hint="Go back to a saved view."
         )
         acts = gui.add_button_group(
             "Play",
             PLAYABLE,
-            hint="closure: the query glides onto the database along the estimated motion. "
-            "pose graph: the submaps move from odometry to the corrected poses; optimise first, "
-            "in Explore.",
+            hint="closure: the query glides onto the database along the estimated motion. pose "
+            "graph: the submaps move from odometry to the corrected poses; optimise them in "
+            "Explore first.",
         )
-        full = gui.add_button(
-            "Full screen", hint="Puts the panels away; the key Esc brings them back."
-        )
+        full = gui.add_button("Full screen", hint="Hides the panels. Press Esc to bring them back.")
         page = gui.add_button(
             "Save page",
-            hint="One HTML file of what is shown, with its motion: it opens from disk, without "
-            "server or network.",
+            hint="Saves what is shown, with its motion, as one HTML file. It opens from disk, "
+            "without a server or a network.",
         )
         self.work_bar = WorkBar(host, "Cancel page", "demo", starts=(page,), done_color=GOOD)
         on_option(subject, lambda label: calls.on_subject(one_of(SUBJECTS, label)))
@@ -102,6 +101,6 @@ class DemoPanel:
             calls.on_play(event.client, one_of(PLAYABLE, event.target.value))
 
     def offer(self, names: tuple[str, ...]) -> None:
-        """Offer the views that were kept, the last one chosen."""
+        """Offer the saved views, the last one chosen."""
         self._kept.options = names or (NO_VIEW,)
         self._kept.value = names[-1] if names else NO_VIEW

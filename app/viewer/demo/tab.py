@@ -88,7 +88,7 @@ class DemoTab(Feature):
     def _play(self, client: viser.ClientHandle | None, playable: Playable) -> None:
         if playable == "pose graph":
             if self._world.graph is None:
-                self._bar.failed("Optimise the pose graph first, in Explore.")
+                self._bar.failed("Optimise the pose graph in Explore first.")
                 return
             self._bar.idle()
             self._desk.turn_to("world")
@@ -155,7 +155,7 @@ class DemoTab(Feature):
             name = f"{state.dataset.name}_{state.query_id}_{state.database_id}"
             write = partial(_write_closure, *shown)
         else:
-            self._bar.failed("Wait until there is a picture.")
+            self._bar.failed("Wait for the picture first.")
             return
         self._downloads.order(client, f"{safe_name(name, 'page')}.html", write)
 
@@ -200,9 +200,9 @@ def _write_world(
 
     count = len(world.poses)
     words = {
-        "odometry": "as odometry has them",
-        "true": "where they truly are",
-        "in rows": "in rows, for they have no poses",
+        "odometry": "at the poses from odometry",
+        "true": "at their true poses",
+        "in rows": "in rows, because they have no poses",
         "corrected": "moving from odometry to the corrected poses",
     }
     content = save_page(

@@ -38,7 +38,7 @@ STYLES: dict[Layer, LayerStyle] = {
     ),
 }
 NO_RANGE = (0.0, 1.0)
-"""Ends of a layer that nothing has a value of."""
+"""Ends of the colours where no cell has a value."""
 
 
 @dataclass(frozen=True)

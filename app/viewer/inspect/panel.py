@@ -16,7 +16,7 @@ PREVIOUS, NEXT, NONE = "previous", "next", "none"
 JPEG_QUALITY = 85
 NO_PICTURE = np.zeros((2, 2, 3), dtype=np.uint8)
 """Stands in, unseen, until the first is drawn."""
-NO_MATCH = "Choose an association by its number or with the keys N and P; both pictures show it."
+NO_MATCH = "Choose an association by its number, or with the keys N and P. Both pictures show it."
 
 
 @dataclass(frozen=True)
@@ -71,10 +71,14 @@ class MatchesPanel:
         """
         gui = host.gui
         self._number = gui.add_number(
-            "Match", 0, min=0, step=1, hint="Number of an association, from 1; 0 points at none."
+            "Association",
+            0,
+            min=0,
+            step=1,
+            hint="Number of an association, from 1; 0 chooses none.",
         )
         self._steps = gui.add_button_group(
-            "Step match",
+            "Step association",
             (PREVIOUS, NEXT, NONE),
             hint="Steps through the associations whose lines are shown (keys P and N).",
         )
@@ -115,18 +119,20 @@ class MatchesPanel:
 def match_html(number: int, figures: MatchFigures) -> str:
     """Write the figures of one association."""
     kind = "inlier" if figures.inlier else "outlier"
-    rows = [("descriptor distance", f"{figures.distance:.3f} ({figures.rank}. closest)")]
+    rows = [("descriptor distance", f"{figures.distance:.3f} (rank {figures.rank})")]
     if figures.residual is None:
-        rows.append(("residual", "no motion was found"))
+        rows.append(("residual", "unknown: no motion was found"))
     else:
-        rows.append(("residual", f"{figures.residual:.3f} m ({figures.allowed:g} m allowed)"))
+        rows.append(
+            ("residual", f"{figures.residual:.3f} m (at most {figures.allowed:g} m for an inlier)")
+        )
     rows += [
         ("in the query", _position(figures.query_xy)),
         ("in the database", _position(figures.database_xy)),
     ]
     return (
         f'<div data-testid="match" style="padding:.1em .75em .3em">'
-        f'<div style="font-size:.85em;font-weight:600">Match {number} of {figures.count:,}: '
+        f'<div style="font-size:.85em;font-weight:600">Association {number} of {figures.count:,}: '
         f"{kind}</div>{table(tuple(rows))}</div>"
     )
 

@@ -134,7 +134,7 @@ def _other_rows(
     ratio = state.params.features.max_std_ratio
     there = read(result.database_map if of_query else result.query_map, x, y, ratio)
     if there is None or not (there.trusted and reading.trusted):
-        return (("query minus database", "only one of them saw this place"),)
+        return (("query minus database", "unknown: only one of them saw this place"),)
     maps = result.query_map, result.database_map
     offset = z_offset_of(result.registration, maps, ratio)
     query, database = (reading, there) if of_query else (there, reading)
@@ -171,18 +171,18 @@ def title_of(state: ViewState, result: PairResult) -> str:
     registered = state.options.layout == "registered"
     if not registered or result.registration.T_database_query is None:
         return (
-            f"Gradient seen from above, light where it is steep: query {state.query_id}, "
+            f"The gradient from above, light where the ground is steep: query {state.query_id}, "
             f"and below it database {state.database_id}."
         )
     if state.options.layer == "difference":
-        return "Height of the query above the database, in the legend's colours."
+        return "The height of the query above the database, in the colours of the legend."
     match state.options.compare:
         case "query" | "database" as role:
-            return f"Gradient of the {role}, in the database's frame."
+            return f"The gradient of the {role}, in the database's frame."
         case "swipe":
-            return "Gradient: the database left of the line, the query right of it."
+            return "The gradient of the database left of the line, and of the query right of it."
         case "both" | "blink":
-            return "Gradients of both laid onto each other: where they are alike, they look grey."
+            return "The gradients of both, laid onto each other. Where they agree, they look grey."
 
 
 def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
@@ -193,11 +193,11 @@ def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
     overlaid = registered and options.compare in ("both", "blink")
     key: list[Key] = []
     if registered and options.layer == "difference":
-        key.append(Key("rgb(38,38,42)", "not trusted in both"))
+        key.append(Key("rgb(38,38,42)", "masked in one of the two maps"))
     elif overlaid:
         key += [Key(css(QUERY), "the query alone"), Key(css(DATABASE), "the database alone")]
     else:
-        key.append(Key(css(MASKED), "masked: no points near"))
+        key.append(Key(css(MASKED), "masked: no points nearby"))
     hidden = "" if options.inlier_lines else " (lines are off)"
     key.append(Key(css(inlier_color(result)), f"{inliers:,} inliers{hidden}"))
     hidden = "" if options.outlier_lines else " (lines are off)"
@@ -211,5 +211,5 @@ def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
                 strict=True,
             )
         )
-        key.append(Key(css(UNMATCHED), f"{alone:,} keypoints without partner"))
+        key.append(Key(css(UNMATCHED), f"{alone:,} keypoints without an association"))
     return tuple(key)

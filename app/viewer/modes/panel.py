@@ -11,11 +11,12 @@ Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
 
 MODES: tuple[Mode, ...] = get_args(Mode)
 GUIDES: dict[Mode, str] = {
-    "Explore": "All submaps where they lie. Click one for its figures; correct the map in the tab "
-    "Pose graph.",
-    "Tune": "Do the two submaps show the same place? Drag a slider: surfaces, matches and verdict "
-    "follow.",
-    "Demo": "Show it to others: views, motion, full screen, and a page to take away.",
+    "Explore": "See all submaps at their poses. Click one for its figures, and correct the map in "
+    "the tab Pose graph.",
+    "Tune": "Do the two submaps show the same place? Drag a slider: the surfaces, the "
+    "associations and the verdict follow.",
+    "Demo": "Show it to others with saved views, motion and full screen, or as a page to take "
+    "away.",
 }
 """What is to be seen in a mode, and what to do next."""
 
@@ -34,7 +35,7 @@ class ModesPanel:
         self._buttons = host.gui.add_button_group(
             "Mode",
             MODES,
-            hint="Explore all submaps, tune a pair, or demonstrate it.",
+            hint="Explore all submaps, tune a pair, or show it to others.",
         )
         self._guide = host.gui.add_html("")
         self.show(mode)

@@ -9,7 +9,7 @@ from app.viewer.widgets.html import BAD, BUSY, FAINT, message_line, paragraph, t
 
 INTRODUCTION = (
     "Did the search miss a closure, or find a wrong motion? Drag the query to where it belongs, "
-    "refine it by the ground, and give it to the pose graph."
+    "refine its pose, and hand it to the pose graph."
 )
 
 
@@ -45,22 +45,23 @@ class NudgePanel:
         self._active = gui.add_checkbox(
             "Move the query",
             initial_value=False,
-            hint="Lays it onto the database and puts handles on it: arrows shift it, the arc "
+            hint="Lays the query onto the database and shows handles: arrows shift it, the arc "
             "turns it.",
         )
         self._refine = gui.add_button(
             "Refine",
             disabled=True,
-            hint="Aligns the two surfaces from where the query was put; it should be within a few "
-            "length-scales.",
+            hint="Aligns the two surfaces, starting from the pose that you set. It should be "
+            "right to within a few length-scales.",
         )
         self._back = gui.add_button(
-            "Put it back", disabled=True, hint="Back to the motion that was found."
+            "Reset position", disabled=True, hint="Goes back to the motion that the search found."
         )
         self._use = gui.add_button(
             "Use in the pose graph",
             disabled=True,
-            hint="Accepts the pair by hand, with the refined motion; see Explore, Pose graph.",
+            hint="Accepts the pair by hand, with the refined motion. See the tab Pose graph in "
+            "Explore.",
         )
         self._figures = gui.add_html("")
         self._message = gui.add_html("")

@@ -190,7 +190,9 @@ class NudgeTab(Feature):
         if not self._active or self._shown is None or self._shown[1] is not job.result:
             return  # another pair is shown
         if motion is None or registration.covariance is None:
-            self._panel.say("Too little ground in common there: move it nearer.", bad=True)
+            self._panel.say(
+                "The two submaps share too little ground there. Move the query closer.", bad=True
+            )
             return
         self._refined = registration
         self._put(motion, with_gizmo=True)
@@ -203,7 +205,7 @@ class NudgeTab(Feature):
         if self._refined is not None and self._shown is not None:
             state = self._shown[0]
             self._desk.use_motion(state.query_id, state.database_id, self._refined)
-            self._panel.say("Accepted by hand: it is in Explore, Pose graph.")
+            self._panel.say("Accepted by hand: see the tab Pose graph in Explore.")
 
 
 def _onto_each_other(state: ViewState) -> SE2:

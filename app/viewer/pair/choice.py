@@ -46,19 +46,21 @@ class PairPanel:
         self._on_change = on_change
         ids = tuple(submap.id for submap in state.dataset.submaps)
         self._query = host.gui.add_dropdown(
-            "Query", ids, initial_value=state.query_id, hint="Submap that is to be recognised."
+            "Query", ids, initial_value=state.query_id, hint="The submap to recognise."
         )
         query_steps = host.gui.add_button_group(
-            "Step query", ("previous", "next"), hint="Step the query."
+            "Step query", ("previous", "next"), hint="Go to the previous or the next query."
         )
         self._database = host.gui.add_dropdown(
             "Database",
             ids,
             initial_value=state.database_id,
-            hint="Earlier submap that the query is compared with.",
+            hint="The earlier submap to compare the query with.",
         )
         database_steps = host.gui.add_button_group(
-            "Step database", ("previous", "next"), hint="Step the database submap."
+            "Step database",
+            ("previous", "next"),
+            hint="Go to the previous or the next database submap.",
         )
         for dropdown in (self._query, self._database):
             on_choice(dropdown, lambda _: self._report())

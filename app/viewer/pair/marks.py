@@ -57,7 +57,7 @@ class Marks:
         ends = np.stack([arc[0, 0], arc[-1, 1]])
         self._ends.show(place, lambda: (ends, _painted(CHOSEN, 2), END_SIZE * size))
         missed = residuals(result)
-        text = f"match {number}"
+        text = f"association {number}"
         if missed is not None:
             kind = "inlier" if result.registration.inliers[number - 1] else "outlier"
             text += f": {kind}, residual {missed[number - 1]:.3f} m"

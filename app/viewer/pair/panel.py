@@ -67,8 +67,8 @@ class ViewPanel:
                 "Layout",
                 LAYOUTS,
                 initial_value=options.layout,
-                hint="Each submap by itself, or the query laid onto the database "
-                "by the registration.",
+                hint="Each submap by itself, or the query laid onto the database as the "
+                "registration says.",
             ),
         )
         self._bind_choice(
@@ -77,8 +77,8 @@ class ViewPanel:
                 "Compare",
                 tuple(COMPARE_NAMES[compare] for compare in COMPARE),
                 initial_value=COMPARE_NAMES[options.compare],
-                hint="Registered submaps: both at once, one alone, database left and query right "
-                "of a line, or one after the other.",
+                hint="How to compare registered submaps: both at once, one alone, the database "
+                "left and the query right of a line, or one after the other.",
             ),
             COMPARE_NAMES,
         )
@@ -90,7 +90,7 @@ class ViewPanel:
                 1.0,
                 0.01,
                 options.swipe,
-                hint="Where the line stands: the database is left of it, the query right.",
+                hint="Position of the line: the database is left of it, the query right.",
             ),
         )
         self._bind_choice(
@@ -99,8 +99,8 @@ class ViewPanel:
                 "Layer",
                 tuple(LAYER_NAMES[layer] for layer in LAYERS),
                 initial_value=LAYER_NAMES[options.layer],
-                hint="What colours the surfaces. Height difference: query minus database under "
-                "the motion found; grey where only one of them saw the ground.",
+                hint="What the colours show. The height difference is query minus database after "
+                "registration; it is grey where only one of them saw the ground.",
             ),
             LAYER_NAMES,
         )
@@ -110,7 +110,7 @@ class ViewPanel:
                 "Colours",
                 COLOR_MAPS,
                 initial_value=options.color_map,
-                hint="Colour map of the layer; automatic chooses one that suits it.",
+                hint="Colour map of the layer. Automatic chooses one that suits it.",
             ),
         )
         self._legend = gui.add_html("")
@@ -127,7 +127,7 @@ class ViewPanel:
             gui.add_checkbox(
                 "Point clouds",
                 options.clouds,
-                hint="The measured points: blue of the query, orange of the database.",
+                hint="The measured points of the query (blue) and of the database (orange).",
             ),
         )
         self._bind(
@@ -135,8 +135,8 @@ class ViewPanel:
             gui.add_checkbox(
                 "Keypoints",
                 options.keypoints,
-                hint="Green: inlier (yellow if the pair is refused). "
-                "Red: association that does not fit. Grey: no partner.",
+                hint="Inliers are green (yellow if the pair is refused), outliers are red, and "
+                "keypoints without an association are grey.",
             ),
         )
         self._bind(
@@ -144,7 +144,7 @@ class ViewPanel:
             gui.add_checkbox(
                 "Inlier lines",
                 options.inlier_lines,
-                hint="Green: associations that agree with the registration.",
+                hint="Associations that agree with the registration (green).",
             ),
         )
         self._bind(
@@ -152,10 +152,10 @@ class ViewPanel:
             gui.add_checkbox(
                 "Outlier lines",
                 options.outlier_lines,
-                hint="Red: associations that do not agree with it.",
+                hint="Associations that do not agree with it (red).",
             ),
         )
-        camera = gui.add_button("Show both submaps", hint="Brings the camera back.")
+        camera = gui.add_button("Show both submaps", hint="Moves the camera back to both submaps.")
         with gui.add_folder("More view options", expand_by_default=False):
             self._bind(
                 "untrusted",
@@ -163,7 +163,7 @@ class ViewPanel:
                     "Masked cells",
                     UNTRUSTED,
                     initial_value=options.untrusted,
-                    hint="Cells that the variance mask rejects.",
+                    hint="What to do with cells that the variance mask rejects.",
                 ),
             )
             self._bind(
@@ -171,8 +171,8 @@ class ViewPanel:
                 gui.add_checkbox(
                     "Hillshade",
                     options.hillshade,
-                    hint="Light the elevation from the upper left; "
-                    "without it the colours are exactly the legend's.",
+                    hint="Lights the elevation from the upper left. Without it the colours are "
+                    "exactly those of the legend.",
                 ),
             )
             self._bind(
@@ -183,12 +183,12 @@ class ViewPanel:
                     0.2,
                     0.005,
                     options.point_size,
-                    hint="Of the point clouds.",
+                    hint="Size of a point of the point clouds.",
                 ),
             )
             self._bind(
                 "dark",
-                gui.add_checkbox("Dark", options.dark, hint="Light words on a dark page."),
+                gui.add_checkbox("Dark", options.dark, hint="Light text on a dark page."),
             )
 
         self._show_what_applies()

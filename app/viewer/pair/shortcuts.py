@@ -71,11 +71,11 @@ def add_shortcuts(
         layer="difference",
     )
     commands.add("Compare", "Both at once", both, key="Z")
-    commands.add("Match", "Next match", lambda: step_match(1), key="N")
-    commands.add("Match", "Previous match", lambda: step_match(-1), key="P")
+    commands.add("Association", "Next association", lambda: step_match(1), key="N")
+    commands.add("Association", "Previous association", lambda: step_match(-1), key="P")
     commands.add(
-        "Match",
-        "Point at no match and no place",
+        "Association",
+        "Choose no association and no place",
         lambda: desk.change(match=0, probe=None),
         key="U",
     )

@@ -199,4 +199,4 @@ def details(shown: Shown, state: ViewState) -> str:
         parts.append(f"{shown.num_points:,} points")
     if state.options.layout == "registered" and not shown.registered:
         parts.append("no motion found: shown side by side")
-    return " · ".join(parts) or "nothing is switched on"
+    return " · ".join(parts) or "everything is hidden"

@@ -91,7 +91,8 @@ class ParamsPanel(Generic[P]):
 
     def _add_defaults(self, title: str, members: list[Setting]) -> None:
         button = self._host.gui.add_button(
-            f"{title} defaults", hint="Back to the marks, for the parameters of this folder."
+            f"{title} defaults",
+            hint="Resets the parameters of this folder to their defaults (the marks).",
         )
 
         def reset() -> None:

@@ -122,7 +122,7 @@ class PresetsTool(Feature):
     def _parsed(self, name: str, content: bytes) -> PipelineParams:
         """Read an uploaded file as ``--params`` would: over what the dataset prefers."""
         if len(content) > LARGEST:
-            raise InputError(f"{name}: is too large for a file of parameters")
+            raise InputError(f"{name}: is too large for a parameter file")
         try:
             tables = tomllib.loads(content.decode("utf-8"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -1,4 +1,4 @@
-"""Presets: choose one, see what it is for, keep the present parameters as another."""
+"""Presets: choose one, see what it is for, save the present parameters as another."""
 
 from collections.abc import Callable
 
@@ -8,7 +8,7 @@ from app.viewer.host import Host
 from app.viewer.widgets.actions import on_choice, on_press, on_press_by, on_upload
 from app.viewer.widgets.html import BAD, FAINT, GOOD, paragraph
 
-CUSTOM: str = "none of these"
+CUSTOM: str = "custom"
 
 
 class PresetPanel:
@@ -38,22 +38,22 @@ class PresetPanel:
         """
         gui = host.gui
         self._list: viser.GuiDropdownHandle[str] = gui.add_dropdown(
-            "Preset", (CUSTOM,), initial_value=CUSTOM, hint="Sets every parameter."
+            "Preset", (CUSTOM,), initial_value=CUSTOM, hint="A preset sets all parameters."
         )
         self._purpose = gui.add_html("")
-        with gui.add_folder("Keep parameters", expand_by_default=False):
-            self._name = gui.add_text("Name", "", hint="Letters, digits, spaces and . + - ( ).")
+        with gui.add_folder("Save as preset", expand_by_default=False):
+            self._name = gui.add_text("Name", "", hint="Use letters, digits, spaces and . + - ( ).")
             save = gui.add_button(
                 "Save preset",
                 visible=can_save,
-                hint="Keeps the present parameters in the list, for the next time too.",
+                hint="Saves the present parameters in the list, for later sessions too.",
             )
             self._delete = gui.add_button("Delete preset", visible=False, color="red")
-            download = gui.add_button(
-                "Download parameters", hint="As a TOML file, which --params reads."
-            )
+            download = gui.add_button("Download parameters", hint="Saves a TOML file for --params.")
             upload = gui.add_upload_button(
-                "Upload parameters", mime_type=".toml", hint="A TOML file, as --params reads it."
+                "Upload parameters",
+                mime_type=".toml",
+                hint="Loads a TOML file like those for --params.",
             )
         self._message = gui.add_html("")
 

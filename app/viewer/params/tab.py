@@ -53,7 +53,7 @@ class ParamsTab(Feature):
         desk.join(FitTool(desk))
         desk.join(UndoTool(desk, commands))
         reset = desk.host.gui.add_button(
-            "Reset parameters", hint="Back to the parameters that this dataset started with."
+            "Reset parameters", hint="Goes back to the parameters that this dataset started with."
         )
         on_press(reset, lambda: desk.change(params=self._panel.reset()))
         desk.join(PresetsTool(desk))

@@ -38,10 +38,10 @@ class UndoTool(Feature):
         self._timer: threading.Timer | None = None
         gui = desk.host.gui
         self._undo = gui.add_button(
-            "Undo", disabled=True, hint="Back to the parameters before (Ctrl+Z)."
+            "Undo", disabled=True, hint="Goes back to the parameters before (Ctrl+Z)."
         )
         self._redo = gui.add_button(
-            "Redo", disabled=True, hint="Takes back an undo (Ctrl+Shift+Z).", visible=False
+            "Redo", disabled=True, hint="Takes the undo back (Ctrl+Shift+Z).", visible=False
         )
         for button, label, move, modifier in (
             (self._undo, "Undo", History[PipelineParams].undo, "cmd/ctrl"),

@@ -58,11 +58,12 @@ class PoseGraphPanel:
         gui = host.gui
         self._summary = gui.add_html("")
         find = gui.add_button(
-            "Find closures", hint="Compares every submap with all earlier ones, as All pairs does."
+            "Find closures",
+            hint="Compares every submap with all earlier ones, like the tab All pairs.",
         )
         optimise = gui.add_button(
             "Optimise",
-            hint="Corrects the poses by the accepted closures, and shows how the map relaxes. "
+            hint="Corrects the poses with the accepted closures, and shows how the map moves. "
             "Closures that the others contradict are left out.",
         )
         self.work_bar = WorkBar(host, "Cancel work", "graph", starts=(find, optimise))
@@ -71,35 +72,37 @@ class PoseGraphPanel:
         loops = gui.add_checkbox(
             "Accepted loops",
             initial_value=True,
-            hint="Arches from submap to submap, coloured by score; black: the pose graph found "
-            "that the others contradict it.",
+            hint="Arches between submaps, coloured by score. A black one contradicts the others.",
         )
-        refused = gui.add_checkbox("Refused pairs", initial_value=False, hint="Thin grey arches.")
+        refused = gui.add_checkbox(
+            "Refused pairs", initial_value=False, hint="Draws them as thin grey arches."
+        )
         self._pairs = PairList(
             host,
             "Loop",
             none=NO_LOOP,
-            hint="query → database · score · verdict · chi-square after optimising (it should be "
-            "a few); the chosen one stands out in the scene.",
+            hint="query → database · score · verdict · chi-square after optimising, which should "
+            "be a few. The chosen loop stands out in the scene.",
             on_choose=calls.on_choose,
         )
         verdicts = gui.add_button_group(
             "By hand",
             VERDICTS,
-            hint="Accept: the pose graph keeps it whatever the others say. As found: by the "
-            "thresholds again.",
+            hint="accept: the pose graph keeps the loop, whatever the others say. refuse: it "
+            "leaves the loop out. as found: the thresholds decide again.",
         )
         self._undo = gui.add_button(
-            "Undo decision", disabled=True, hint="Takes the last decision back."
+            "Undo decision", disabled=True, hint="Takes the last decision by hand back."
         )
         tune = gui.add_button(
-            "See it in Tune", hint="There its motion can also be nudged and refined."
+            "See it in Tune",
+            hint="Opens the pair in Tune, where you can also nudge and refine its motion.",
         )
         export = gui.add_button_group(
             "Export",
             FORMATS,
-            hint="closures: JSON with all verdicts. g2o: vertices and edges. TUM: the poses, "
-            "corrected if they have been optimised.",
+            hint="closures: all verdicts as JSON. g2o: the vertices and edges of the graph. TUM: "
+            "the corrected poses.",
         )
         on_press(find, calls.on_find)
         on_press(optimise, calls.on_optimise)

@@ -33,8 +33,8 @@ FILES: dict[Format, str] = {
 ACCEPTABLE: dict[Verdict, bool | None] = {"accept": True, "refuse": False, "as found": None}
 NOT_FOUND = (
     "No closures yet.",
-    "Find closures compares all pairs with the parameters as they are; the thresholds on the right "
-    "then decide which are accepted.",
+    "Find closures compares all pairs with the present parameters. The thresholds on the right "
+    "then decide which pairs are accepted.",
 )
 
 
@@ -181,7 +181,7 @@ class PoseGraphTab(Feature):
         task = self._task()
         if not any(closure.accepted for closure in task.closures):
             self._bar.failed(
-                "No closure is accepted: find closures, lower the thresholds, or accept one by "
+                "No closure is accepted. Find closures, lower the thresholds, or accept one by "
                 "hand."
             )
             return
@@ -194,7 +194,7 @@ class PoseGraphTab(Feature):
             self._bar.failed("Find closures first.")
             return
         if kind == "TUM" and graph is None:
-            self._bar.failed("Optimise first: these closures have corrected nothing.")
+            self._bar.failed("Optimise first: there are no corrected poses of these closures yet.")
             return
         write = partial(_write, task, self._state.params, graph)
         self._downloads.order(page, FILES[kind], write)
@@ -265,13 +265,13 @@ def result_rows(
         float(np.linalg.norm(pose.translation - before[name].translation))
         for name, pose in graph.poses.items()
     ]
-    rows.append(("farthest moved", f"{max(moved):.2f} m"))
+    rows.append(("largest correction", f"{max(moved):.2f} m"))
     true = true_poses(dataset)
     if len(true) >= 2:
         first, last = (trajectory_error(true, poses) for poses in (before, graph.poses))
         rows += [
             ("error (ATE)", f"{first.absolute:.3f} m → {last.absolute:.3f} m"),
-            ("of one step", f"{first.relative:.3f} m → {last.relative:.3f} m"),
+            ("error per step (RPE)", f"{first.relative:.3f} m → {last.relative:.3f} m"),
         ]
     rows.append(("solved in", f"{seconds:.2f} s"))
     return tuple(rows)

@@ -1,4 +1,4 @@
-"""The command that finds again what is shown."""
+"""The command that gives the result that is shown."""
 
 import shlex
 from pathlib import Path

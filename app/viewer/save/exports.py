@@ -70,7 +70,7 @@ class Exports(Feature):
 def _write_closures(state: ViewState, memo: Memo, path: Path, progress: Progress) -> None:
     dataset, params = state.dataset, state.params
     if len(dataset.submaps) < 2:
-        raise InputError(f"{dataset.name}: one submap alone closes no loop")
+        raise InputError(f"{dataset.name}: a loop closure needs two submaps")
     with ThreadPoolExecutor(num_workers(), thread_name_prefix="export") as executor:
         result = detect_loop_closures(
             dataset, params, executor=executor, memo=memo, progress=progress
@@ -99,7 +99,7 @@ def _write_picture(page: viser.ClientHandle, path: Path, progress: Progress) -> 
         )
     except TimeoutError as error:
         raise InputError(
-            f"the page gave no picture within {PICTURE_TIMEOUT:.0f} s: bring its window to the "
+            f"the page sent no picture within {PICTURE_TIMEOUT:.0f} s; bring its window to the "
             "front and try again"
         ) from error
     # With transparency, as PNG has it; OpenCV wants blue first.

@@ -35,19 +35,25 @@ class ExportPanel:
         gui = host.gui
         with gui.add_folder("Export"):
             self._closures = gui.add_dropdown(
-                "Closures as", closures, initial_value=closures[0], hint="Of all pairs."
+                "Closures as",
+                closures,
+                initial_value=closures[0],
+                hint="Format of the loop closures of all pairs.",
             )
             export = gui.add_button(
                 "Export closures",
-                hint="Registers all pairs with the present parameters, as far as that is not done.",
+                hint="Registers all pairs with the present parameters where that is not done yet.",
             )
             self._map = gui.add_dropdown("Map as", maps, initial_value=maps[0])
             self._of = gui.add_dropdown(
-                "Map of", ("query", "database"), initial_value="query", hint="Of which submap."
+                "Map of",
+                ("query", "database"),
+                initial_value="query",
+                hint="Which submap to export.",
             )
             map_button = gui.add_button("Export map")
             picture = gui.add_button(
-                "Export picture", hint="What this page shows, without the panels."
+                "Export picture", hint="Saves what this page shows, without the panels."
             )
             self.work_bar = WorkBar(host, "Cancel export", "export", done_color="inherit")
         on_press_by(export, lambda page: on_closures(self._closures.value, page))

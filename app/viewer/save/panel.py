@@ -1,4 +1,4 @@
-"""The command that finds again what is shown, and the session as a file."""
+"""The command that gives the same result, and the session as a file."""
 
 from collections.abc import Callable
 from html import escape
@@ -40,11 +40,11 @@ class SavingPanel:
         self._command = gui.add_html("")
         save = gui.add_button(
             "Save session",
-            hint="Dataset, pair, parameters, view and camera as a file for "
-            "`gpgrad view --state FILE`.",
+            hint="Saves dataset, pair, parameters, view and camera as a file for gpgrad view "
+            "--state FILE.",
         )
         restore = gui.add_upload_button(
-            "Restore session", mime_type=".toml", hint="From a file that was saved so."
+            "Restore session", mime_type=".toml", hint="Opens a file from 'Save session'."
         )
         self._message = gui.add_html("")
 
@@ -66,8 +66,11 @@ class SavingPanel:
 def command_html(command: str) -> str:
     """Write the box with the command, and the button that copies it."""
     if not command:
-        return paragraph("No command: a submap beside itself is no pair.", FAINT)
-    intro = paragraph("This finds the same inliers, score and motion (all pairs without --pair):")
+        return paragraph("There is no command for a submap beside itself: it is not a pair.", FAINT)
+    intro = paragraph(
+        "This command finds the same inliers, score and motion. Without --pair it compares all "
+        "pairs."
+    )
     return (
         f'{intro}<div style="padding:.2em .75em .4em">'
         f'<textarea data-testid="command" readonly rows="5" aria-label="Command" style="width:100%;'

@@ -16,7 +16,7 @@ CAMERA_KEYS = frozenset("WASDQE") | {"arrowup", "arrowdown", "arrowleft", "arrow
 FLYING = (
     ("Drag", "turn the view"),
     ("Right drag", "move the view"),
-    ("Wheel", "nearer or farther"),
+    ("Wheel", "zoom"),
     ("W A S D Q E, arrows", "fly"),
     ("Shift + click", "read the values of a surface"),
 )
@@ -133,8 +133,9 @@ def help_html(commands: tuple[Command, ...]) -> str:
     )
     return (
         '<div data-testid="help" style="padding:0 .75em;columns:2 16em">'
-        '<p style="font-size:.85em;margin-top:0;column-span:all">Ctrl/Cmd + K finds a command by '
-        "its name. Keys work while no box is being typed in: click the picture first.</p>"
+        '<p style="font-size:.85em;margin-top:0;column-span:all">Press Ctrl/Cmd + K to find a '
+        "command by its name. Keys work while you do not type in a box: click the picture "
+        "first.</p>"
         f"{tables}</div>"
     )
 

@@ -16,5 +16,5 @@ class PresenceLine:
         if count < 2:
             self._handle.content = ""
             return
-        said = f"{count} pages are open on this session: all see and change the same."
+        said = f"{count} pages share this session: all see and change the same."
         self._handle.content = f'<div data-testid="presence">{paragraph(said, FAINT)}</div>'

@@ -78,7 +78,7 @@ class StatusLine:
         """Say that a picture came, and that a newer one is being made."""
         self._rest()
         self._handle.content = status_html(
-            f"Computing … (shown: a moment ago, {1000 * seconds:.0f} ms)", BUSY
+            f"Computing … (shown: the picture before, {1000 * seconds:.0f} ms)", BUSY
         )
 
     def cancelled(self) -> None:

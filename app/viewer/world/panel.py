@@ -14,10 +14,8 @@ from app.viewer.widgets.work_bar import WorkBar
 from app.viewer.world.submaps import WORLD_COLORS, PoseSource, WorldOptions
 
 NOTHING: str = "none"
-COLOR_HINT = (
-    "submap: each its own colour. elevation: height in the world. deviation, gradient: of the "
-    "Gaussian-process maps, which are made when first asked for."
-)
+COLOR_HINT = "submap: each has its own colour. elevation: height in the world. deviation and "
+"gradient: of the Gaussian-process maps, which are made on first use."
 
 
 @dataclass(frozen=True)
@@ -60,39 +58,41 @@ class WorldPanel:
             "Poses",
             (options.poses,),
             initial_value=options.poses,
-            hint="Where the submaps stand: as odometry has them, as the pose graph corrects them, "
-            "or where they truly are.",
+            hint="Which poses the submaps have: from odometry, corrected by the pose graph, or "
+            "true.",
         )
         self._color: viser.GuiDropdownHandle[Any] = gui.add_dropdown(
             "Colour by", WORLD_COLORS, initial_value=options.color, hint=COLOR_HINT
         )
         self._legend = gui.add_html("")
         self.work_bar = WorkBar(host, "Cancel maps", "world")
-        names = gui.add_checkbox("Names", options.names, hint="Write each submap's id above it.")
+        names = gui.add_checkbox(
+            "Names", options.names, hint="Writes the id of each submap above it."
+        )
         trajectories = gui.add_checkbox(
             "Trajectories",
             options.trajectories,
-            hint="Orange: odometry. Blue: corrected. Grey: true.",
+            hint="Orange is odometry, blue is corrected, grey is true.",
         )
-        every = gui.add_button("Show all submaps", hint="Brings the camera back.")
+        every = gui.add_button("Show all submaps", hint="Moves the camera back to all submaps.")
         self._chosen: viser.GuiDropdownHandle[str] = gui.add_dropdown(
             "Submap",
             (NOTHING,),
             initial_value=NOTHING,
-            hint="Or click one in the scene.",
+            hint="You can also click a submap in the scene.",
         )
         self._steps = gui.add_button_group(
-            "Step submap", ("previous", "next"), hint="Step along the way."
+            "Step submap", ("previous", "next"), hint="Go to the previous or the next submap."
         )
         self._figures = gui.add_html("")
         self._look = gui.add_button(
-            "Look at it", visible=False, hint="Brings the camera to this submap."
+            "Look at it", visible=False, hint="Moves the camera to this submap."
         )
         self._roles = gui.add_button_group(
             "Tune it as",
             ("query", "database"),
             visible=False,
-            hint="Opens Tune with this submap and the other one that is set there.",
+            hint="Opens this submap in Tune, as the query or the database.",
         )
         for name, handle in (
             ("poses", self._poses),

@@ -344,9 +344,7 @@ def _summary(world: World, num_cells: int, seconds: float) -> tuple[str, ...]:
     count, shown = len(world.dataset.submaps), len(world.poses)
     lines = [f"{shown} submaps · {num_cells:,} cells · {1000 * seconds:.0f} ms"]
     if world.options.poses == "in rows":
-        lines.append("The dataset has no poses: the submaps lie in rows.")
+        lines.append("The dataset has no poses, so the submaps lie in rows.")
     elif shown < count:
-        lines.append(
-            f"{count - shown} of {count} submaps have no pose of this kind and are not shown."
-        )
+        lines.append(f"{count - shown} of {count} submaps have no such pose and are not shown.")
     return tuple(lines)

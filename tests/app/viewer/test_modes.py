@@ -232,7 +232,9 @@ def test_a_closure_glides_into_place(session: Session) -> None:
     database = np.array(node(session, "/pair/database").position)
     np.testing.assert_allclose((registered - database)[:2], [1.0, -0.5], atol=1e-6)
     user_sets(find(gui(session), "Play"), "pose graph")
-    assert "Optimise the pose graph first" in feature(session, DemoTab)._panel.work_bar.said
+    assert (
+        "Optimise the pose graph in Explore first" in feature(session, DemoTab)._panel.work_bar.said
+    )
 
 
 def test_the_query_is_nudged_and_refined(session: Session) -> None:

@@ -109,7 +109,7 @@ def test_many_events_end_on_the_last_and_do_not_echo(
         user_sets(slider, value)
     assert session.wait_idle(20)
     assert pipeline.calls[-1] == needing(23)
-    assert "of 23 needed" in said(session.pair._verdict)
+    assert "(threshold 23)" in said(session.pair._verdict)
     calls = len(pipeline.calls)
     assert calls - before <= 191
     assert not session.pair._runner._waiting

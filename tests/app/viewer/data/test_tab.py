@@ -139,7 +139,7 @@ def test_a_zipped_dataset_is_uploaded(
     assert opening.wait_idle(20)
     assert not Path(opened[0].source).exists()  # it is no longer open
     upload(server, opening, "broken.zip", b"PK\x03\x04")
-    assert "broken.zip: is no whole zip archive" in said(opening)
+    assert "broken.zip: is not a complete zip archive" in said(opening)
 
 
 def test_clouds_gather_in_one_dataset(

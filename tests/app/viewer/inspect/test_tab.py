@@ -72,22 +72,22 @@ def test_the_flat_picture_is_drawn_with_its_legend(inspection: InspectTab) -> No
         "masked",
     ):
         assert words in said(inspection)
-    assert "2 keypoints without partner" in said(inspection)
+    assert "2 keypoints without an association" in said(inspection)
 
 
 def test_an_association_is_chosen_by_number_and_by_step(
     server: viser.ViserServer, inspection: InspectTab, recorder: Recorder
 ) -> None:
-    user_sets(find(server, "Step match"), "next")
+    user_sets(find(server, "Step association"), "next")
     assert asked(recorder) == []  # nothing is shown yet
     inspection.show(STATE, RESULT)
-    user_sets(find(server, "Match"), 14)
-    user_sets(find(server, "Step match"), "next")
+    user_sets(find(server, "Association"), 14)
+    user_sets(find(server, "Step association"), "next")
     inspection.show(with_match(STATE, 12), RESULT)
-    assert find(server, "Match").value == 12
-    user_sets(find(server, "Step match"), "next")  # round the end: outliers are not shown
-    user_sets(find(server, "Step match"), "previous")
-    user_sets(find(server, "Step match"), "none")
+    assert find(server, "Association").value == 12
+    user_sets(find(server, "Step association"), "next")  # round the end: outliers are not shown
+    user_sets(find(server, "Step association"), "previous")
+    user_sets(find(server, "Step association"), "none")
     inspection.show(with_match(seeing(outlier_lines=True), 12), RESULT)
     inspection.step(1)
     assert asked(recorder) == [14, 1, 1, 11, 0, 13]
@@ -98,15 +98,15 @@ def test_the_figures_of_an_association_have_their_units(inspection: InspectTab) 
     result = replace(RESULT, matches=replace(RESULT.matches, distances=distances))
     inspection.show(with_match(STATE, 14), result)
     html = said(inspection)
-    assert "Match 14 of 17: outlier" in html
-    assert "0.250 (4. closest)" in html
-    assert "1.414 m (0.3 m allowed)" in html
+    assert "Association 14 of 17: outlier" in html
+    assert "0.250 (rank 4)" in html
+    assert "1.414 m (at most 0.3 m for an inlier)" in html
     figures = match_figures(with_match(STATE, 2), result)
     assert figures is not None
     assert figures.inlier
     assert figures.residual == pytest.approx(0.0, abs=1e-9)
     inspection.show(with_match(STATE, 99), result)
-    assert "Match 99" not in said(inspection)
+    assert "Association 99" not in said(inspection)
 
 
 def test_without_a_motion_there_is_no_residual() -> None:
@@ -137,7 +137,7 @@ def test_a_place_is_read_with_all_its_values(
     page: Any = None
     up = viser.SceneClickEvent(page, 1, (0.0, 0.0, 9.0), (0.0, 0.0, 1.0), (0.5, 0.5), "shift")
     inspection.clicked(up)
-    assert "No surface there" in said(inspection)
+    assert "There is no surface" in said(inspection)
 
 
 def test_a_masked_place_is_told(inspection: InspectTab) -> None:

@@ -111,7 +111,7 @@ def test_the_association_pointed_at_stands_out_and_the_others_step_back(
     chosen = node(server, "/pair/match/line")
     assert chosen.visible
     assert len(chosen.points) == ARC_PIECES
-    assert node(server, "/pair/match/label").text == "match 2: inlier, residual 0.000 m"
+    assert node(server, "/pair/match/label").text == "association 2: inlier, residual 0.000 m"
     assert lines.thickness < bold < chosen.thickness
     assert not np.array_equal(lines.colors, colors)
     ends = node(server, "/pair/match/ends").points
@@ -119,7 +119,7 @@ def test_the_association_pointed_at_stands_out_and_the_others_step_back(
     start = query.apply(np.append(RESULT.matches.query_xy[1], 0.0)[None])[0]
     np.testing.assert_allclose(ends[0, :2], start[:2], atol=1e-4)
     scene.show(with_match(STATE, 13), RESULT)
-    assert "match 13: outlier, residual 1.414 m" in node(server, "/pair/match/label").text
+    assert "association 13: outlier, residual 1.414 m" in node(server, "/pair/match/label").text
     for number in (0, 99):  # none, and none of that number
         scene.show(with_match(STATE, number), RESULT)
         assert not chosen.visible

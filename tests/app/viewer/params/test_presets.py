@@ -43,13 +43,13 @@ def test_the_list_points_at_what_the_parameters_are(
     presets = make(server, recorder, tmp_path)
     chosen = find(server, "Preset")
     assert chosen.value == "default"
-    assert "Stereo" in presets._panel._purpose.content
+    assert "stereo clouds" in presets._panel._purpose.content
     user_sets(chosen, "smooth ground")
     assert gone_to(recorder)[-1].map.length_scale == 0.45
     presets.follow(with_params(STATE, gone_to(recorder)[-1]))
     assert "half a metre" in presets._panel._purpose.content
     presets.follow(with_params(STATE, needing(7)))
-    assert chosen.value == "none of these"
+    assert chosen.value == "custom"
     assert presets._panel._purpose.content == ""
 
 
@@ -72,7 +72,7 @@ def test_ones_own_are_kept_for_the_next_time(
     presets.follow(with_params(STATE, needing(7)))
     user_presses(find(server, "Delete preset"))
     assert list((tmp_path / "presets").iterdir()) == []
-    assert find(server, "Preset").value == "none of these"
+    assert find(server, "Preset").value == "custom"
 
 
 def test_a_file_of_parameters_is_taken_or_refused(

@@ -138,5 +138,5 @@ def test_what_cannot_be_exported_is_told(exports: Exports) -> None:
     page = FakePage()
     exports._desk.open(Opened(Dataset("one", STATE.dataset.submaps[:1]), PipelineParams(), ""))
     order(exports, page, "closures", "JSON")
-    assert "closes no loop" in said(exports)
+    assert "needs two submaps" in said(exports)
     assert page.files == {}

@@ -36,7 +36,7 @@ def test_the_command_follows_the_session_and_is_escaped(saving: SaveTab) -> None
     assert "--closure.min-inliers 7" in said(saving)
     saving._desk.change(pair=("000", "000"))
     assert "gpgrad detect" not in said(saving)
-    assert "no pair" in said(saving)
+    assert "not a pair" in said(saving)
 
 
 def test_a_session_goes_out_and_comes_back(
