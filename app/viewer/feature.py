@@ -1,4 +1,4 @@
-"""The features of the viewer and their desk: what a feature may ask for, and what it is told.
+"""The features of the viewer and their desk: what a feature may ask, and what it is told.
 
 A feature is a tab or a tool. It knows its session by one object, the desk. It reads the present
 state there and asks for changes there; the desk tells all features of whatever happens. So no

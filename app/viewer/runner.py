@@ -1,4 +1,4 @@
-"""One worker that always ends on the newest job: sliders move faster than terrain is inferred."""
+"""One worker that always ends on the newest job, because sliders outrun the pipeline."""
 
 import contextlib
 import logging

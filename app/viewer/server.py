@@ -1,4 +1,4 @@
-"""The server: pages come and go, sessions with them."""
+"""The server: gives each page that comes a session."""
 
 import contextlib
 import io

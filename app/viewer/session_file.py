@@ -1,4 +1,4 @@
-"""A session as a file: what is open, shown and set, and from where it is looked at."""
+"""A session as a file: dataset, pair, parameters, view and camera."""
 
 import math
 import tomllib
@@ -51,7 +51,7 @@ class SavedSession:
                 dataset.submap(name)
 
     def apply(self, state: ViewState) -> ViewState:
-        """Set all that was saved, on a dataset that was just opened."""
+        """Apply everything that was saved to a dataset that was just opened."""
         state = with_pair(state, query_id=self.query_id, database_id=self.database_id)
         return with_options(with_params(state, self.params), self.options)
 
@@ -92,7 +92,7 @@ def read_session(path: Path) -> SavedSession:
 
 
 def parse_session(text: str, where: str) -> SavedSession:
-    """Take a session out of the text of its file.
+    """Parse the text of a saved session.
 
     Args:
         text: TOML.

@@ -128,7 +128,7 @@ def open_dataset(
 def with_pair(
     state: ViewState, *, query_id: str | None = None, database_id: str | None = None
 ) -> ViewState:
-    """Choose the query, the database submap, or both; what was pointed at is no longer there.
+    """Choose the query, the database submap, or both; nothing is pointed at then.
 
     Raises:
         InputError: If the dataset has no such submap.
@@ -187,7 +187,7 @@ def same_surfaces(first: ViewState, second: ViewState) -> bool:
 
 
 def neighbour(dataset: Dataset, submap_id: str, step: int, *, skip: str | None = None) -> str:
-    """Name the submap ``step`` places on, round the end.
+    """Name the submap ``step`` places further; after the last comes the first.
 
     Args:
         dataset: Whose order counts.
@@ -205,7 +205,7 @@ def neighbour(dataset: Dataset, submap_id: str, step: int, *, skip: str | None =
 
 
 def promising_pair(dataset: Dataset) -> tuple[str, str]:
-    """Choose (query, database) to begin with: a revisit, as far as the robot itself knew.
+    """Choose the first (query, database): a revisit, as far as odometry tells.
 
     What the dataset prefers comes first. Else, of the submaps that are not neighbours along the
     way, take the two that odometry (or else the truth) has closest together. Without poses, take

@@ -29,7 +29,7 @@ RULES: dict[str, Rule] = {rule.name: rule for rule in EvaluationParams().rules}
 
 @dataclass(frozen=True, eq=False)
 class ComparedPairs:
-    """Every pair of a dataset, registered.
+    """All pairs of a dataset with their registrations.
 
     Attributes:
         dataset: Whose pairs.
@@ -44,7 +44,7 @@ class ComparedPairs:
     truth: TruePairs | None
 
     def is_of(self, state: ViewState) -> bool:
-        """Say whether a state would give the same registrations: thresholds do not matter."""
+        """Say whether a state would give the same registrations; thresholds do not matter."""
         params = replace(state.params, closure=self.params.closure)
         return state.dataset is self.dataset and params == self.params
 
@@ -73,12 +73,12 @@ class TruthCheck:
 
 @dataclass(frozen=True, eq=False)
 class JudgedPairs:
-    """A compared at some thresholds.
+    """All pairs, judged at some thresholds.
 
     Attributes:
-        compared: What was judged.
+        compared: The pairs that were judged.
         closures: Every pair with its verdict, as `DetectionResult` orders them.
-        check: Beside the truth, where that is known.
+        check: The comparison with the truth, where that is known.
         outcomes: Of each closure: `RIGHT` or `WRONG` if it was accepted and the truth decides,
             `MISSED` if it was wrongly refused, and else `ACCEPTED` or `REFUSED`.
     """
@@ -90,7 +90,7 @@ class JudgedPairs:
 
     @property
     def num_accepted(self) -> int:
-        """Pairs taken for loop closures."""
+        """Number of pairs accepted as loop closures."""
         return sum(closure.accepted for closure in self.closures)
 
     def scores(self) -> Float[Array, "n n"]:
@@ -143,10 +143,10 @@ def compare_pairs(
 
 
 def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> JudgedPairs:
-    """Give every pair its verdict, and set the verdicts beside the truth.
+    """Judge every pair, and compare the verdicts with the truth.
 
     Args:
-        compared: Registered pairs.
+        compared: The registered pairs.
         thresholds: Of the verdict.
         rule: When a pair is truly the same place.
     """

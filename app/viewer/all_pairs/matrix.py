@@ -18,7 +18,7 @@ TOP_SHARE = 0.995
 
 
 def affinity_svg(judged: JudgedPairs, shown: tuple[str, str] | None = None) -> str:
-    """Draw the matrix: a row a query, a column a database submap.
+    """Draw the matrix, with a row per query and a column per database submap.
 
     Args:
         judged: All pairs with their verdicts.
@@ -62,7 +62,7 @@ def affinity_svg(judged: JudgedPairs, shown: tuple[str, str] | None = None) -> s
 
 
 def highest_color(judged: JudgedPairs) -> float:
-    """Say which score has the last colour."""
+    """Give the score that has the last colour."""
     scores = np.array([closure.registration.score for closure in judged.closures])
     return max(float(np.quantile(scores, TOP_SHARE)), 1e-9) if len(scores) else 1.0
 

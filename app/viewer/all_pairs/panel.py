@@ -34,7 +34,7 @@ class Choice:
 
     @property
     def label(self) -> str:
-        """As the list has it."""
+        """Text of the list's entry."""
         return f"{self.query} → {self.database} · {self.score:.1f} · {self.outcome}"
 
 
@@ -122,7 +122,7 @@ class AllPairsPanel:
         on_choice(self._narrow, lambda _: self._list(self._pairs.chosen))
 
     def clear(self) -> None:
-        """Forget what was found: another dataset is open."""
+        """Clear everything, because another dataset is open."""
         self._choices = ()
         for html in (self._summary, self._matrix, self._curve):
             html.content = ""

@@ -131,7 +131,7 @@ def _judge(job: _Judging, progress: Progress) -> JudgedPairs:
 
 
 def findings(judged: JudgedPairs, state: ViewState) -> Findings:
-    """Put what was judged into pictures and words."""
+    """Turn the judged pairs into pictures and words."""
     compared, count = judged.compared, judged.num_accepted
     seconds = compared.result.seconds["total"]
     closures = "loop closure" if count == 1 else "loop closures"

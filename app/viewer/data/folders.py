@@ -1,4 +1,4 @@
-"""What can be opened below a folder, and nothing beyond it: links are followed before judging."""
+"""What can be opened below a folder. Links are resolved first, so nothing outside can be."""
 
 import os
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ MOST_ENTRIES = 500
 
 @dataclass(frozen=True)
 class Listing:
-    """What there is to choose in a folder.
+    """What a user can choose in a folder.
 
     Attributes:
         folder: Relative to the root; "." is the root itself.
@@ -104,7 +104,7 @@ def list_folder(root: Path, folder: Path) -> Listing:
 
 
 def _entries(path: Path) -> Iterator[Path]:
-    """Walk over all that loading a dataset may touch; links to folders are named, not entered."""
+    """List all that loading a dataset may read; links to folders are listed but not entered."""
     if path.is_file():
         yield path
         return

@@ -34,7 +34,7 @@ class Request:
 
     @property
     def name(self) -> str:
-        """As people are told it."""
+        """What messages call it."""
         if self.upload is not None:
             return self.upload[0]
         return "the demo" if self.path is None else str(self.path)
@@ -191,7 +191,7 @@ class DataTab(Feature):
         return folder, ()
 
     def _forget(self, request: Request, source: Path) -> None:
-        """Remove what was uploaded and cannot be loaded."""
+        """Remove an upload that cannot be loaded."""
         if request.upload is None:
             return
         cloud = source / request.upload[0]

@@ -1,4 +1,4 @@
-"""A zipped dataset from a browser -> a folder: nothing outside of it, nothing huge, nothing odd."""
+"""Unpack a zipped dataset from a browser into a folder, safely: nothing outside, nothing huge."""
 
 import io
 import shutil
@@ -108,7 +108,7 @@ def _place(name: str, member: zipfile.ZipInfo) -> PurePosixPath:
 
 
 def _is_hidden(place: PurePosixPath) -> bool:
-    """Say whether it is the system's, not the user's: .DS_Store, __MACOSX/…."""
+    """Say whether the system made the file, not the user (.DS_Store, __MACOSX/…)."""
     return any(part.startswith((".", "__MACOSX")) for part in place.parts)
 
 
@@ -145,7 +145,7 @@ def check_cloud(path: Path, most_bytes: int) -> None:
 
 
 def _dataset_in(folder: Path) -> Path:
-    """Go down as long as there is nothing but one folder, which is not the submaps themselves."""
+    """Enter folders as long as they hold one folder only, which is not the submaps themselves."""
     while True:
         entries = list(folder.iterdir())
         if len(entries) != 1 or not entries[0].is_dir() or entries[0].name == "submaps":

@@ -28,7 +28,7 @@ NO_VIEW: str = "none saved"
 
 @dataclass(frozen=True)
 class DemoCalls:
-    """What the panel calls; all must be quick. The page that asks comes along where it matters.
+    """What the panel calls; all must be quick. The page that asks is passed where it matters.
 
     Attributes:
         on_subject: Given what is to be seen: the pair or the world.

@@ -72,7 +72,7 @@ class DemoTab(Feature):
         self.workers = (self._player, self._pilot, self._downloads)
 
     def show(self, state: ViewState, result: PairResult) -> None:
-        """Take what is shown; play it if that was asked for."""
+        """Take the pair that is shown, and play it if a user asked for that."""
         with self._lock:
             self._shown = state, result
             playing = self._playing and state.options.layout == "registered"
@@ -136,7 +136,7 @@ class DemoTab(Feature):
         self._panel.offer(names)
 
     def _whole(self) -> Camera | None:
-        """Give the view that shows all of what is seen now."""
+        """Give the view that shows everything in the present scene."""
         if self._world.scene.visible:
             return self._world.camera()
         return self._pair.camera(self._desk.state)

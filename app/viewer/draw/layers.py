@@ -15,7 +15,7 @@ MAX_SAMPLES = 20_000
 
 @dataclass(frozen=True)
 class LayerStyle:
-    """How a layer is named and coloured unless the user chooses."""
+    """Name, unit and default colours of a layer."""
 
     label: str
     unit: str

@@ -71,7 +71,7 @@ class PointsNode:
         self._handle.visible = True
 
     def hide(self) -> None:
-        """Take it out of sight."""
+        """Hide it."""
         if self._handle is not None:
             self._handle.visible = False
 
@@ -122,7 +122,7 @@ class LinesNode:
             self._handle.thickness = thickness
 
     def hide(self) -> None:
-        """Take it out of sight."""
+        """Hide it."""
         if self._handle is not None:
             self._handle.visible = False
 
@@ -160,7 +160,7 @@ class SubmapNode:
 
     @property
     def visible(self) -> bool:
-        """Whether it is seen, with all that hangs on it."""
+        """Whether it is seen, with everything below it."""
         return self._frame.visible
 
     @visible.setter
@@ -173,7 +173,7 @@ class SubmapNode:
         self._frame.wxyz = placement.wxyz
 
     def name(self, submap: Submap, extent: Extent) -> None:
-        """Write beside it which submap this is and how large, and draw its outline."""
+        """Write its name and size beside it, and draw its outline."""
         width, depth, _ = extent.size
         self._label.text = f"{self._role} {submap.id} · {width:.1f} m x {depth:.1f} m"
         # On the edge that a camera looking along y sees as the far one, at the outer corner, so

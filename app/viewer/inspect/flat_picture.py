@@ -1,4 +1,4 @@
-"""The pair as a flat picture: gradient images, keypoints and associations, as OpenCV draws them.
+"""The pair as a flat picture: gradient images, keypoints and associations, drawn by OpenCV.
 
 It is drawn from the same state and result as the scene. Side by side, the query's image stands
 above the database's; registered, both lie on each other in the database's frame.

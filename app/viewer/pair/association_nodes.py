@@ -36,7 +36,7 @@ class AssociationNodes:
         self._marks = Marks(host, root)
 
     def hide(self) -> None:
-        """Take all of them out of sight."""
+        """Hide all of them."""
         for node in self._nodes:
             node.keypoints.hide()
         self._inlier_lines.hide()

@@ -1,4 +1,4 @@
-"""What is drawn: layer, colours and their legend, layout, matches."""
+"""What is drawn: layer, colours and their legend, layout, associations."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace

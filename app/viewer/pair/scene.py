@@ -43,7 +43,7 @@ MAX_CLOUD_POINTS = 200_000
 
 @dataclass(frozen=True)
 class Shown:
-    """What a picture turned out to be, for the read-outs.
+    """What the picture shows, for the read-outs.
 
     Attributes:
         scale: Of the layer's colours; None while no surface is shown.
@@ -98,8 +98,8 @@ class PairScene:
         self._annotations = Annotations(host, PAIR)
         self._associations = AssociationNodes(host, PAIR, (self._query, self._database))
         self._blinker = Blinker(host, (self._query, self._database))
+        # The registration last found, and the state whose pair it is of.
         self._registered: tuple[ViewState, Registration] | None = None
-        """The registration last found, and the state whose pair it is of."""
         self._lock = threading.Lock()  # two workers draw: the pair's, and the one that plays
         self._last: PairResult | None = None
         self._ground: Ground | None = None
@@ -107,7 +107,7 @@ class PairScene:
 
     @property
     def visible(self) -> bool:
-        """Whether the pair is to be seen; what is shown meanwhile is there when it is again."""
+        """Whether the pair is visible; hidden, it is drawn all the same."""
         return self._root.visible
 
     @visible.setter

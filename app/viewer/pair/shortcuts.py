@@ -1,4 +1,4 @@
-"""The commands that every session has: what people do often, on a key."""
+"""The commands of the pair: keys for what people do often."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -109,7 +109,7 @@ def _add_pairs(commands: Commands, pair: PairTab) -> None:
 
 
 def changed(options: ViewOptions, **changes: object) -> ViewOptions:
-    """Copy options with some of them changed; what a command shows is switched on to be seen."""
+    """Copy options with some of them changed; a layer also switches the surfaces on."""
     if "layer" in changes:
         changes = {"surfaces": True} | changes
     return replace(options, **changes)

@@ -1,4 +1,4 @@
-"""Status of the pair's picture: what is being computed, how far it is, and what took how long."""
+"""Status of the pair's picture: what is computed, how far it is, and what took how long."""
 
 import threading
 import time

@@ -23,7 +23,7 @@ class VerdictCard:
         self._handle.content = self._card
 
     def outdate(self, why: str = "") -> None:
-        """Fade the card: it is not about what is shown or set.
+        """Fade the card, because it is not about the present picture.
 
         Args:
             why: Written above it; empty while a new one is coming.

@@ -1,4 +1,4 @@
-"""The Fit button: wires its panel to a runner, and the result to the sliders."""
+"""The Fit button: wires its panel to a worker, and the result to the session."""
 
 import threading
 from dataclasses import replace
@@ -58,7 +58,7 @@ def _fit(state: ViewState, progress: Progress) -> FitResult:
 
 
 def with_fitted(params: MapParams, found: dict[str, float]) -> MapParams:
-    """Copy the parameters of the map with the fitted values in place."""
+    """Replace parameters of the map by fitted values."""
     return replace(params, **found)
 
 

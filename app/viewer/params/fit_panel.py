@@ -1,4 +1,4 @@
-"""A button that sets the terrain's parameters to what explains the points best."""
+"""A button that sets the terrain's parameters to the values that explain the points best."""
 
 from collections.abc import Callable
 from html import escape

@@ -1,4 +1,4 @@
-"""Presets: choose one, see what it is for, save the present parameters as another."""
+"""Presets: choose one, see what it is for, or save the present parameters as a new one."""
 
 from collections.abc import Callable
 

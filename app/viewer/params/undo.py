@@ -17,7 +17,7 @@ SETTLED_AFTER = 0.7
 
 
 class UndoTool(Feature):
-    """Remembers the parameters that sliders came to rest at."""
+    """Remembers the parameters at which the sliders came to rest."""
 
     def __init__(
         self, desk: Desk, commands: Commands, *, settled_after: float = SETTLED_AFTER

@@ -87,7 +87,7 @@ def _write_map(
 
 
 def _write_picture(page: viser.ClientHandle, path: Path, progress: Progress) -> None:
-    """Ask the page for what it shows; in a worker's thread, for the answer takes seconds."""
+    """Ask the page for its picture; in a worker's thread, because that takes seconds."""
     progress(0.0)
     camera = page.camera
     try:

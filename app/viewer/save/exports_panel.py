@@ -1,4 +1,4 @@
-"""Files to take away: loop closures, maps, a picture of the view."""
+"""Exports: loop closures, maps and a picture of the view."""
 
 from collections.abc import Callable
 

@@ -33,7 +33,7 @@ class Command:
 
     @property
     def keys(self) -> str:
-        """The keys as people write them; empty if it has none."""
+        """The keys as text; empty if it has none."""
         if self.key is None:
             return ""
         parts = [*(self.modifier or "").split("+"), self.key]
@@ -42,7 +42,7 @@ class Command:
 
 
 class Commands:
-    """All commands of a session, added by whoever has one."""
+    """All commands of a session."""
 
     def __init__(self, host: Host) -> None:
         """Begin with the command that shows the others.
@@ -112,7 +112,7 @@ class Commands:
 
 
 def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None:
-    """Open a page that lists all commands, on the page that asks only."""
+    """List all commands in a dialog on the page that asks."""
     modal = client.gui.add_modal("Keys and commands")
     with modal:
         client.gui.add_html(help_html(commands))
@@ -122,7 +122,7 @@ def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None
 
 
 def help_html(commands: tuple[Command, ...]) -> str:
-    """Write the list, a table a group."""
+    """Write the list, with a table per group."""
     groups: dict[str, list[tuple[str, str]]] = {"Picture": list(FLYING)}
     for command in commands:
         groups.setdefault(command.group, []).append((command.keys, command.label))

@@ -1,11 +1,11 @@
-"""How many people look at the same session."""
+"""How many pages share the session."""
 
 from app.viewer.host import Host
 from app.viewer.widgets.html import FAINT, paragraph
 
 
 class PresenceLine:
-    """A line that is empty while one is alone."""
+    """A line that is empty while one page is open."""
 
     def __init__(self, host: Host) -> None:
         """Make it in the current container."""

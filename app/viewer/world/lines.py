@@ -1,4 +1,4 @@
-"""Poses -> lines: the way of the robot, and the loops that join places along it."""
+"""Lines of the world: the trajectory of the robot, and the loops that join places on it."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The scene of the world: every submap at its pose, the robot's ways, and the loops between them.
+"""The scene of the world: every submap at its pose, trajectories, and loops.
 
 A submap is a frame with a surface beneath it, so that moving it sends a pose and nothing else.
 """
@@ -39,7 +39,7 @@ SELECTED: Rgb = (235, 40, 140)
 MAX_NAMES = 60
 """Of more submaps, only every second is named, or every third, …"""
 LIFT = 0.08
-"""How far ways and loops stand above the ground, in widths of a submap."""
+"""How far trajectories and loops stand above the ground, in widths of a submap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +184,7 @@ class WorldScene:
         return frame_camera(((Extent.of(submap), self._placement(self._shown.poses[name])),))
 
     def path(self) -> Float[Array, "n 3"]:
-        """Give the way along the submaps as the scene has it [m]."""
+        """Give the trajectory along the submaps in the scene [m]."""
         if self._shown is None:
             return np.zeros((0, 3))
         points = [pose.translation - self._origin for pose in self._shown.poses.values()]
@@ -197,7 +197,7 @@ class WorldScene:
             self._nodes.append(_Node(self._host, f"{WORLD}/submaps/{len(self._nodes)}"))
 
     def _place(self, poses: Mapping[str, Pose]) -> None:
-        """Move frames to poses, and draw the ways and loops that end there."""
+        """Move the frames to poses, and draw trajectories and loops between them."""
         world = self._shown
         assert world is not None
         for node in self._nodes:
@@ -215,7 +215,7 @@ class WorldScene:
             if known is None or not world.options.trajectories:
                 segments.hide()
                 continue
-            # The way that the submaps stand on goes along when they move.
+            # The trajectory that the submaps stand on moves along with them.
             along = (
                 local
                 if source == world.options.poses
@@ -310,7 +310,7 @@ class _Node:
         self.name, self.surfels = "", None
 
     def remove(self) -> None:
-        """Take it out of the scene, and free what the pages hold of it."""
+        """Remove it from the scene and from the pages."""
         self._frame.remove()
 
 

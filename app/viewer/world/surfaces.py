@@ -1,4 +1,4 @@
-"""All submaps at once: a light surface of each, told apart or compared by its colour.
+"""All submaps at once: a light surface of each, coloured by submap or by value.
 
 Two kinds of surface serve. A smoothed grid takes a hundredth of a second a submap, and shows
 shape and height; deviation and gradient need the Gaussian process, whose maps the pipeline makes
@@ -56,7 +56,7 @@ class Surface:
 
 
 def quick_surface(submap: Submap, params: PipelineParams, memo: Memo, num_submaps: int) -> Surface:
-    """Make the smoothed grid of a submap, as coarse as so many of them ask for.
+    """Make the smoothed grid of a submap, coarser the more submaps there are.
 
     Raises:
         InputError: If the grid would be too large.
@@ -77,7 +77,7 @@ def quick_surface(submap: Submap, params: PipelineParams, memo: Memo, num_submap
 def inferred_surface(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> Surface:
-    """Infer a submap's gradient map: the full one if it is at hand, and else a coarse one.
+    """Infer a submap's gradient map: the full one if the memo has it, and else a coarse one.
 
     Raises:
         InputError: If the map cannot be made.
@@ -139,7 +139,7 @@ def make_patch(
 
 
 def submap_color(place: int) -> Rgb:
-    """Give a submap its own colour, unlike those of its neighbours along the way."""
+    """Give a submap its own colour, unlike those of its neighbours along the trajectory."""
     red, green, blue = colorsys.hls_to_rgb((0.58 + GOLDEN_TURN * place) % 1.0, 0.62, 0.5)
     return round(255 * red), round(255 * green), round(255 * blue)
 

@@ -229,7 +229,7 @@ class WorldTab(Feature):
             self.select(ids[0] if step > 0 else ids[-1])
 
     def _tune(self, role: str) -> None:
-        """Tune the chosen submap with the one that has the other role, or a neighbour of it."""
+        """Show the chosen submap in Tune, with the submap that has the other role there."""
         state, chosen = self._state, self._selected
         if chosen is None:
             return
@@ -310,7 +310,7 @@ class WorldTab(Feature):
         self._host.flush()
 
     def _on_cancel(self, job: _Job) -> None:
-        """Go back to colours that need no maps."""
+        """Go back to colours that need no inferred maps."""
         del job
         self._change(options=replace(self._options, color="submap"))
 
@@ -331,7 +331,7 @@ class WorldTab(Feature):
 
 
 def relaxation(graph: OptimisedGraph, move: Callable[[Mapping[str, Pose]], None]) -> Animation:
-    """Let the world relax from odometry to the corrected poses, as the solver went."""
+    """Animate the world from odometry to the corrected poses, as the solver went."""
     return Animation(RELAXING_SECONDS, lambda share: move(graph.at(ease(share))), rest=1.5)
 
 
