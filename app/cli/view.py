@@ -12,9 +12,9 @@ from typing_extensions import Doc
 
 from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load
 from app.cli.terminal import say
-from app.viewer.permissions import Places
-from app.viewer.save.session_file import read_saved
+from app.viewer.permissions import Permissions
 from app.viewer.server import Viewer
+from app.viewer.session_file import read_session
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import read_parameters
@@ -72,7 +72,7 @@ class View:
             raise InputError(f"--root {self.root}: there is no such folder")
         if self.max_upload < 1:
             raise InputError(f"--max-upload must be 1 MB or more, got {self.max_upload}")
-        saved = None if self.state is None else read_saved(self.state)
+        saved = None if self.state is None else read_session(self.state)
         source = self.dataset or (saved and saved.dataset) or demo_path()
         dataset = load(source)
         base = base_params(dataset, None if saved else self.params)
@@ -89,7 +89,7 @@ class View:
             source=str(source),
             saved=saved and replace(saved, params=params),
             sessions=self.sessions,
-            places=Places(
+            permissions=Permissions(
                 config=self.config or user_config_path("gpgrad", appauthor=False),
                 root=self.root,
                 max_upload=1_000_000 * self.max_upload,

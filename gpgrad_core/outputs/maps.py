@@ -81,7 +81,8 @@ UNITS = {"elevation": "m", "variance": "m2", "slope_x": "m/m", "slope_y": "m/m",
 def write_arrays(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
     """Write layers and their grid as an NPZ; memory-mapped layers are not read into memory."""
     arrays = {"origin": np.asarray(grid.origin), "resolution": np.asarray(grid.resolution)}
-    np.savez_compressed(path, **layers, **arrays)
+    entries: dict[str, Any] = {**layers, **arrays}  # none is a keyword of NumPy's own
+    np.savez_compressed(path, **entries)
 
 
 def write_raster(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:

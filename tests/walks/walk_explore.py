@@ -198,7 +198,7 @@ def demo(tour: Tour) -> tuple[Path, Path]:
     tour.shot("from_above")
     page.press("oblique")
     tour.rest()
-    page.press("Keep this view")
+    page.press("Save this view")
     page.press("closure")
     expect_motion(
         lambda: tour.shot("gliding", rest=False),

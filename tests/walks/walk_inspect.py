@@ -94,7 +94,7 @@ def test_matches_are_looked_at_one_by_one(tour: Tour) -> None:
 
     tour.act(lambda: page.key("n"), "first_match")
     first = page.say("match")
-    assert first.startswith("Match ")
+    assert first.startswith("Association ")
     assert number_after("descriptor distance", first) > 0
     assert 0 <= number_after("residual", first) <= number_after("m (", first)  # it is an inlier
     assert np.abs(tour.pane().astype(int) - flat).max() > 100
@@ -103,15 +103,15 @@ def test_matches_are_looked_at_one_by_one(tour: Tour) -> None:
     tour.act(lambda: page.key("p"), "previous_match")
     assert page.say("match") == first
 
-    box = page.widget("Match")
+    box = page.widget("Association")
     box.click()
     box.press("Control+a")
     box.type("10", delay=100)
-    page.wait(lambda: page.say("match").startswith("Match 10 of"), "match 10")
+    page.wait(lambda: page.say("match").startswith("Association 10 of"), "match 10")
     tour.picture("match_10")
     tour.act(lambda: page.key("o"), "outliers_too")
     tour.act(lambda: page.key("l"), "match_registered")
-    assert page.say("match").startswith("Match 10 of")
+    assert page.say("match").startswith("Association 10 of")
     tour.act(lambda: page.key("t"), "from_above")
     tour.act(lambda: page.key("u"), "nothing_pointed_at")
     assert page.say("match") == ""
@@ -191,7 +191,7 @@ def test_values_are_read_and_their_colours_are_the_legends(tour: Tour) -> None:
     page.wait(lambda: page.say("reading") != before, "the values of another map")
     tour.picture("values_follow")
     page.shift_click(*tour.at(0.5, 0.02))
-    page.wait(lambda: page.page.get_by_text("No surface there").count() == 1, "a miss told")
+    page.wait(lambda: page.page.get_by_text("There is no surface").count() == 1, "a miss told")
 
 
 def test_the_histogram_stands_on_the_legend_with_the_masks_threshold(tour: Tour) -> None:
@@ -273,7 +273,7 @@ def read_at(tour: Tour, place: tuple[float, float]) -> tuple[NDArray[np.int_], s
     png = page.page.screenshot(clip={"x": x, "y": y, "width": 1, "height": 1})
     color = np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)[0, 0]
     page.shift_click(x + 0.5, y + 0.5)
-    missed = page.page.get_by_text("No surface there")
+    missed = page.page.get_by_text("There is no surface")
     page.wait(lambda: page.say("reading") != "" or missed.count() > 0, "values")
     words = page.say("reading")
     if not words:

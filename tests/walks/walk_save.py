@@ -24,7 +24,7 @@ import pytest
 import tifffile
 import trimesh
 
-from app.viewer.permissions import Places
+from app.viewer.permissions import Permissions
 from app.viewer.server import Viewer
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.outputs import read_closures
@@ -128,7 +128,7 @@ def viewer(data: Path, tmp_path: Path) -> Iterator[Viewer]:
         QUICK,
         port=0,
         source=str(source),
-        places=Places(config=tmp_path / "config", root=data, max_upload=20_000_000),
+        permissions=Permissions(config=tmp_path / "config", root=data, max_upload=20_000_000),
     )
     yield made
     made.close()
@@ -184,12 +184,12 @@ def test_parameters_are_undone_set_by_presets_and_kept(tour: Tour, tmp_path: Pat
 
     view.choose("Preset", "smooth ground")
     tour.wait(lambda: view.value("Length-scale") == 0.45, "the preset's length-scale")
-    tour.wait(lambda: page.get_by_text("Swells of half a metre").count() == 1, "its purpose")
+    tour.wait(lambda: page.get_by_text("swells of half a metre").count() == 1, "its purpose")
     view.settle()
     tour.snap("04_preset")
     view.type_value("Noise", "0.08")
-    tour.wait(lambda: page.get_by_text("Swells of half a metre").count() == 0, "none of these")
-    tour.unfold("Keep parameters")
+    tour.wait(lambda: page.get_by_text("swells of half a metre").count() == 0, "custom")
+    tour.unfold("Save as preset")
     view.type_text("Name", "my ground")
     view.press("Save preset")
     tour.wait(lambda: "my ground.toml" in tour.text("preset-message"), "the preset's file")
@@ -317,7 +317,7 @@ def test_datasets_come_from_the_browser(tour: Tour, data: Path) -> None:
     loading.wait_for(timeout=20_000)
     page.screenshot(path=str(tour.pictures / "31_loading.png"))
     loading.click()
-    page.get_by_text("Cancelled: long").wait_for(timeout=20_000)
+    page.get_by_text("Cancelled.").wait_for(timeout=20_000)
     assert page.get_by_text("demo · 10 submaps").count() <= 1
     view.type_text("Folder", "/etc")
     view.press("Load")
@@ -345,7 +345,7 @@ def test_datasets_come_from_the_browser(tour: Tour, data: Path) -> None:
     view.settle()
     tour.upload("Upload clouds or a .zip", "evil.zip", b"PK\x03\x04not really")
     error.wait_for(timeout=20_000)
-    assert "evil.zip: is no whole zip archive" in error.inner_text()
+    assert "evil.zip: is not a complete zip archive" in error.inner_text()
     tour.snap("34_refused")
     view.type_text("Folder", "demo")
     view.press("Load")

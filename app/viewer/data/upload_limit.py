@@ -1,4 +1,4 @@
-"""Uploads that are too large end before they fill the memory.
+"""Stops uploads that are too large before they fill the memory.
 
 viser gathers whatever a page sends, and tells of it when it is whole. What is used here is not of
 its public interface; its version is pinned to the minor.
@@ -13,7 +13,7 @@ from app.viewer.host import Host
 
 
 def limit_uploads(host: Host, most_bytes: int, on_refused: Callable[[str, int], None]) -> None:
-    """Forget what a page uploads as soon as it is known to be too large.
+    """Drop an upload as soon as it is known to be too large.
 
     Args:
         host: Whose upload buttons are meant.

@@ -43,7 +43,7 @@ def save_page(
     dark: bool = False,
     progress: Progress = silent,
 ) -> bytes:
-    """Build a scene and write it down as a page.
+    """Build a scene and save it as an HTML page.
 
     Args:
         compose: Fills the scene of a fresh server.
@@ -75,7 +75,7 @@ def save_page(
 
 
 def with_title(page: str, title: str, caption: str, legend: str, *, dark: bool) -> str:
-    """Lay a headline and a legend over a page of viser's.
+    """Add a headline and a legend to a page that viser wrote.
 
     Raises:
         ValueError: If the page is not what viser writes.

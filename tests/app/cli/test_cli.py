@@ -36,7 +36,7 @@ class FakeViewer:
     source: str = ""
     sessions: str = "shared"
     saved: object = None
-    places: object = None
+    permissions: object = None
     url: str = "http://127.0.0.1:8080"
     closed: bool = False
 

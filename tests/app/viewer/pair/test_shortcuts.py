@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer import session as app_session
-from app.viewer.capacity import Turns
-from app.viewer.session import Opened, Session
+from app.viewer.capacity import Capacity
+from app.viewer.opened import Opened
+from app.viewer.pair import tab as pair_module
+from app.viewer.session import Session
 from app.viewer.state import LAYERS
 from app.viewer.widgets.commands import CAMERA_KEYS
 from gpgrad_core.run.memo import Memo
@@ -19,8 +20,8 @@ from tests.app.widgets import find
 
 @pytest.fixture
 def session(server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:
-    monkeypatch.setattr(app_session, "register_pair", FakePipeline())
-    made = Session(server, Opened(make_dataset(300), needing(8), ""), Memo(), Turns())
+    monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
+    made = Session(server, Opened(make_dataset(300), needing(8), ""), Memo(), Capacity())
     assert made.wait_idle(20)
     yield made
     made.close()
@@ -108,15 +109,15 @@ def test_keys_step_through_matches_and_pairs(server: viser.ViserServer, session:
 
 
 def test_a_click_is_read_until_it_is_cleared(server: viser.ViserServer, session: Session) -> None:
-    ground = session._scene._ground
+    ground = session.pair.scene._ground
     assert ground is not None
     above = ground.placements[1].apply(np.array([[0.3, 0.4, 9.0]]))[0]
-    session._pick(click(above, -1.0))
+    session.inspect.clicked(click(above, -1.0))
     probe = session.state.probe
     assert probe is not None
     assert (probe.role, probe.x, probe.y) == ("database", pytest.approx(0.3), pytest.approx(0.4))
     assert session.wait_idle(20)
-    session._pick(click(above, 1.0))
+    session.inspect.clicked(click(above, 1.0))
     assert session.state.probe == probe
     press(server, "U")
     assert session.state.probe is None
@@ -133,4 +134,4 @@ def test_the_camera_moves_on_the_page_that_asks_only(
     assert z > 0
     assert np.hypot(x, y) < 0.01 * z
     press(server, "R", page=page)
-    assert page.camera.position == session._scene.camera(session.state).position
+    assert page.camera.position == session.pair.scene.camera(session.state).position

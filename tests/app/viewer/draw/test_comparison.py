@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from app.viewer.draw.comparison import compared_cells, height_difference, pixel_motion, resample
 from app.viewer.draw.placement import Placement
-from app.viewer.pair.comparison import compared_cells, height_difference, pixel_motion, resample
 from app.viewer.state import open_dataset
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.se2 import SE2

@@ -1,4 +1,4 @@
-"""A session as a file: what is open, shown and set, and from where it is looked at."""
+"""A session as a file: dataset, pair, parameters, view and camera."""
 
 import math
 import tomllib
@@ -22,7 +22,7 @@ KEYS = ("dataset", "query", "database", "view", "params", "camera")
 
 
 @dataclass(frozen=True, eq=False)
-class Saved:
+class SavedSession:
     """What the file holds.
 
     Attributes:
@@ -52,12 +52,12 @@ class Saved:
                 dataset.submap(name)
 
     def apply(self, state: ViewState) -> ViewState:
-        """Set all that was saved, on a dataset that was just opened."""
+        """Apply everything that was saved to a dataset that was just opened."""
         state = with_pair(state, query_id=self.query_id, database_id=self.database_id)
         return with_options(with_params(state, self.params), self.options)
 
 
-def saved_text(state: ViewState, camera: Camera | None) -> str:
+def session_text(state: ViewState, camera: Camera | None) -> str:
     """Write a session as TOML.
 
     Args:
@@ -78,7 +78,7 @@ def saved_text(state: ViewState, camera: Camera | None) -> str:
     return f"# gpgrad view --state FILE\n{tomli_w.dumps(table)}"
 
 
-def read_saved(path: Path) -> Saved:
+def read_session(path: Path) -> SavedSession:
     """Read a session from a file.
 
     Raises:
@@ -89,18 +89,18 @@ def read_saved(path: Path) -> Saved:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "is not a text in UTF-8"
         raise InputError(f"{path}: cannot be read: {reason}") from error
-    return parse_saved(text, str(path))
+    return parse_session(text, str(path))
 
 
-def parse_saved(text: str, where: str) -> Saved:
-    """Take a session out of the text of its file.
+def parse_session(text: str, where: str) -> SavedSession:
+    """Parse the text of a saved session.
 
     Args:
         text: TOML.
         where: Name of the file, for the message.
 
     Raises:
-        InputError: As `read_saved`.
+        InputError: As `read_session`.
     """
     try:
         table = tomllib.loads(text)
@@ -112,7 +112,7 @@ def parse_saved(text: str, where: str) -> Saved:
             f"{where}: is not a saved session: unknown key {unknown[0]}; known: {', '.join(KEYS)}"
         )
     dataset = _text(table, "dataset", where)
-    return Saved(
+    return SavedSession(
         None if dataset is None else Path(dataset),
         _text(table, "query", where),
         _text(table, "database", where),

@@ -27,7 +27,7 @@ def pixel_motion(T_target_source: SE2, source: Grid, target: Grid) -> Float[Arra
 def resample(
     values: Values, grid: Grid, onto: Grid, T_grid_onto: SE2, *, beyond: float = np.nan
 ) -> Values:
-    """Read a field at the cells of another grid, between its own cells.
+    """Interpolate a field at the cells of another grid.
 
     Args:
         values: On ``grid``; what lies next to a cell that is NaN, or to the rim, becomes NaN.
@@ -55,7 +55,7 @@ def height_difference(
     z_offset: float,
     max_std_ratio: float,
 ) -> tuple[Values, Values]:
-    """Say how much higher the query's ground is than the database's, once registered [m].
+    """Give the height of the query above the database after registration [m].
 
     Args:
         query_map: The query's map.

@@ -1,7 +1,7 @@
 import time
 
+from app.viewer.pair.timing import STAGE_OF, TimedMemo
 from app.viewer.state import open_dataset
-from app.viewer.timing import STAGE_OF, TimedMemo
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams, register_pair
 from gpgrad_core.pipeline.coarse import infer_quick_map

@@ -2,25 +2,30 @@
 
 import time
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
+from gpgrad_core.features import detect_features, select_trusted
+from gpgrad_core.gradient_map import fit_terrain, sample_map
+from gpgrad_core.matching import match_features
+from gpgrad_core.pipeline.coarse import fit_roughly, thin_evenly
+from gpgrad_core.registration import prepare, register_prepared
 from gpgrad_core.run.memo import Memo
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-STAGE_OF = {
-    "fit_terrain": "map",
-    "sample_map": "map",
-    "thin_evenly": "map",
-    "fit_roughly": "map",
-    "detect_features": "features",
-    "select_trusted": "features",
-    "match_features": "matching",
-    "prepare": "registration",
-    "register_prepared": "registration",
+STAGE_OF: dict[Callable[..., Any], str] = {
+    fit_terrain: "map",
+    sample_map: "map",
+    thin_evenly: "map",
+    fit_roughly: "map",
+    detect_features: "features",
+    select_trusted: "features",
+    match_features: "matching",
+    prepare: "registration",
+    register_prepared: "registration",
 }
-"""The stage that each function which the pipeline asks its memo for belongs to."""
+"""The stage that each function belongs to which the pipeline asks its memo for."""
 
 
 class TimedMemo(Memo):
@@ -46,11 +51,10 @@ class TimedMemo(Memo):
         try:
             return self._memo(function, *arguments, **unkeyed)
         finally:
-            name = getattr(function, "__name__", "other")
-            self.add(STAGE_OF.get(name, name), time.perf_counter() - start)
+            self.add(STAGE_OF.get(function, "other"), time.perf_counter() - start)
 
     def keep(self, result: R, function: Callable[..., R], *arguments: object) -> R:
-        """Hand the other memo a result that was computed elsewhere, beside what is counted."""
+        """Hand the other memo a result that was computed elsewhere, without counting it."""
         return self._memo.keep(result, function, *arguments)
 
     def add(self, stage: str, seconds: float) -> None:

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.viewer.pair.readout import label_text, other_place, read
+from app.viewer.draw.readout import label_text, other_place, read
 from app.viewer.state import open_dataset
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import GradientMap, Grid

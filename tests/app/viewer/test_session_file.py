@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.viewer.draw.placement import Camera
-from app.viewer.save.session_file import parse_saved, read_saved, saved_text
+from app.viewer.session_file import parse_session, read_session, session_text
 from app.viewer.state import (
     COLOR_MAPS,
     LAYERS,
@@ -60,7 +60,7 @@ def test_all_goes_there_and_back(
     )
     params = PipelineParams(map=MapParams(length_scale=length_scale, max_points=max_points))
     state = state_of(params, options)
-    saved = parse_saved(saved_text(state, camera), "here")
+    saved = parse_session(session_text(state, camera), "here")
     assert saved.dataset == Path(state.source)
     assert saved.camera == camera
     saved.check(DATASET)
@@ -70,9 +70,9 @@ def test_all_goes_there_and_back(
 
 def test_the_demo_is_no_path_of_this_machine() -> None:
     state = open_dataset(DATASET, PipelineParams(), source=str(demo_path()))
-    text = saved_text(state, None)
+    text = session_text(state, None)
     assert str(demo_path()) not in text
-    assert parse_saved(text, "here").dataset is None
+    assert parse_session(text, "here").dataset is None
 
 
 @pytest.mark.parametrize(
@@ -91,16 +91,16 @@ def test_the_demo_is_no_path_of_this_machine() -> None:
 )
 def test_what_cannot_be_is_refused_in_one_line(text: str, said: str) -> None:
     with pytest.raises(InputError) as refused:
-        parse_saved(text, "here")
+        parse_session(text, "here")
     assert said in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
 def test_a_file_that_cannot_be_read_and_a_pair_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
-        read_saved(tmp_path / "nowhere.toml")
+        read_session(tmp_path / "nowhere.toml")
     (tmp_path / "odd.toml").write_bytes(b"\xff\xff")
     with pytest.raises(InputError, match="UTF-8"):
-        read_saved(tmp_path / "odd.toml")
+        read_session(tmp_path / "odd.toml")
     with pytest.raises(InputError, match="no submap '999'"):
-        parse_saved("query = '999'", "here").check(DATASET)
+        parse_session("query = '999'", "here").check(DATASET)

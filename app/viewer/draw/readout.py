@@ -1,4 +1,4 @@
-"""What the maps say at one place: the figures behind a colour."""
+"""The values of the maps at one place."""
 
 from dataclasses import dataclass
 from math import atan, atan2, degrees, hypot
@@ -101,7 +101,7 @@ def other_place(
 
 
 def label_text(reading: Reading) -> str:
-    """Write a reading in the few words that stand beside the point itself."""
+    """Write a reading as a short label for the point itself."""
     digits = significant_digits(reading.std)
     return (
         f"{reading.elevation:.{digits}f} ± {reading.std:.{digits}f} m · slope {reading.slope:.1f}°"
@@ -109,7 +109,7 @@ def label_text(reading: Reading) -> str:
 
 
 def significant_digits(std: float) -> int:
-    """Say how many decimals a height deserves: two digits of its deviation, 2 to 5 of them.
+    """Give the number of decimals of a height: two digits of its deviation, 2 to 5 in all.
 
     >>> significant_digits(0.0123), significant_digits(0.5)
     (3, 2)
