@@ -52,7 +52,7 @@ def save_page(
         dark: Light writing on a dark ground.
         progress: Called once a picture of what moves; may raise Cancelled.
     """
-    # viser tells of a server that starts and stops; nobody asked.
+    # viser prints when a server starts and stops; that is of no interest here.
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:

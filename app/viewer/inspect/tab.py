@@ -21,7 +21,7 @@ from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.run.progress import Progress
 
-_Job = tuple[ViewState, PairResult]
+_ShownPair = tuple[ViewState, PairResult]
 
 
 class InspectTab(Feature):
@@ -37,13 +37,13 @@ class InspectTab(Feature):
         self._desk = desk
         self._pick = pick
         self._lock = threading.Lock()
-        self._shown: _Job | None = None
+        self._shown: _ShownPair | None = None
         self._reading = ReadingPanel(desk.host, lambda: desk.change(probe=None))
         self._matches = MatchesPanel(
             desk.host, on_match=lambda number: desk.change(match=number), on_step=self.step
         )
         # Drawn after the scene, and only the newest: the flat picture must cost the 3D nothing.
-        self._painter: Runner[_Job, Image] = Runner(
+        self._painter: Runner[_ShownPair, Image] = Runner(
             _draw,
             self._on_drawn,
             lambda _, error: self._matches.failed(message_of(error)),
@@ -87,7 +87,7 @@ class InspectTab(Feature):
         else:
             self._desk.change(probe=probe)
 
-    def _on_drawn(self, job: _Job, image: Image, seconds: float) -> None:
+    def _on_drawn(self, job: _ShownPair, image: Image, seconds: float) -> None:
         del seconds
         host = self._desk.host
         with host.atomic():
@@ -105,7 +105,7 @@ class InspectTab(Feature):
         self._reading.show(f"{probe.role} {submap}", rows, trusted=reading.trusted)
 
 
-def _draw(job: _Job, progress: Progress) -> Image:
+def _draw(job: _ShownPair, progress: Progress) -> Image:
     del progress  # it takes less than the runner's patience
     return draw_pane(*job)
 

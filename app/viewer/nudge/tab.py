@@ -25,7 +25,7 @@ GIZMO_SHARE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class _Refinement:
     state: ViewState
     result: PairResult
     start: SE2
@@ -59,7 +59,7 @@ class NudgeTab(Feature):
                 on_use=self._use,
             ),
         )
-        self._refiner: Runner[_Job, Registration] = Runner(
+        self._refiner: Runner[_Refinement, Registration] = Runner(
             self._align,
             self._on_refined,
             lambda _, error: self._panel.say(message_of(error), bad=True),
@@ -172,9 +172,9 @@ class NudgeTab(Feature):
     def _refine(self) -> None:
         if self._shown is not None and self._active:
             self._panel.say("Refining …")
-            self._refiner.submit(_Job(*self._shown, self._motion))
+            self._refiner.submit(_Refinement(*self._shown, self._motion))
 
-    def _align(self, job: _Job, progress: Progress) -> Registration:
+    def _align(self, job: _Refinement, progress: Progress) -> Registration:
         result = job.result
         progress(0.0)
         return refine(
@@ -185,7 +185,7 @@ class NudgeTab(Feature):
             job.state.params.registration,
         )
 
-    def _on_refined(self, job: _Job, registration: Registration, seconds: float) -> None:
+    def _on_refined(self, job: _Refinement, registration: Registration, seconds: float) -> None:
         motion = registration.T_database_query
         if not self._active or self._shown is None or self._shown[1] is not job.result:
             return  # another pair is shown

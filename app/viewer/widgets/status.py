@@ -105,8 +105,8 @@ def stages_text(stages: Mapping[str, float] | None) -> str:
     >>> stages_text({"map": 0.12, "matching": 0.0001, "drawing": 0.008})
     'map 120 · drawing 8 ms'
     """
-    told = {stage: s for stage, s in (stages or {}).items() if s >= WORTH_TELLING}
-    return " · ".join(f"{stage} {1000 * s:.0f}" for stage, s in told.items()) + " ms" * bool(told)
+    shown = {stage: s for stage, s in (stages or {}).items() if s >= WORTH_TELLING}
+    return " · ".join(f"{stage} {1000 * s:.0f}" for stage, s in shown.items()) + " ms" * bool(shown)
 
 
 def status_html(text: str, color: str, title: str = "", below: str = "") -> str:

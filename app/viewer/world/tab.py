@@ -58,7 +58,7 @@ class Correction:
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class _Drawing:
     state: ViewState
     options: WorldOptions
     correction: Correction
@@ -106,7 +106,7 @@ class WorldTab(Feature):
         )
         self._offer()
         self._panel.select(None, ())
-        self._work: Work[_Job, _DrawnWorld] = Work(
+        self._work: Work[_Drawing, _DrawnWorld] = Work(
             self._panel.work_bar,
             lambda job: "Making the maps" if job.infers else "",
             self._draw,
@@ -218,7 +218,7 @@ class WorldTab(Feature):
         if not self.scene.visible:
             return
         with self._lock:
-            job = _Job(self._state, self._options, self._correction, self._selected, relaxing)
+            job = _Drawing(self._state, self._options, self._correction, self._selected, relaxing)
         self._work.start(job)
 
     def _step(self, step: int) -> None:
@@ -255,7 +255,7 @@ class WorldTab(Feature):
 
     # What the worker does.
 
-    def _draw(self, job: _Job, progress: Progress) -> _DrawnWorld:
+    def _draw(self, job: _Drawing, progress: Progress) -> _DrawnWorld:
         dataset, options, correction = job.state.dataset, job.options, job.correction
         surfaces = self._surfaces(job, progress)
         trajectories: dict[PoseSource, Mapping[str, Pose]] = {
@@ -278,10 +278,11 @@ class WorldTab(Feature):
         if not job.relaxing or graph is None:
             return _DrawnWorld(world, self.scene.show(world))
         scale = self.scene.show(world, at=graph.at(0.0))
-        play(relaxation(graph, self.scene.mover()), progress)
+        # The maps are there by now; what moves is no progress, but can be cancelled.
+        play(relaxation(graph, self.scene.mover()), lambda _: progress(1.0))
         return _DrawnWorld(world, scale)
 
-    def _surfaces(self, job: _Job, progress: Progress) -> dict[str, Surface]:
+    def _surfaces(self, job: _Drawing, progress: Progress) -> dict[str, Surface]:
         submaps, params = job.state.dataset.submaps, job.state.params
         surfaces: dict[str, Surface] = {}
         for place, submap in enumerate(submaps):
@@ -293,7 +294,7 @@ class WorldTab(Feature):
                 progress((place + 1) / len(submaps))
         return surfaces
 
-    def _on_result(self, job: _Job, drawn: _DrawnWorld, seconds: float) -> None:
+    def _on_result(self, job: _Drawing, drawn: _DrawnWorld, seconds: float) -> None:
         self._drawn = drawn
         self._panel.show_summary(_summary(drawn.world, self.scene.num_cells, seconds))
         self._panel.show_legend(legend_html(drawn.scale))
@@ -309,7 +310,7 @@ class WorldTab(Feature):
                     set_view(client, camera)
         self._host.flush()
 
-    def _on_cancel(self, job: _Job) -> None:
+    def _on_cancel(self, job: _Drawing) -> None:
         """Go back to colours that need no inferred maps."""
         del job
         self._change(options=replace(self._options, color="submap"))
