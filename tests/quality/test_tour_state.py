@@ -301,7 +301,7 @@ def test_files_are_taken_away(tour: Tour) -> None:
     assert drawn is not None
     assert drawn.std() > 5
     shutil.copy(path, tour.pictures / "21_exported_view.png")
-    assert "view.png" in tour.text("export")
+    assert "view.png" in tour.text("export-message")
     tour.snap("22_exported")
     assert page.get_by_role("button", name="Cancel export").count() == 0
 
