@@ -231,7 +231,7 @@ def test_a_session_goes_out_as_a_command_and_a_file_and_comes_back(
     assert motion is not None
     for number in (
         f"inliers\t{found.num_inliers}",
-        f"score\t{found.score:.2f}",
+        f"score\t{found.score:.1f}",
         f"yaw\t{np.degrees(motion.yaw):+.1f}°",
         f"offset\t{motion.x:+.2f} m, {motion.y:+.2f} m",
         f"overlap\t{found.overlap_area:.1f} m²",
