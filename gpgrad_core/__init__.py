@@ -40,6 +40,7 @@ from gpgrad_core.pipeline import (
     PipelineParams,
     detect_loop_closures,
     register_pair,
+    resolve_parameters,
 )
 from gpgrad_core.registration import RegistrationParams, refine, register
 from gpgrad_core.run.memo import Memo
@@ -133,6 +134,7 @@ __all__ = [
     "register",
     "register_pair",
     "report_closures",
+    "resolve_parameters",
     "restore_closures",
     "simulate_dataset",
     "trajectory_error",

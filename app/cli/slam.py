@@ -21,10 +21,10 @@ from gpgrad_core.run.progress import part
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import (
     GraphParams,
-    MapErrors,
-    LoopCloser,
-    MergeParams,
     JoinedDatasets,
+    LoopCloser,
+    MapErrors,
+    MergeParams,
     Solution,
     SolverParams,
     check_solver,
@@ -96,7 +96,11 @@ class Slam:
             say(line)
 
     def _detect(
-        self, sessions: JoinedDatasets, params: PipelineParams, graph: GraphParams, solver: SolverParams
+        self,
+        sessions: JoinedDatasets,
+        params: PipelineParams,
+        graph: GraphParams,
+        solver: SolverParams,
     ) -> tuple[LoopClosure, ...]:
         """Find the closures submap by submap, and keep them beside the results."""
         total, sizes, start = len(sessions.outline.clouds), dict[str, int](), time.perf_counter()

@@ -42,7 +42,7 @@ def fgr_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedC
 
 def describe_fpfh(submap: Submap, params: PipelineParams) -> DescribedCloud:
     """Describe every voxel of a submap."""
-    voxel = VOXEL * params.map.length_scale
+    voxel = VOXEL * params.map.terrain.length_scale
     cloud = thinned(submap, voxel, NORMAL_RADIUS * voxel)
     o3d: Any = load_library("open3d")
     search = o3d.geometry.KDTreeSearchParamHybrid(
