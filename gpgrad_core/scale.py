@@ -5,7 +5,7 @@ the alignment and the evidence. It follows from the points, and never from the k
 that explains the points well may be much longer than the detail that they resolve.
 """
 
-from math import exp, log, pi, sqrt
+from math import log, pi, sqrt
 
 import numpy as np
 from jaxtyping import Float
@@ -55,18 +55,17 @@ def rounded_scale(scale: float) -> float:
 
 
 def std_at_scale(signal_std: float, length_scale: float, scale: float) -> float:
-    """Tell how much of the terrain's height is new within a scale [m].
+    """Tell how far heights typically change over a scale [m].
 
-    This is the standard deviation of the difference of two heights, divided by √2, for points
-    √2 scales apart under the squared exponential. It tends to signal_std where the scale is much
-    longer than the length-scale.
+    The squared exponential has slopes of standard deviation signal_std / length_scale; over more
+    than a length-scale heights change by signal_std.
 
     Args:
         signal_std: Standard deviation of the terrain's height [m].
         length_scale: Of the kernel [m].
         scale: The scale of comparison [m].
     """
-    return signal_std * sqrt(1 - exp(-((scale / length_scale) ** 2)))
+    return signal_std * min(1.0, scale / length_scale)
 
 
 def noise_density(

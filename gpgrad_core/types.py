@@ -305,7 +305,7 @@ class GradientMap:
 
     @property
     def detail_std(self) -> float:
-        """How much of the terrain's height is new within the scale [m]; see `std_at_scale`."""
+        """How far heights typically change over the scale [m]; see `std_at_scale`."""
         return std_at_scale(self.signal_std, self.length_scale, self.scale)
 
     def trusted(self, max_std_ratio: float) -> Bool[NDArray[np.bool_], "rows columns"]:

@@ -50,8 +50,9 @@ class FeatureParams:
         float,
         Bounds(0.01, 1.0, 0.01, "", slider=(0.02, 1.0)),
         Doc(
-            "Variance mask: trust cells whose standard deviation is up to this share of the height "
-            "that is new within the scale of comparison. Keypoints, comparison and overlap heed it."
+            "Variance mask: trust cells whose standard deviation is up to this share of what "
+            "heights change by over the scale of comparison. It holds for keypoints, comparison "
+            "and overlap; 1 trusts every cell."
         ),
     ] = MAX_STD_RATIO
     max_keypoints: Annotated[

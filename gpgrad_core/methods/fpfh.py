@@ -66,7 +66,7 @@ def register_by_fgr(
     pairs = mutual_matches(query, database)
     if len(pairs) < 3:
         return outcome(None, np.zeros(len(pairs), bool))
-    radius = params.registration.inlier_radius
+    radius = params.registration.radius(None)
     o3d: Any = load_library("open3d")
     option = o3d.pipelines.registration.FastGlobalRegistrationOption(
         use_absolute_scale=True, maximum_correspondence_distance=radius

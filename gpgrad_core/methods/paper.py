@@ -108,7 +108,7 @@ class PaperDetector:
             query.gradient_map,
             database.gradient_map,
             matches,
-            params.inlier_radius,
+            params.radius(None),
             params.trials,
             params.seed,
         )

@@ -99,7 +99,7 @@ def register_prepared(
     maps = query.relief, database.relief
     if not all(relief.trusted.any() for relief in maps):
         return _nothing(len(matches), progress, nothing_trusted=True)
-    starts = find_motions(matches, params)
+    starts = find_motions(matches, params, params.radius(maps[1].scale))
     starts += search_motions(*maps, (query.spectra, database.spectra), params.searched)
     progress(0.3)
     best: _Candidate | None = None
@@ -209,7 +209,7 @@ def _judge(
     params: RegistrationParams,
 ) -> _Candidate:
     motion, held = placed.motion(k), bool(placed.held[k])
-    inliers = one_to_one(motion, matches, params.inlier_radius)
+    inliers = one_to_one(motion, matches, params.radius(maps[1].scale))
     evidence = weigh(*maps, motion)
     return _Candidate(
         motion,
