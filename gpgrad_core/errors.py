@@ -2,4 +2,4 @@
 
 
 class InputError(ValueError):
-    """What was given cannot be used; the message is one line: what, where, what to do."""
+    """An input cannot be used; the message is one line: what is wrong, where, and what to do."""

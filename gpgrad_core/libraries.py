@@ -1,7 +1,7 @@
-"""Libraries that are loaded only when asked for, and what to install where one is missing.
+"""Libraries that are loaded only when they are needed, and what to install if one is missing.
 
-Extras may be missing altogether; others take seconds to load, or need shared libraries of the
-system that a wheel does not bring.
+Those of the extras may not be installed. Others take seconds to load, or need shared libraries of
+the system that are not in their wheels.
 """
 
 import importlib
@@ -24,11 +24,11 @@ def load_library(name: str, install: str = "gpgrad") -> ModuleType:
     """Import a library by its name.
 
     Args:
-        name: Of the module, such as ``rosbags.highlevel``.
-        install: What pip installs to bring it, such as ``gpgrad[ros]``.
+        name: Name of the module, such as ``rosbags.highlevel``.
+        install: The argument of ``pip install`` that brings it, such as ``gpgrad[ros]``.
 
     Raises:
-        InputError: If it cannot be imported; says in one line what to install.
+        InputError: If it cannot be imported; the message says what to install.
     """
     try:
         return importlib.import_module(name)

@@ -1,4 +1,4 @@
-"""Associations between two sets of keypoints: brute force, as the paper's Sec. V."""
+"""Associations between two sets of keypoints, by brute force as in the paper's Sec. V."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -22,11 +22,14 @@ class MatchParams:
     ratio: Annotated[
         float,
         Bounds(0.1, 1.0, 0.01),
-        Doc("Keep a match if its distance is at most this share of the second best; 1 keeps all."),
+        Doc(
+            "Keep an association if its distance is at most this share of the second best one's. 1"
+            " keeps all."
+        ),
     ] = 1.0
-    mutual: Annotated[bool, Doc("Keep a match only if each keypoint is the other's nearest.")] = (
-        True
-    )
+    mutual: Annotated[
+        bool, Doc("Keep an association only if each keypoint is the other's nearest.")
+    ] = True
 
     def __post_init__(self) -> None:
         """Check the bounds."""
@@ -40,8 +43,8 @@ def match_features(
 
     Args:
         query: Keypoints of the query map.
-        database: Keypoints of the database map, by the same detector.
-        params: Which nearest neighbours count.
+        database: Keypoints of the database map, from the same detector.
+        params: Which nearest descriptors count as associations.
     """
     params = params or MatchParams()
     if len(query) == 0 or len(database) == 0:
@@ -64,9 +67,9 @@ def match_features(
 def _squared_distances(
     query: Descriptors, database: Descriptors
 ) -> Float[NDArray[np.float32], "q d"]:
-    """Squared L2 distances of vectors, or of strings of bits (which is Hamming's distance).
+    """Compute squared L2 distances; for strings of bits this is the Hamming distance.
 
-    One matrix product; measured three to five times faster than OpenCV's brute-force matcher
+    It is one matrix product, measured three to five times as fast as OpenCV's brute-force matcher
     with its cross-check. float32 is exact for bits, and for SIFT's whole numbers up to 255.
     """
     a, b = _as_vectors(query), _as_vectors(database)

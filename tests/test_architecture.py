@@ -13,15 +13,46 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_import_contracts_hold() -> None:
-    finished = subprocess.run(
+PLANTED = {
+    "core layers": ("gpgrad_core/matching", "gpgrad_core.registration"),
+    "viewer layers": ("app/viewer/all_pairs/tab.py", "app.viewer.pose_graph.tab"),
+    "the public face": ("app/viewer/nudge/tab.py", "app.viewer.pair.scene"),
+    "panels know no scenes": ("app/viewer/world/panel.py", "app.viewer.world.scene"),
+}
+"""By contract: a module, and what it must not import."""
+
+
+def lint_imports(folder: Path) -> subprocess.CompletedProcess[str]:
+    """Check the contracts of the packages in a folder."""
+    return subprocess.run(
         [sys.executable, "-c", "from importlinter.cli import lint_imports_command as l; l()"],
         capture_output=True,
         text=True,
-        cwd=ROOT,
+        cwd=folder,
         check=False,
     )
+
+
+def test_import_contracts_hold() -> None:
+    finished = lint_imports(ROOT)
     assert finished.returncode == 0, finished.stdout + finished.stderr
+
+
+@pytest.mark.parametrize("contract", PLANTED)
+def test_a_wrong_import_breaks_its_contract(contract: str, tmp_path: Path) -> None:
+    for package in ("app", "gpgrad_core"):
+        ignore = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=ignore)
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    name, wrong = PLANTED[contract]
+    module = tmp_path / name
+    if module.suffix != ".py":  # be it a module or a package
+        module = module / "__init__.py" if module.is_dir() else module.with_suffix(".py")
+    module.write_text(f"{module.read_text(encoding='utf-8')}\nimport {wrong}\n", encoding="utf-8")
+    finished = lint_imports(tmp_path)
+    assert finished.returncode == 1, finished.stdout + finished.stderr
+    (broken,) = [line for line in finished.stdout.splitlines() if line.endswith("BROKEN")]
+    assert contract in broken
 
 
 def test_the_top_level_holds_nothing_else() -> None:
@@ -43,8 +74,9 @@ def test_the_top_level_holds_nothing_else() -> None:
 def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     declared = {re.split(r"[<>=\[]", entry)[0] for entry in project["dependencies"]}
-    spelled = {"opencv-contrib-python-headless": "cv2", "typing-extensions": "typing_extensions"}
-    allowed = {spelled.get(name, name) for name in declared} | {"app", "gpgrad_core"}
+    spelled = {"opencv-contrib-python-headless": "cv2"}
+    names = {spelled.get(name, name.replace("-", "_")) for name in declared}
+    allowed = names | {"app", "gpgrad_core"}
     optional = {"laspy"}  # asked for by name where a file needs it
     for package in ("app", "gpgrad_core"):
         for path in (ROOT / package).rglob("*.py"):

@@ -18,22 +18,24 @@ from gpgrad_core.version import VERSION
 __all__ = ["FAILED", "INTERRUPTED", "VERBS", "run"]
 
 DESCRIPTION = (
-    "Loop closures from Gaussian-process gradient maps of bare terrain. "
-    "`gpgrad VERB --help` tells all of a verb; `gpgrad --version` prints the version."
+    "Find loop closures on bare terrain by Gaussian-process gradient maps.\n\n"
+    "Run gpgrad VERB --help for the arguments of a verb, and gpgrad --version for the version."
 )
 VERBS: dict[str, str] = {
-    "view": "Open the viewer in a browser: surfaces, matches and verdict of two submaps, live.",
-    "detect": "Register, score and judge every pair of submaps of a dataset.",
-    "evaluate": "Judge methods by the true poses: precision and recall, pose errors, figures.",
-    "map": "Infer one cloud's elevation, its variance, and both slopes.",
-    "fit": "Find length-scale, signal and noise of the terrain by maximum marginal likelihood.",
+    "view": "Open the viewer in a browser, and explore a dataset live.",
+    "detect": (
+        "Register every pair of submaps of a dataset, and accept or refuse each as a loop closure."
+    ),
+    "evaluate": "Evaluate methods by the true poses: precision, recall, pose errors and figures.",
+    "map": "Infer the elevation, its variance and both slopes of one cloud.",
+    "fit": "Fit the terrain's length-scale, signal and noise by maximum marginal likelihood.",
     "build": (
-        "Build submaps from scans and poses; what was stopped is gone on with by the same command."
+        "Build submaps from scans and poses. Run the same command again to resume a stopped build."
     ),
     "slam": (
-        "Correct a traverse by its loop closures, and put its submaps into one cloud and one map."
+        "Correct a traverse by its loop closures, and merge its submaps into one cloud and one map."
     ),
-    "simulate": "Make a synthetic dataset with known truth.",
+    "simulate": "Simulate a dataset with known true poses.",
 }
 
 

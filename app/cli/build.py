@@ -19,39 +19,69 @@ class Build:
     scans: Annotated[
         tyro.conf.Positional[Path],
         Doc("Folder of clouds with a file of poses, or a ROS 1 or ROS 2 bag."),
+        tyro.conf.arg(metavar="SCANS"),
     ]
-    out: Annotated[Path, Doc("Dataset folder to make; must not exist yet.")]
+    out: Annotated[
+        Path,
+        Doc("Dataset folder to make. It must not exist yet."),
+        tyro.conf.arg(metavar="FOLDER"),
+    ]
     poses: Annotated[
         Path | None,
-        Doc("File of poses, TUM or KITTI; None: poses.txt beside the scans, or a bag's topic."),
+        Doc("File of poses, in TUM's or KITTI's format."),
+        tyro.conf.arg(
+            metavar="FILE",
+            help_behavior_hint="(default: poses.txt beside the scans, or a bag's topic)",
+        ),
     ] = None
     truth: Annotated[
         Path | None,
-        Doc("File of true poses, to evaluate by; None: poses_gt.txt beside the scans, if any."),
+        Doc("File of true poses, for evaluations."),
+        tyro.conf.arg(
+            metavar="FILE", help_behavior_hint="(default: poses_gt.txt beside the scans, if any)"
+        ),
     ] = None
     times: Annotated[
         Path | None,
-        Doc("File of the scans' times [s], one a row; None: times.txt, or else their names."),
+        Doc("File of the scans' times [s], one in each row."),
+        tyro.conf.arg(
+            metavar="FILE",
+            help_behavior_hint="(default: times.txt beside the scans, or else the scans' names)",
+        ),
     ] = None
     mount: Annotated[
         Path | None,
         Doc(
-            "File with the sensor's pose on the body that the poses are of, tx ty tz qx qy qz qw, "
-            "or KITTI's calib.txt; None: mount.txt, a bag's transforms, or the body itself."
+            "File with the sensor's pose on the body whose poses are given: tx ty tz qx qy qz qw, "
+            "or KITTI's calib.txt."
+        ),
+        tyro.conf.arg(
+            metavar="FILE",
+            help_behavior_hint=(
+                "(default: mount.txt beside the scans, a bag's transforms, or else the body itself)"
+            ),
         ),
     ] = None
     cloud_topic: Annotated[
-        str | None, Doc("Topic of a bag's clouds; None: the only one there is.")
+        str | None,
+        Doc("Topic of a bag's clouds. It must be named if there are several."),
+        tyro.conf.arg(metavar="TOPIC", help_behavior_hint="(default: the only one)"),
     ] = None
     pose_topic: Annotated[
         str | None,
-        Doc("Topic of a bag's poses; None: the only one there is, or else the transforms."),
+        Doc("Topic of a bag's poses. It must be named if there are several."),
+        tyro.conf.arg(
+            metavar="TOPIC", help_behavior_hint="(default: the only one, or else the transforms)"
+        ),
     ] = None
     world_frame: Annotated[
         str | None,
-        Doc("Frame to build in where poses are transforms; None: the root of their tree."),
+        Doc("Frame to build in if the poses are transforms."),
+        tyro.conf.arg(metavar="FRAME", help_behavior_hint="(default: the root of their tree)"),
     ] = None
-    restart: Annotated[bool, Doc("Throw away what a stopped build has left.")] = False
+    restart: Annotated[
+        bool, Doc("Delete what a stopped build has left, instead of resuming it.")
+    ] = False
     build: Annotated[Given[BuildParams], tyro.conf.arg(name="")] = Given(BuildParams)
 
     def run(self) -> None:
@@ -76,10 +106,10 @@ class Build:
                     progress=progress,
                 )
         except KeyboardInterrupt:
-            raise KeyboardInterrupt("interrupted; the same command goes on from here") from None
+            raise KeyboardInterrupt("interrupted; run the same command to resume") from None
         for note in report.notes:
             warn(note)
-        resumed = f", {report.num_resumed} of them from before" if report.num_resumed else ""
+        resumed = f", {report.num_resumed} of them resumed" if report.num_resumed else ""
         say(
             f"{count(report.num_submaps, 'submap')} of {count(report.num_scans, 'scan')}"
             f"{resumed}: {self.out}"

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 from typing_extensions import Doc
 
-from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load
+from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, base_params, load
 from app.cli.terminal import count, progress_bar, say
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods import METHODS, find_method
@@ -25,13 +25,24 @@ from gpgrad_core.types import Dataset
 class Detect:
     """Arguments of ``gpgrad detect``."""
 
-    dataset: Annotated[tyro.conf.Positional[Path], Doc("Dataset folder or folder of clouds.")]
-    out: Annotated[Path, Doc("File to write: closures.json.")]
-    method: Annotated[str, Doc(f"How to detect: {', '.join(METHODS)}.")] = "gradient"
-    g2o: Annotated[Path | None, Doc("Also write the pose graph to this .g2o file.")] = None
+    dataset: DatasetPath
+    out: Annotated[
+        Path,
+        Doc("File to write the pairs and their verdicts to."),
+        tyro.conf.arg(metavar="FILE.json"),
+    ]
+    method: Annotated[
+        str, Doc(f"Method of detection: {', '.join(METHODS)}."), tyro.conf.arg(metavar="NAME")
+    ] = "gradient"
+    g2o: Annotated[
+        Path | None,
+        Doc("Also write the pose graph to this file."),
+        tyro.conf.arg(metavar="FILE.g2o"),
+    ] = None
     pair: Annotated[
-        tuple[str, str] | None,
-        Doc("Compare these two submaps only: the id of the query, then of the database."),
+        tyro.conf.DisallowNone[tuple[str, str] | None],
+        Doc("Compare only these two submaps, given by their ids."),
+        tyro.conf.arg(metavar="QUERY DATABASE", help_behavior_hint="(default: all pairs)"),
     ] = None
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
@@ -48,7 +59,7 @@ class Detect:
         asked = self.pipeline.over(base_params(dataset, self.params))
         params = method.adapt(asked)
         if self.g2o:
-            odometry_poses(dataset)  # a graph without odometry should not cost minutes
+            odometry_poses(dataset)  # refuses a dataset without odometry before the work
         num_pairs = math.comb(len(dataset.submaps), 2)
         with progress_bar("pairs") as progress, workers(num_workers(), num_pairs) as executor:
             result = detect_loop_closures(
@@ -70,5 +81,5 @@ class Detect:
 def _only(dataset: Dataset, query_id: str, database_id: str) -> Dataset:
     """Keep two submaps, the database first: the later one is the query."""
     if query_id == database_id:
-        raise InputError(f"--pair: {query_id} beside itself is no pair; name two submaps")
+        raise InputError(f"--pair: {query_id} beside itself is no pair; name two different submaps")
     return replace(dataset, submaps=(dataset.submap(database_id), dataset.submap(query_id)))

@@ -36,23 +36,37 @@ from gpgrad_core.types import Dataset
 class Evaluate:
     """Arguments of ``gpgrad evaluate``."""
 
-    dataset: Annotated[tyro.conf.Positional[Path], Doc("Dataset folder with poses_gt.txt.")]
-    out: Annotated[Path, Doc("Folder for report.md, report.json and figures; made if need be.")]
+    dataset: Annotated[
+        tyro.conf.Positional[Path],
+        Doc("Dataset folder with poses_gt.txt."),
+        tyro.conf.arg(metavar="DATASET"),
+    ]
+    out: Annotated[
+        Path,
+        Doc("Folder to write report.md, report.json and figures to."),
+        tyro.conf.arg(metavar="FOLDER"),
+    ]
     method: Annotated[
         tuple[str, ...],
-        Doc(
-            f"Methods to run, of: {', '.join(METHODS)}; gradient if neither methods nor files of "
-            "closures are given."
+        Doc(f"Methods to run: {', '.join(METHODS)}."),
+        tyro.conf.arg(
+            metavar="NAME [NAME ...]",
+            help_behavior_hint="(default: gradient, or none if there are files of closures)",
         ),
     ] = ()
     closures: Annotated[
-        tuple[Path, ...], Doc("Files of closures to judge besides, as `gpgrad detect` writes them.")
+        tuple[Path, ...],
+        Doc("Also evaluate the loop closures in these files, as gpgrad detect writes them."),
+        tyro.conf.arg(metavar="FILE [FILE ...]", help_behavior_hint="(default: none)"),
     ] = ()
     seed: Annotated[
-        int | None, Doc("Seed of every random choice; None takes that of the parameters, 0.")
+        int | None,
+        Doc("Seed of all random choices."),
+        tyro.conf.arg(help_behavior_hint="(default: the registration's seed)"),
     ] = None
     calibration: Annotated[
-        bool, Doc("Also judge the maps' uncertainty by points held out; takes about a minute.")
+        bool,
+        Doc("Also test the maps' uncertainty on points held out. This takes about a minute."),
     ] = False
     evaluation: Annotated[Given[EvaluationParams], tyro.conf.arg(name="")] = Given(EvaluationParams)
     params: ParamsFile = None
@@ -70,7 +84,7 @@ class Evaluate:
             params = replace(params, registration=replace(params.registration, seed=self.seed))
         pairs = measure_pairs(dataset)
         for name, report in rivals.items():
-            rank_pairs(report, dataset, pairs, name)  # a wrong file should not cost an hour
+            rank_pairs(report, dataset, pairs, name)  # refuses a wrong file before the work
         num_jobs = math.comb(len(dataset.submaps), 2) * len(methods)
         with progress_bar("evaluate") as progress, workers(num_workers(), num_jobs) as executor:
             found = run_methods(dataset, methods, params, executor=executor, progress=progress)
@@ -86,7 +100,7 @@ class Evaluate:
             write_report(self.out, evaluation, closures=found, sections=sections, progress=progress)
         for note in evaluation.notes:
             warn(note)
-        for line in (*_told(evaluation), str(self.out / "report.md")):
+        for line in (*_summary(evaluation), str(self.out / "report.md")):
             say(line)
 
     def _sections(self, dataset: Dataset, params: PipelineParams) -> tuple[Section, ...]:
@@ -97,8 +111,8 @@ class Evaluate:
         return (describe_calibration(judged),)
 
 
-def _told(evaluation: Evaluation) -> list[str]:
-    """What an evaluation found, a line a method."""
+def _summary(evaluation: Evaluation) -> list[str]:
+    """Say what an evaluation found, in one line for each method."""
     rule, lines = evaluation.rules[0], list[str]()
     for method in evaluation.methods:
         verdict = method.rules[0]

@@ -22,17 +22,23 @@ class Fit:
     """Arguments of ``gpgrad fit``."""
 
     dataset: Annotated[
-        tyro.conf.Positional[Path], Doc("Dataset folder, folder of clouds, or one cloud.")
+        tyro.conf.Positional[Path],
+        Doc("Dataset folder, folder of clouds, or one cloud."),
+        tyro.conf.arg(metavar="DATASET"),
     ]
     out: Annotated[
-        Path | None, Doc("File to write: .toml, which the other verbs take as parameters.")
+        Path | None,
+        Doc("Also write the parameters to this file, which the other verbs can read."),
+        tyro.conf.arg(metavar="FILE.toml"),
     ] = None
-    seed: Annotated[int, Doc("Seed of the choice of points.")] = 0
+    seed: Annotated[int, Doc("Seed of the random choice of points.")] = 0
     params: ParamsFile = None
-    map: Given[TerrainParams] = Given(TerrainParams)
+    map: Annotated[
+        Given[TerrainParams], Doc("The Gaussian process of the terrain, where the fit starts.")
+    ] = Given(TerrainParams)
 
     def run(self) -> None:
-        """Fit, tell and write."""
+        """Fit, print and write."""
         if self.out:
             check_output(self.out, (".toml",))
         if self.seed < 0:
@@ -49,7 +55,7 @@ class Fit:
 
 
 def _fitted(start: TerrainParams, result: FitResult) -> list[str]:
-    """What a fit found, a line a parameter."""
+    """Say what a fit found, in one line for each parameter."""
     units = {name: bounds.unit for name, bounds in bounds_of(TerrainParams).items()}
     lines: list[str] = []
     for name in fitted_names(start):

@@ -23,8 +23,7 @@ from tyro.constructors import (
 from app.cli.terminal import one_line
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import Field, fields_of
-from gpgrad_core.params.files import AUTOMATIC
+from gpgrad_core.params.fields import AUTOMATIC, Field, fields_of
 
 V = TypeVar("V")
 P = TypeVar("P")
@@ -90,14 +89,15 @@ def parse(verb: type[V], name: str, arguments: Sequence[str], summary: str) -> V
 
 
 def _required(verb: type) -> list[str]:
-    """List the flags without a default, as the line on usage shows them; tyro's leaves them out."""
+    """List the flags without a default, for the line on usage; tyro's own leaves them out."""
     words: list[str] = []
     hints = get_type_hints(verb, include_extras=True)
     for one in fields(cast("Any", verb)):
-        kind, *extras = get_args(hints[one.name]) or (hints[one.name],)
+        extras = get_args(hints[one.name])[1:]
         optional = one.default is not MISSING or one.default_factory is not MISSING
         if not optional and tyro.conf.Positional not in extras:
-            words.append(f"--{one.name} {kind.__name__.upper()}")
+            metavars = (getattr(extra, "metavar", None) for extra in extras)
+            words.append(f"--{one.name} {next(filter(None, metavars))}")
     return words
 
 
@@ -157,7 +157,7 @@ def _nothing_given(params: type[P]) -> Given[P]:
 def _flag(one: Field) -> StructFieldSpec:
     text = one.doc
     if one.bounds is not None:
-        text += f" From {_range(one.bounds)}."
+        text += f" Range: {_range(one.bounds)}."
     if one.kind is bool:
         hint = tyro.conf.arg(help_behavior_hint=f"(default: {one.default})")
         return StructFieldSpec(one.name, cast("Any", Annotated[bool, hint]), NOT_GIVEN, text)
@@ -217,10 +217,11 @@ def _one_word(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
 def _range(bounds: Bounds) -> str:
     """Write the range of a parameter.
 
-    >>> _range(Bounds(0.0, 20_000, 1.0, "m"))
-    '0 to 20,000 m'
+    >>> _range(Bounds(0.0, 20_000, 1.0, "m")), _range(Bounds(0.0, 1.0, 0.1, "1/m²"))
+    ('0 to 20,000 m', '0 to 1 per m²')
     """
-    return f"{bounds.low:,.10g} to {bounds.high:,.10g} {bounds.unit}".rstrip()
+    unit = bounds.unit.replace("1/", "per ")
+    return f"{bounds.low:,.10g} to {bounds.high:,.10g} {unit}".rstrip()
 
 
 REGISTRY = ConstructorRegistry()

@@ -13,9 +13,18 @@ from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset
 
+DatasetPath: TypeAlias = Annotated[
+    tyro.conf.Positional[Path],
+    Doc("Dataset folder or folder of clouds."),
+    tyro.conf.arg(metavar="DATASET"),
+]
 ParamsFile: TypeAlias = Annotated[
     Path | None,
-    Doc("TOML file of parameters, a table a group: [map] length_scale = 0.3. A flag outweighs it."),
+    Doc(
+        "TOML file of parameters, with one table for each group: [map] length_scale = 0.3. Flags "
+        "override it."
+    ),
+    tyro.conf.arg(metavar="FILE.toml"),
 ]
 AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)

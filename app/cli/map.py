@@ -19,16 +19,26 @@ from gpgrad_core.outputs import MAP_ENDINGS, check_output, write_map
 class Map:
     """Arguments of ``gpgrad map``."""
 
-    cloud: Annotated[tyro.conf.Positional[Path], Doc("A gravity-aligned point cloud.")]
-    out: Annotated[Path, Doc(f"File to write, one of {', '.join(MAP_ENDINGS)}.")]
+    cloud: Annotated[
+        tyro.conf.Positional[Path],
+        Doc("Gravity-aligned point cloud."),
+        tyro.conf.arg(metavar="CLOUD"),
+    ]
+    out: Annotated[
+        Path,
+        Doc(f"File to write. Its ending says how: {', '.join(MAP_ENDINGS)}."),
+        tyro.conf.arg(metavar="FILE"),
+    ]
     params: ParamsFile = None
-    map: Given[MapParams] = Given(MapParams)
+    map: Annotated[Given[MapParams], Doc("The Gaussian process and the grid of the map.")] = Given(
+        MapParams
+    )
 
     def run(self) -> None:
         """Infer and write."""
         check_output(self.out, MAP_ENDINGS)
         if self.cloud.is_dir():
-            raise InputError(f"{self.cloud}: is a folder; give one cloud")
+            raise InputError(f"{self.cloud}: is a folder; name one cloud")
         dataset = load(self.cloud)
         base = base_params(dataset, self.params)
         params = self.map.over(base.map)
@@ -45,7 +55,7 @@ class Map:
         if outlying:
             warn(
                 f"{outlying:,} of {len(cloud.points):,} points lie far off the ground around them "
-                "and count as little as that"
+                "and get a low weight"
             )
         rows, columns = gradient_map.grid.shape
         say(

@@ -17,10 +17,14 @@ from gpgrad_core.scans import simulate_recording
 class Simulate:
     """Arguments of ``gpgrad simulate``."""
 
-    directory: Annotated[tyro.conf.Positional[Path], Doc("Folder to make; must not exist yet.")]
+    directory: Annotated[
+        tyro.conf.Positional[Path],
+        Doc("Folder to make. It must not exist yet, or must be empty."),
+        tyro.conf.arg(metavar="FOLDER"),
+    ]
     scans: Annotated[
         int,
-        Doc("Make a recording of so many scans instead, for `gpgrad build`; 0: submaps."),
+        Doc("Simulate a recording of this many scans, for gpgrad build. 0 simulates submaps."),
     ] = 0
     simulation: Annotated[Given[SimulationParams], tyro.conf.arg(name="")] = Given(SimulationParams)
 

@@ -44,23 +44,35 @@ class Slam:
 
     datasets: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
-        Doc("Dataset folders with odometry; closures between several put them into one map."),
+        Doc("Dataset folders with odometry. Loop closures between them join them into one map."),
+        tyro.conf.arg(metavar="DATASET [DATASET ...]", help_behavior_hint="(required)"),
     ]
-    out: Annotated[Path, Doc("Folder for poses, graph, figures, cloud and map; made if need be.")]
+    out: Annotated[
+        Path,
+        Doc("Folder to write the poses, the graph, figures, the cloud and the map to."),
+        tyro.conf.arg(metavar="FOLDER"),
+    ]
     closures: Annotated[
-        Path | None, Doc("File of closures, as `gpgrad detect` writes it; None: detect them.")
+        Path | None,
+        Doc("File of loop closures, as gpgrad detect writes it."),
+        tyro.conf.arg(metavar="FILE.json", help_behavior_hint="(default: detect them)"),
     ] = None
     search_radius: Annotated[
         float | None,
         Doc(
-            "Compare only submaps of a traverse within this many metres of each other, by the "
-            "estimate so far; None: all."
+            "Compare only submaps of a traverse that lie within this distance [m] of each other, "
+            "by the estimate so far."
         ),
+        tyro.conf.arg(help_behavior_hint="(default: compare all)"),
     ] = None
-    merge: Annotated[bool, Doc("Write the merged cloud and map too.")] = True
-    graph: Given[GraphParams] = Given(GraphParams)
-    solver: Given[SolverParams] = Given(SolverParams)
-    merged: Given[MergeParams] = Given(MergeParams)
+    merge: Annotated[bool, Doc("Also write the merged cloud and map.")] = True
+    graph: Annotated[
+        Given[GraphParams], Doc("Uncertainty of the pose graph's edges: odometry and closures.")
+    ] = Given(GraphParams)
+    solver: Annotated[Given[SolverParams], Doc("When a loop closure is refused as wrong.")] = Given(
+        SolverParams
+    )
+    merged: Annotated[Given[MergeParams], Doc("The merged cloud and map.")] = Given(MergeParams)
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
@@ -71,7 +83,7 @@ class Slam:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
         sessions = join_datasets([outline_dataset(path) for path in self.datasets])
         dataset = sessions.outline.dataset
-        odometry_poses(dataset)  # what lacks it, or a solver, should not cost minutes
+        odometry_poses(dataset)  # refuses what lacks it before the work
         check_solver()
         for note in dataset.notes:
             warn(note)
@@ -133,7 +145,7 @@ class Slam:
 
 
 def _corrected(solution: Solution, judged: MapErrors) -> list[str]:
-    """What a corrected map is like, a line a session and one for the overlaps."""
+    """Say how good a corrected map is: a line for each traverse, and one for the overlaps."""
     loops, refused = len(solution.result.loops), len(solution.result.refused)
     lines = [
         f"{count(len(solution.result.poses), 'submap')}, "

@@ -12,9 +12,9 @@ from typing_extensions import Doc
 
 from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load
 from app.cli.terminal import say
-from app.viewer.permissions import Places
-from app.viewer.save.session_file import read_saved
+from app.viewer.permissions import Permissions
 from app.viewer.server import Viewer
+from app.viewer.session_file import read_session
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import read_parameters
@@ -26,30 +26,42 @@ class View:
 
     dataset: Annotated[
         tyro.conf.Positional[Path | None],
-        Doc("Dataset folder, folder of clouds, or one cloud; without it the built-in demo."),
+        Doc("Dataset folder, folder of clouds, or one cloud."),
+        tyro.conf.arg(metavar="[DATASET]", help_behavior_hint="(default: the built-in demo)"),
     ] = None
-    host: Annotated[str, Doc("Address to serve on; 0.0.0.0 lets other machines in.")] = "127.0.0.1"
-    port: Annotated[int, Doc("Port to serve on; the next free one if it is taken, any if 0.")] = (
-        8080
-    )
-    open: Annotated[bool, Doc("Open the browser by itself.")] = True
+    host: Annotated[
+        str,
+        Doc("Address to serve on. With 0.0.0.0, anyone who can reach the port can use the viewer."),
+    ] = "127.0.0.1"
+    port: Annotated[
+        int,
+        Doc("Port to serve on. If it is taken, the next free one is used. 0 chooses any free one."),
+    ] = 8080
+    open: Annotated[bool, Doc("Open the browser.")] = True
     sessions: Annotated[
         Literal["shared", "separate"],
-        Doc("shared: all pages see and change the same. separate: each page has its own."),
+        Doc(
+            "In a shared session all pages see and change the same. Separate ones are independent."
+        ),
     ] = "shared"
     state: Annotated[
         Path | None,
-        Doc("Begin as the viewer was when it saved this file; DATASET and flags outweigh it."),
+        Doc(
+            "Restore the session that the viewer saved to this file. DATASET and flags override it."
+        ),
+        tyro.conf.arg(metavar="FILE"),
     ] = None
     root: Annotated[
         Path | None,
-        Doc("Pages may choose among the datasets in this folder, and open none elsewhere."),
+        Doc("Pages may open only the datasets in this folder."),
+        tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: any folder)"),
     ] = None
     config: Annotated[
         Path | None,
-        Doc("Folder of your presets and of the list of recent datasets; by default your own."),
+        Doc("Folder of the presets and of the list of recent datasets."),
+        tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: the user's own)"),
     ] = None
-    max_upload: Annotated[int, Doc("Largest file that a page may upload, in MB.")] = 200
+    max_upload: Annotated[int, Doc("Size of the largest file that a page may upload, in MB.")] = 200
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
@@ -57,10 +69,10 @@ class View:
         """Serve until interrupted."""
         _check_address(self.host, self.port)
         if self.root is not None and not self.root.is_dir():
-            raise InputError(f"--root {self.root}: no such folder")
+            raise InputError(f"--root {self.root}: there is no such folder")
         if self.max_upload < 1:
             raise InputError(f"--max-upload must be 1 MB or more, got {self.max_upload}")
-        saved = None if self.state is None else read_saved(self.state)
+        saved = None if self.state is None else read_session(self.state)
         source = self.dataset or (saved and saved.dataset) or demo_path()
         dataset = load(source)
         base = base_params(dataset, None if saved else self.params)
@@ -77,7 +89,7 @@ class View:
             source=str(source),
             saved=saved and replace(saved, params=params),
             sessions=self.sessions,
-            places=Places(
+            permissions=Permissions(
                 config=self.config or user_config_path("gpgrad", appauthor=False),
                 root=self.root,
                 max_upload=1_000_000 * self.max_upload,
@@ -93,7 +105,7 @@ class View:
 
 
 def _check_address(host: str, port: int) -> None:
-    """Refuse where nothing can be served: the server would wait for itself without end."""
+    """Refuse an address that cannot be served: the server would wait for itself for ever."""
     if not 0 <= port <= 65535:
         raise InputError(f"--port must be from 0 to 65535, got {port}")
     try:

@@ -1,4 +1,4 @@
-"""How many sessions may compute at once: the processors are shared, and so are their turns."""
+"""How much sessions may compute at once: they share the processors."""
 
 import threading
 from dataclasses import dataclass, field
@@ -8,14 +8,14 @@ from gpgrad_core.run.threads import num_workers
 
 
 @dataclass(frozen=True, eq=False)
-class Turns:
+class Capacity:
     """What a worker must hold while it computes.
 
     Attributes:
-        pictures: For the pair that a session shows: as many as there are processors.
-        long: For what takes a processor for longer than a picture, one at a time; apart from the
-            pictures, so that sliders follow the hand meanwhile.
-        helper: Takes one of two submaps off a session's hands; None where there is one processor.
+        pictures: For the pair that a session shows: as many slots as there are processors.
+        long: For work that takes longer than a picture, one at a time. It is apart from the
+            pictures, so that sliders answer meanwhile.
+        helper: A process that infers one of two submaps; None where there is one processor.
     """
 
     pictures: threading.Semaphore = field(

@@ -1,25 +1,243 @@
-"""What a tab or tool of the viewer may want to know of the session that it is part of."""
+"""The features of the viewer and their desk: what a feature may ask, and what it is told.
 
-from app.viewer.state import ViewState
-from gpgrad_core.pipeline import PairResult
+A feature is a tab or a tool. It knows its session by one object, the desk. It reads the present
+state there and asks for changes there; the desk tells all features of whatever happens. So no
+feature needs to know another.
+"""
+
+import threading
+from typing import Literal, TypeAlias, TypeVar
+
+from app.viewer.capacity import Capacity
+from app.viewer.host import Host
+from app.viewer.opened import Opened
+from app.viewer.permissions import READ_ALL, Permissions
+from app.viewer.runner import Worker
+from app.viewer.session_file import SavedSession
+from app.viewer.state import (
+    Probe,
+    ViewOptions,
+    ViewState,
+    with_match,
+    with_options,
+    with_pair,
+    with_params,
+    with_probe,
+)
+from gpgrad_core.pipeline import PairResult, PipelineParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.types import Dataset, LoopClosure, Registration
+
+Subject: TypeAlias = Literal["pair", "world"]
+"""What the scene shows."""
 
 
-class Part:
-    """Follows a session; the session tells every part of what happens. All of it is optional."""
+class Feature:
+    """Everything that may reach a feature; each overrides what concerns it.
+
+    All of it must be quick: what takes longer than a few milliseconds belongs to a `Runner` of
+    the feature's own.
+    """
+
+    # What happens.
 
     def follow(self, state: ViewState) -> None:
-        """Take the session as it is now; called at every change of anything, so be quick."""
+        """Take the new state of the session; called at every change of anything."""
+
+    def opened(self, opened: Opened) -> None:
+        """Take what was opened; `follow` was called with its first state before."""
 
     def show(self, state: ViewState, result: PairResult) -> None:
-        """Take what was found for a state, after the scene has shown it.
+        """Take what the pipeline found for a state, after the scene has shown it."""
 
-        Called from the worker that makes the pictures: what takes longer than a few milliseconds
-        belongs to a `Runner` of the part's own.
-        """
+    def comparing(self, fraction: float | None, message: str) -> None:
+        """Take how far the comparison of all pairs is; None once it ended, with the reason."""
 
-    def wait_idle(self, timeout: float) -> bool:  # noqa: ARG002 - those with workers wait
+    def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
+        """Take all pairs of a dataset, as the present thresholds judge them."""
+
+    # What another feature asks for; the feature that can do it answers.
+
+    def compare_pairs(self) -> None:
+        """Register all pairs with the present parameters."""
+
+    def stop_comparing(self) -> None:
+        """Stop registering all pairs."""
+
+    def use_motion(self, query_id: str, database_id: str, registration: Registration) -> None:
+        """Take a registration that was set by hand into the pose graph."""
+
+    def restore(self, saved: SavedSession) -> None:
+        """Open what a saved session had open, with all that it had set."""
+
+    def tune(self) -> None:
+        """Go to the mode in which a pair is tuned."""
+
+    def turn_to(self, subject: Subject) -> None:
+        """Show the pair or the world."""
+
+    def set_full_screen(self, full_screen: bool) -> None:
+        """Put the panels away, or back."""
+
+    # How it ends.
+
+    workers: tuple[Worker, ...] = ()
+    """Whatever works for the feature in threads of its own."""
+
+    def wait_idle(self, timeout: float) -> bool:
         """Wait until nothing runs; says whether that came true within the timeout [s]."""
-        return True
+        return all(worker.wait_idle(timeout) for worker in self.workers)
 
     def close(self) -> None:
         """Stop whatever runs."""
+        for worker in self.workers:
+            worker.close()
+
+
+F = TypeVar("F", bound=Feature)
+
+
+class Desk:
+    """The present state of a session, the requests of its features, and who is told of them.
+
+    Attributes:
+        host: Whose GUI and scene the session fills.
+        memo: Results of the pipeline, shared by all sessions.
+        capacity: What a worker must hold while it computes, shared by all sessions.
+        permissions: What may be read and written.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        state: ViewState,
+        memo: Memo,
+        capacity: Capacity,
+        permissions: Permissions = READ_ALL,
+    ) -> None:
+        """Begin at a state, without features."""
+        self.host = host
+        self.memo = memo
+        self.capacity = capacity
+        self.permissions = permissions
+        self._state = state
+        self._features: list[Feature] = []
+        self._lock = threading.Lock()
+
+    @property
+    def state(self) -> ViewState:
+        """The session as it is now."""
+        return self._state
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """All that have joined, in that order."""
+        return tuple(self._features)
+
+    def join(self, feature: F) -> F:
+        """Tell a feature of everything from now on; returns it."""
+        self._features.append(feature)
+        return feature
+
+    # Changes of the state.
+
+    def change(
+        self,
+        *,
+        pair: tuple[str, str] | None = None,
+        params: PipelineParams | None = None,
+        options: ViewOptions | None = None,
+        match: int | None = None,
+        probe: Probe | Literal["as it is"] | None = "as it is",
+    ) -> None:
+        """Change the state, and tell all features; without arguments it is only told again.
+
+        Args:
+            pair: (query, database) to show.
+            params: Of the pipeline.
+            options: Of the view.
+            match: Number of the association to point at, from 1; 0 for none.
+            probe: Place whose values are read; None for none.
+
+        Raises:
+            InputError: If the dataset has no such submap.
+        """
+        with self._lock:
+            state = self._state
+            if pair is not None:
+                state = with_pair(state, query_id=pair[0], database_id=pair[1])
+            if params is not None:
+                state = with_params(state, params)
+            if options is not None:
+                state = with_options(state, options)
+            if match is not None:
+                state = with_match(state, match)
+            if probe != "as it is":
+                state = with_probe(state, probe)
+            self._set(state)
+
+    def open(self, opened: Opened) -> None:
+        """Go to another dataset."""
+        with self._lock:
+            self._set(opened.begin(self._state.options))
+        for feature in self._features:
+            feature.opened(opened)
+
+    def _set(self, state: ViewState) -> None:
+        """Make a state the present one; the lock is held, so that all see the same order."""
+        self._state = state
+        for feature in self._features:
+            feature.follow(state)
+
+    # News and requests, which reach the features by the methods of the same names.
+
+    def show(self, state: ViewState, result: PairResult) -> None:
+        """Tell what the pipeline found."""
+        for feature in self._features:
+            feature.show(state, result)
+
+    def comparing(self, fraction: float | None, message: str = "") -> None:
+        """Tell how far the comparison of all pairs is."""
+        for feature in self._features:
+            feature.comparing(fraction, message)
+
+    def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
+        """Tell how the thresholds judge all pairs."""
+        for feature in self._features:
+            feature.judged(dataset, closures)
+
+    def compare_pairs(self) -> None:
+        """Ask for the comparison of all pairs."""
+        for feature in self._features:
+            feature.compare_pairs()
+
+    def stop_comparing(self) -> None:
+        """Ask to end the comparison of all pairs."""
+        for feature in self._features:
+            feature.stop_comparing()
+
+    def use_motion(self, query_id: str, database_id: str, registration: Registration) -> None:
+        """Hand the pose graph a registration that was set by hand."""
+        for feature in self._features:
+            feature.use_motion(query_id, database_id, registration)
+
+    def restore(self, saved: SavedSession) -> None:
+        """Ask for a saved session."""
+        for feature in self._features:
+            feature.restore(saved)
+
+    def tune(self, query_id: str, database_id: str) -> None:
+        """Show a pair in the mode in which it is tuned."""
+        self.change(pair=(query_id, database_id))
+        for feature in self._features:
+            feature.tune()
+
+    def turn_to(self, subject: Subject) -> None:
+        """Ask to show the pair or the world."""
+        for feature in self._features:
+            feature.turn_to(subject)
+
+    def set_full_screen(self, full_screen: bool) -> None:
+        """Ask to put the panels away, or back."""
+        for feature in self._features:
+            feature.set_full_screen(full_screen)

@@ -1,4 +1,4 @@
-"""Whom a session is shown to: all pages of a server alike, or one page by itself.
+"""The host of a session: a server with all its pages, or one page.
 
 viser's server and its handle of one client have the same ``gui`` and ``scene``, so that nothing
 else needs to know which of the two it is drawing on.

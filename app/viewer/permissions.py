@@ -1,4 +1,4 @@
-"""Where a viewer may read from and write to."""
+"""What a viewer may read and write."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,16 +7,17 @@ MAX_UPLOAD = 200_000_000
 
 
 @dataclass(frozen=True)
-class Places:
-    """Folders that the person who starts the viewer allows it to use.
+class Permissions:
+    """Folders and sizes that the person who starts the viewer allows it to use.
 
     Attributes:
-        config: For the user's own presets and the list of recent datasets; None keeps neither.
-        root: Outside of which no dataset is opened, but the demo and what is uploaded; None allows
-            whatever the person who started the viewer can read.
-        uploads: For what pages upload, an existing folder that its maker removes; None allows no
+        config: Folder of the user's own presets and the list of recent datasets; None keeps
+            neither.
+        root: Datasets outside of this folder are not opened, except the demo and uploads; None
+            allows whatever the person who started the viewer can read.
+        uploads: Existing folder for what pages upload, which its maker removes; None allows no
             uploads.
-        max_upload: Largest file that can be uploaded [bytes]; an archive may unpack to
+        max_upload: Largest file that can be uploaded [bytes]. An archive may unpack to
             `app.viewer.data.unpacking.MOST_GROWTH` times as much.
     """
 
@@ -31,5 +32,5 @@ class Places:
         return None if self.config is None else self.config / "presets"
 
 
-ANYWHERE = Places()
-"""Whatever the person who started the viewer can read; nothing kept, nothing uploaded."""
+READ_ALL = Permissions()
+"""Read whatever the person who started the viewer can read; keep nothing, take no uploads."""

@@ -1,11 +1,11 @@
-"""One worker that always ends on the newest job: sliders move faster than terrain is inferred."""
+"""One worker that always ends on the newest job, because sliders outrun the pipeline."""
 
 import contextlib
 import logging
 import threading
 import time
 from collections.abc import Callable, Generator
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from gpgrad_core.run.progress import Cancelled, Progress
 
@@ -32,6 +32,18 @@ TURN_POLL = 0.05
 """How often a worker that waits for its turn looks whether it is still wanted [s]."""
 
 
+class Worker(Protocol):
+    """Something that works in a thread of its own."""
+
+    def wait_idle(self, timeout: float) -> bool:
+        """Wait until nothing runs; says whether that came true within the timeout [s]."""
+        ...
+
+    def close(self) -> None:
+        """Stop."""
+        ...
+
+
 class Runner(Generic[Job, Result]):
     """One thread, one slot: the newest job replaces a waiting one and supersedes a running one.
 
@@ -56,22 +68,22 @@ class Runner(Generic[Job, Result]):
         on_cancel: Callable[[Job], None] | None = None,
         patience: float = PATIENCE,
         longest_blind: float = LONGEST_BLIND,
-        turns: threading.Semaphore | None = None,
+        slots: threading.Semaphore | None = None,
         name: str = "runner",
     ) -> None:
         """Start the worker.
 
         Args:
-            work: Turns a job into a result; should call its progress hook every few
+            work: Capacity a job into a result; should call its progress hook every few
                 hundredths of a second, for there it is stopped when it is no longer wanted.
             on_result: Given the job, its result and the seconds it took.
             on_error: Given the job and what was raised.
             on_start: Told of a job that begins.
-            preview: Turns a job into a rough result for ``on_result``, or None for none.
+            preview: Capacity a job into a rough result for ``on_result``, or None for none.
             on_cancel: Told of a job that `cancel` has stopped, or that waited for its turn.
             patience: See `PATIENCE` [s].
             longest_blind: See `LONGEST_BLIND` [s].
-            turns: Held while a job runs; None shares the processors with nobody. The job is
+            slots: One is held while a job runs; None shares the processors with nobody. The job is
                 chosen when the turn has come: still the newest.
             name: Of the thread, for debuggers.
         """
@@ -83,7 +95,7 @@ class Runner(Generic[Job, Result]):
         self._on_cancel = on_cancel
         self._patience = patience
         self._longest_blind = longest_blind
-        self._turns = turns
+        self._slots = slots
         self._changed = threading.Condition()
         self._waiting: list[Job] = []  # none or one
         self._dropped: list[Job] = []  # by `cancel`, before its turn came
@@ -156,17 +168,17 @@ class Runner(Generic[Job, Result]):
     @contextlib.contextmanager
     def _turn(self) -> Generator[None]:
         """Hold a turn, unless there is nothing left to do with it."""
-        if self._turns is None:
+        if self._slots is None:
             yield
             return
         mine = False
         while not mine and self._waiting and not self._closing:
-            mine = self._turns.acquire(timeout=TURN_POLL)
+            mine = self._slots.acquire(timeout=TURN_POLL)
         try:
             yield
         finally:
             if mine:
-                self._turns.release()
+                self._slots.release()
 
     def _take(self) -> Job | None:
         """Take the newest job; tell of one that was cancelled before its turn."""

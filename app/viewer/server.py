@@ -1,4 +1,4 @@
-"""The server: pages come and go, sessions with them."""
+"""The server: gives each page that comes a session."""
 
 import contextlib
 import io
@@ -10,12 +10,12 @@ from typing import Literal, TypeAlias
 
 import viser
 
-from app.viewer.capacity import Turns
-from app.viewer.data.tab import Opened
+from app.viewer.capacity import Capacity
 from app.viewer.host import set_theme
-from app.viewer.permissions import ANYWHERE, Places
-from app.viewer.save.session_file import Saved
+from app.viewer.opened import Opened
+from app.viewer.permissions import READ_ALL, Permissions
 from app.viewer.session import Session
+from app.viewer.session_file import SavedSession
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.helper import start_helper
@@ -24,7 +24,7 @@ from gpgrad_core.types import Dataset
 
 MEMO_BYTES = 1_500_000_000
 
-Sessions: TypeAlias = Literal["shared", "separate"]
+Sharing: TypeAlias = Literal["shared", "separate"]
 
 
 class Viewer:
@@ -38,23 +38,24 @@ class Viewer:
         port: int = 8080,
         *,
         source: str = "",
-        saved: Saved | None = None,
-        sessions: Sessions = "shared",
-        places: Places = ANYWHERE,
+        saved: SavedSession | None = None,
+        sessions: Sharing = "shared",
+        permissions: Permissions = READ_ALL,
     ) -> None:
         """Start serving; returns at once.
 
         Args:
             dataset: What to open with.
             params: What to start with and to reset to; None takes what the dataset prefers.
-            host: Address to listen on. There is no password: whoever reaches it can use it.
+            host: Address to listen on. There is no password: anyone who can reach the
+                port can use the viewer.
             port: Port to listen on; if it is taken, the next free one. 0 takes any.
             source: Path of the dataset, for the box in which it can be changed.
             saved: What to begin with in place of that.
             sessions: "shared": all pages see and change the same. "separate": each page has a
                 session of its own, which ends with it; what one has computed serves all.
-            places: Where pages may have read from and written to; uploads get a folder that ends
-                with the viewer.
+            permissions: What pages may have read and written; uploads get a folder that ends with
+                the viewer.
 
         Raises:
             InputError: If the dataset prefers parameters that there are not.
@@ -62,9 +63,9 @@ class Viewer:
         start = params if params is not None else preferred_parameters(dataset, PipelineParams())
         self._opened = Opened(dataset, start, source, saved)
         self._uploads = tempfile.TemporaryDirectory(prefix="gpgrad-uploads-")
-        self._places = replace(places, uploads=Path(self._uploads.name))
+        self._permissions = replace(permissions, uploads=Path(self._uploads.name))
         self._memo = Memo(MEMO_BYTES)
-        self._turns = Turns(helper=start_helper())
+        self._capacity = Capacity(helper=start_helper())
         self._lock = threading.Lock()
         self._closed = threading.Event()
         # viser prints a box with its addresses; the command line says ours.
@@ -75,7 +76,7 @@ class Viewer:
         self._separate: dict[int, Session] = {}
         if sessions == "shared":
             self._shared = Session(
-                self._server, self._opened, self._memo, self._turns, self._places
+                self._server, self._opened, self._memo, self._capacity, self._permissions
             )
         self._server.on_client_connect(self._enter)
         self._server.on_client_disconnect(self._leave)
@@ -113,8 +114,8 @@ class Viewer:
             session.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
-        if self._turns.helper is not None:
-            self._turns.helper.close()
+        if self._capacity.helper is not None:
+            self._capacity.helper.close()
         self._uploads.cleanup()
 
     # Called from the server's pool of threads, so in any order.
@@ -127,7 +128,7 @@ class Viewer:
             if self._closed.is_set() or client.client_id not in self._server.get_clients():
                 return  # it left before its turn came
             self._separate[client.client_id] = Session(
-                client, self._opened, self._memo, self._turns, self._places
+                client, self._opened, self._memo, self._capacity, self._permissions
             )
 
     def _leave(self, client: viser.ClientHandle) -> None:

@@ -129,7 +129,7 @@ def open_dataset(
 def with_pair(
     state: ViewState, *, query_id: str | None = None, database_id: str | None = None
 ) -> ViewState:
-    """Choose the query, the database submap, or both; what was pointed at is no longer there.
+    """Choose the query, the database submap, or both; nothing is pointed at then.
 
     Raises:
         InputError: If the dataset has no such submap.
@@ -140,7 +140,7 @@ def with_pair(
         database_id=state.database_id if database_id is None else database_id,
     )
     _ = chosen.query, chosen.database
-    if (chosen.query_id, chosen.database_id) == (state.query_id, state.database_id):
+    if same_pair(chosen, state):
         return chosen
     return replace(chosen, match=0, probe=None)
 
@@ -155,6 +155,11 @@ def with_options(state: ViewState, options: ViewOptions) -> ViewState:
     return replace(state, options=options)
 
 
+def registered(options: ViewOptions) -> ViewOptions:
+    """Show both submaps, the query laid onto the database."""
+    return replace(options, layout="registered", compare="both")
+
+
 def with_match(state: ViewState, number: int) -> ViewState:
     """Point at an association by its number from 1, or with 0 at none."""
     return replace(state, match=number)
@@ -165,11 +170,17 @@ def with_probe(state: ViewState, probe: Probe | None) -> ViewState:
     return replace(state, probe=probe)
 
 
+def same_pair(first: ViewState, second: ViewState) -> bool:
+    """Say whether two snapshots show the same query and database."""
+    return first.dataset is second.dataset and (
+        (first.query_id, first.database_id) == (second.query_id, second.database_id)
+    )
+
+
 def same_surfaces(first: ViewState, second: ViewState) -> bool:
     """Say whether two snapshots show the same surfaces alike."""
     return (
-        first.dataset is second.dataset
-        and (first.query_id, first.database_id) == (second.query_id, second.database_id)
+        same_pair(first, second)
         and first.params.map == second.params.map
         and first.params.features.max_std_ratio == second.params.features.max_std_ratio
         and first.options == second.options
@@ -177,7 +188,7 @@ def same_surfaces(first: ViewState, second: ViewState) -> bool:
 
 
 def neighbour(dataset: Dataset, submap_id: str, step: int, *, skip: str | None = None) -> str:
-    """Name the submap ``step`` places on, round the end.
+    """Name the submap ``step`` places further; after the last comes the first.
 
     Args:
         dataset: Whose order counts.
@@ -195,7 +206,7 @@ def neighbour(dataset: Dataset, submap_id: str, step: int, *, skip: str | None =
 
 
 def promising_pair(dataset: Dataset) -> tuple[str, str]:
-    """Choose (query, database) to begin with: a revisit, as far as the robot itself knew.
+    """Choose the first (query, database): a revisit, as far as odometry tells.
 
     What the dataset prefers comes first. Else, of the submaps that are not neighbours along the
     way, take the two that odometry (or else the truth) has closest together. Without poses, take

@@ -1,20 +1,5 @@
-"""Where submaps come from: cloud files, dataset folders, the simulator, the built-in demo."""
+"""Sources of submaps: cloud files, dataset folders, the simulator and the built-in demo."""
 
-from gpgrad_core.datasets.clouds import load_cloud
-from gpgrad_core.datasets.demo import demo_params, demo_path, simulate_demo
-from gpgrad_core.datasets.folder import Outline, load_dataset, outline_dataset, write_dataset
-from gpgrad_core.datasets.simulate import simulate_dataset
-from gpgrad_core.datasets.simulation_params import SimulationParams
+import lazy_loader
 
-__all__ = [
-    "Outline",
-    "SimulationParams",
-    "demo_params",
-    "demo_path",
-    "load_cloud",
-    "load_dataset",
-    "outline_dataset",
-    "simulate_dataset",
-    "simulate_demo",
-    "write_dataset",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""``dataset.toml``: what a dataset says about itself."""
+"""``dataset.toml``: the description of a dataset."""
 
 import tomllib
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ SENSOR_KEYS = ("constant", "quadratic")
 
 @dataclass(frozen=True, eq=False)
 class About:
-    """The contents of ``dataset.toml``; see `Dataset` for what each means."""
+    """The content of ``dataset.toml``; `Dataset` explains the fields."""
 
     name: str = ""
     description: str = ""
@@ -31,11 +31,11 @@ def read_about(path: Path, submap_ids: frozenset[str]) -> About:
 
     Args:
         path: The file.
-        submap_ids: The submaps there are, to check those that it prefers.
+        submap_ids: Ids of the existing submaps, by which the preferred ones are checked.
 
     Raises:
-        InputError: If it is not TOML, a value has the wrong type, or a submap that it prefers
-            does not exist.
+        InputError: If the file is not TOML, a value has the wrong type, or a preferred submap does
+            not exist.
     """
     try:
         table = tomllib.loads(read_text(path))
@@ -91,7 +91,7 @@ def _check_preferred(value: object, path: Path, submap_ids: frozenset[str]) -> d
                     "which the dataset does not have"
                 )
         elif not isinstance(entry, dict):
-            # The groups and names within are the pipeline's; it checks them when it takes them.
+            # The pipeline checks the groups and names inside when it uses them.
             raise InputError(
                 f"{path}: preferred.{key} must be a table of parameters, got {entry!r}"
             )
@@ -102,8 +102,8 @@ def write_about(path: Path, about: About) -> None:
     """Write ``dataset.toml``.
 
     Args:
-        path: The file; overwritten if it exists.
-        about: What it should say; its notes are not written.
+        path: The file; it is overwritten if it exists.
+        about: The content; its notes are not written.
     """
     parts = [tomli_w.dumps({key: getattr(about, key) for key in TEXT_KEYS if getattr(about, key)})]
     if about.sensor_noise:

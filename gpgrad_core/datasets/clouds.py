@@ -19,7 +19,7 @@ from gpgrad_core.types import Submap
 
 Points: TypeAlias = Float[NDArray[np.floating], "n 3"]
 COARSE_STEP = 1e-3
-"""A step between neighbouring coordinates [m] above which a cloud is worth a warning."""
+"""If neighbouring 32-bit coordinates differ by more than this [m], the user is warned."""
 
 
 def load_cloud(path: Path | str) -> Submap:
@@ -32,21 +32,20 @@ def load_cloud(path: Path | str) -> Submap:
         path: The file; its name without the ending becomes the submap's id.
 
     Raises:
-        InputError: If it is missing, of an unknown ending, broken, or holds no terrain; one
-            line that names the file.
+        InputError: If the file is missing or broken, has an unknown ending, or holds no terrain.
     """
     return load_cloud_with_notes(Path(path))[0]
 
 
 def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
-    """Load one cloud, and say what was left out or is doubtful, a line each.
+    """Load one cloud, with notes on what was left out or is doubtful, one line each.
 
     Raises:
         InputError: See `load_cloud`.
     """
     points = read_points(path)
     if len(points) == 0:
-        raise InputError(f"{path}: is an empty cloud: it holds no points")
+        raise InputError(f"{path}: is an empty cloud: it holds no points; give another file")
     try:
         submap = Submap.from_points(
             points,
@@ -56,7 +55,7 @@ def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
             ranges=_read_property(path, "range"),
         )
     except InputError as error:
-        # The submap knows only its name; the user needs the file.
+        # The submap's error names the submap; the user needs the name of the file.
         raise InputError(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
     notes: list[str] = []
     if submap.num_dropped:
@@ -66,16 +65,16 @@ def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
     if points.dtype.itemsize < 8 and np.spacing(np.float32(furthest)) > COARSE_STEP:
         notes.append(
             f"{path.name}: its 32-bit coordinates of up to {furthest:,.0f} m have steps of "
-            f"{np.spacing(np.float32(furthest)):.2g} m; save it as double or in its own local frame"
+            f"{np.spacing(np.float32(furthest)):.2g} m; save it with 64 bits or in a local frame"
         )
     return submap, tuple(notes)
 
 
 def read_points(path: Path) -> Points:
-    """Read a cloud's rows [m] as they are, NaN and all, in the precision of the file.
+    """Read a cloud's rows [m] without changes, also NaN, in the precision of the file.
 
     Raises:
-        InputError: See `load_cloud`; but any points will do, and even none.
+        InputError: As in `load_cloud`, except that the cloud may hold any points, or none.
     """
     if not path.exists():
         raise InputError(f"{path}: no such file")
@@ -109,8 +108,8 @@ def _read_npy(path: Path) -> Points:
     try:
         array = np.load(path, allow_pickle=False)
     except (ValueError, EOFError, MemoryError) as error:  # MemoryError: a damaged shape
-        raise InputError(f"{path}: is not a whole NPY file: {_first_line(error)}") from None
-    if not isinstance(array, np.ndarray):  # np.load goes by content: this is a renamed NPZ
+        raise InputError(f"{path}: is not a complete NPY file: {_first_line(error)}") from None
+    if not isinstance(array, np.ndarray):  # np.load looks at the content: this is a renamed NPZ
         array.close()
         raise InputError(f"{path}: is an NPZ archive; rename it to .npz")
     return _check_points(array, str(path))
@@ -118,7 +117,7 @@ def _read_npy(path: Path) -> Points:
 
 def _read_npz(path: Path) -> Points:
     try:
-        # Opened here, because NumPy leaves a file that is no archive open.
+        # The file is opened here, because NumPy does not close one that is not an archive.
         with path.open("rb") as file:
             archive = np.load(file, allow_pickle=False)
             if isinstance(archive, np.ndarray):
@@ -127,7 +126,7 @@ def _read_npz(path: Path) -> Points:
     except InputError:
         raise
     except (ValueError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{path}: is not a whole NPZ file: {_first_line(error)}") from None
+        raise InputError(f"{path}: is not a complete NPZ file: {_first_line(error)}") from None
     if "points" in arrays:
         return _check_points(arrays["points"], f"{path}, array 'points'")
     clouds = [name for name, array in arrays.items() if _has_points_shape(array)]
@@ -152,12 +151,12 @@ def _check_points(array: NDArray[Any], where: str) -> Points:
 
 
 def _read_bin(path: Path) -> Points:
-    """Read KITTI's rows of x, y, z and reflectance: float32, and nothing else."""
+    """Read KITTI's rows of x, y, z and reflectance, all float32, without a header."""
     size = path.stat().st_size
     if size % 16:
         raise InputError(
-            f"{path}: is not a whole KITTI scan: {size:,} bytes are no multiple of 16, four "
-            "float32 a point"
+            f"{path}: is not a complete KITTI scan: {size:,} bytes are not a multiple of 16, the "
+            "four float32 of a point"
         )
     return np.fromfile(path, "<f4").reshape(-1, 4)[:, :3]
 
@@ -172,7 +171,7 @@ def _read_las(path: Path) -> Points:
     except OSError:
         raise
     except Exception as error:  # laspy, lazrs and NumPy each raise their own on broken files
-        raise InputError(f"{path}: is not a whole LAS file: {_first_line(error)}") from None
+        raise InputError(f"{path}: is not a complete LAS file: {_first_line(error)}") from None
 
 
 def _first_line(error: Exception) -> str:
@@ -190,17 +189,17 @@ READERS: dict[str, Callable[[Path], Points]] = {
     ".laz": _read_las,
     ".bin": _read_bin,
 }
-"""What reads a file, by its ending."""
+"""The reader of a file, by its ending."""
 
 PROPERTY_READERS: dict[str, Callable[[Path, str], Float[NDArray[np.floating], "n"] | None]] = {
     ".ply": read_ply_property,
     ".npz": _read_npz_property,
 }
-"""What reads a number of each point by its name, by the file's ending: ``noise_std``, the standard
-deviation of its height [m], and ``range``, the distance it was seen from [m]."""
+"""The reader of a named number of each point, by the file's ending. The names are ``noise_std``,
+the standard deviation of the height [m], and ``range``, the distance from the sensor [m]."""
 
 COLOR_READERS: dict[str, Callable[[Path], Float[NDArray[np.floating], "n 3"] | None]] = {
     ".ply": read_ply_colors,
     ".pcd": read_pcd_colors,
 }
-"""What reads the colours of a file's points, by its ending."""
+"""The reader of the points' colours, by the file's ending."""

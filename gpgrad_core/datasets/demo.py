@@ -1,4 +1,4 @@
-"""The built-in demo dataset: what it is made from, and where it is."""
+"""The built-in demo dataset: how it is made, and where it is."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +11,10 @@ from gpgrad_core.types import Dataset
 
 
 def demo_params() -> SimulationParams:
-    """Give the parameters that ``assets/demo`` was simulated with.
+    """Give the parameters with which ``assets/demo`` was simulated.
 
-    Small enough to ship; a camera on a taller mast than by default, for fewer blind spots in a
-    rock field; and a heading that drifts enough to be seen on a short drive.
+    The dataset is small enough to ship. The camera's mast is taller than by default, so that a
+    rock field has fewer blind spots, and the heading drifts enough to be seen on a short drive.
     """
     return SimulationParams(
         seed=13,
@@ -33,12 +33,12 @@ def demo_params() -> SimulationParams:
 
 
 def simulate_demo(progress: Progress = silent) -> Dataset:
-    """Make the demo dataset anew.
+    """Simulate the demo dataset.
 
-    ``write_dataset(simulate_demo(), "assets/demo")`` is how the shipped one was written.
+    ``write_dataset(simulate_demo(), "assets/demo")`` writes the one that is shipped.
 
     Args:
-        progress: Called once a submap.
+        progress: Called once per submap.
     """
     return replace(
         simulate_dataset(demo_params(), progress),
@@ -49,7 +49,7 @@ def simulate_demo(progress: Progress = silent) -> Dataset:
             "(005 to 009)."
         ),
         licence="MIT",
-        # The same ground, seen out and back: a first look should show a loop closure.
+        # The same ground, seen out and back, so that the first view shows a loop closure.
         preferred={"query": "007", "database": "001"},
     )
 
@@ -58,7 +58,7 @@ def demo_path() -> Path:
     """Find the built-in demo dataset, in an installed package or in a checkout.
 
     Raises:
-        InputError: If neither has it: the installation is not whole.
+        InputError: If neither has it, because the installation is incomplete.
     """
     here = Path(__file__).resolve()
     places = (here.parent / "demo", here.parents[2] / "assets" / "demo")

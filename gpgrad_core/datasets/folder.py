@@ -18,17 +18,17 @@ from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap
 
 TRUTH_FILE = "poses_gt.txt"
-ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first that is there is read
+ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first one that exists is read
 ABOUT_FILE = "dataset.toml"
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """A dataset whose clouds stay on disk until they are asked for, one at a time.
+    """A dataset whose clouds are loaded one at a time, when they are needed.
 
     Attributes:
-        dataset: All but the clouds: its submaps have their names and poses, and no points.
+        dataset: The dataset without its clouds: its submaps have ids and poses, but no points.
         clouds: The file of each submap.
     """
 
@@ -36,10 +36,10 @@ class Outline:
     clouds: tuple[Path, ...]
 
     def load(self, k: int) -> tuple[Submap, tuple[str, ...]]:
-        """Load submap number k, and say what was left out of it, a line each.
+        """Load submap number k, with notes on what was left out of it, one line each.
 
         Raises:
-            InputError: If its file is broken; names it.
+            InputError: If its file is broken; the message names the file.
         """
         known = self.dataset.submaps[k]
         submap, notes = load_cloud_with_notes(self.clouds[k])
@@ -60,15 +60,15 @@ def load_dataset(path: Path | str, progress: Progress = silent) -> Dataset:
 
     Args:
         path: Folder or file.
-        progress: Called once a cloud.
+        progress: Called once per cloud.
 
     Returns:
-        The submaps in the order of their numbers, those without a number last, by name. What
-        was left out or ignored is in ``notes``.
+        The submaps sorted by their numbers; submaps without a number are last, sorted by name.
+        ``notes`` reports what was left out or ignored.
 
     Raises:
-        InputError: If anything there is missing, broken or contradicts itself; one line that
-            names the file, and the line where it is text.
+        InputError: If something is missing, broken or contradictory; the message names the file,
+            and in a text file also the line.
     """
     outline = outline_dataset(path)
     submaps: list[Submap] = []
@@ -82,7 +82,7 @@ def load_dataset(path: Path | str, progress: Progress = silent) -> Dataset:
 
 
 def outline_dataset(path: Path | str) -> Outline:
-    """Read all of a dataset but its clouds; see `load_dataset`.
+    """Read a dataset without its clouds; see `load_dataset`.
 
     Raises:
         InputError: See `load_dataset`.
@@ -104,8 +104,8 @@ def _outline_folder(path: Path) -> Outline:
     clouds, ignored = _find_clouds(path / "submaps" if has_submaps else path)
     if not clouds:
         raise InputError(_no_clouds(path, has_submaps=has_submaps))
-    # Beside loose clouds there may lie anything; in submaps/ a stranger is worth a word.
-    notes = [f"submaps/{name}: is no cloud and was ignored" for name in ignored if has_submaps]
+    # A folder of loose clouds may hold anything else; in submaps/ another file is reported.
+    notes = [f"submaps/{name}: is not a cloud and was ignored" for name in ignored if has_submaps]
     known = {index: cloud.stem for cloud in clouds if (index := index_of(cloud.stem)) is not None}
     about = About()
     if (path / ABOUT_FILE).exists():
@@ -115,7 +115,10 @@ def _outline_folder(path: Path) -> Outline:
     present = [path / name for name in ODOMETRY_FILES if (path / name).exists()]
     if present:
         odometry = read_poses(present[0], known)
-        notes += [f"{file.name}: was ignored for {present[0].name}" for file in present[1:]]
+        notes += [
+            f"{file.name}: was ignored, because there is also {present[0].name}"
+            for file in present[1:]
+        ]
     submaps: list[Submap] = []
     for cloud in clouds:
         submap, index = _without_points(cloud.stem), index_of(cloud.stem)
@@ -144,7 +147,7 @@ def _without_points(name: str) -> Submap:
 
 
 def _find_images(folder: Path, index: int) -> tuple[Path, ...]:
-    """List the images of a submap: those in the folder of its number, by name."""
+    """List the images in the folder of a submap's number, sorted by name."""
     if not folder.is_dir():
         return ()
     own = [f for f in sorted(folder.iterdir()) if f.is_dir() and index_of(f.name) == index]
@@ -167,8 +170,8 @@ def index_of(submap_id: str) -> int | None:
 
 
 def _find_clouds(folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the clouds in order, and the names of all else."""
-    # Names that start with a dot are the system's (.DS_Store, ._000.ply), not the user's.
+    """List the clouds in order, and the names of all other files."""
+    # Files whose names start with a dot are the system's, such as .DS_Store and ._000.ply.
     entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
     clouds = [e for e in entries if e.is_file() and e.suffix.lower() in READERS]
     ignored = [entry.name for entry in entries if entry not in clouds]
@@ -179,7 +182,7 @@ def _find_clouds(folder: Path) -> tuple[list[Path], list[str]]:
         if key in owners:
             what = f"the name {key}" if index is None else f"the number {index}"
             raise InputError(
-                f"{folder}: {owners[key].name} and {cloud.name} have both {what}; "
+                f"{folder}: {owners[key].name} and {cloud.name} both have {what}; "
                 "rename or remove one"
             )
         owners[key] = cloud
@@ -195,7 +198,7 @@ def _no_clouds(path: Path, *, has_submaps: bool) -> str:
     message = f"{path / 'submaps' if has_submaps else path}: holds no clouds ({' '.join(READERS)})"
     inner = sorted(e.name for e in path.iterdir() if (e / "submaps").is_dir())
     if inner and not has_submaps:
-        message += f"; it holds the datasets {', '.join(inner[:5])}: give one of them"
+        message += f"; it holds the datasets {', '.join(inner[:5])}; give one of them"
     return message
 
 
@@ -203,20 +206,20 @@ def write_dataset(dataset: Dataset, directory: Path | str, progress: Progress = 
     """Write a dataset folder; a reader never sees it half-written.
 
     Args:
-        dataset: Its submaps' ids become the file names.
-        directory: Where; made with its parents if it does not exist.
-        progress: Called once a cloud.
+        dataset: The dataset; its submaps' ids become the file names.
+        directory: The folder; it is made with its parents if it does not exist.
+        progress: Called once per cloud.
 
     Raises:
-        InputError: If the directory exists and is not empty, cannot be made, or an id cannot be
-            a file name, or a submap has a pose but no number of its own to file it under.
+        InputError: If the directory is not empty or cannot be made, if an id cannot be a file
+            name, or if a submap has a pose but no number, by which pose files name it.
     """
     directory = Path(directory)
     _check_ids(dataset)
     check_vacant(directory)
     try:
         directory.parent.mkdir(parents=True, exist_ok=True)
-        # Written beside its place and renamed: a run that is stopped leaves no half dataset.
+        # It is written next to its place and then renamed, so that no half dataset is left.
         unfinished = directory.resolve().with_name(f".{directory.name}.{uuid.uuid4().hex[:8]}")
         try:
             _write_folder(dataset, unfinished, progress)
@@ -233,7 +236,7 @@ def check_vacant(directory: Path) -> None:
     """Check that a dataset may be written there.
 
     Raises:
-        InputError: If something is there already.
+        InputError: If there is a file, or a folder that is not empty.
     """
     if directory.exists() and not directory.is_dir():
         raise InputError(f"{directory}: is a file; name a new or empty folder")
@@ -249,12 +252,13 @@ def _check_ids(dataset: Dataset) -> None:
         index = index_of(submap.id)
         if index is None and (submap.pose_true or submap.pose_odometry):
             raise InputError(
-                f"{dataset.name}: submap {submap.id!r} has a pose, and no number to file it under"
+                f"{dataset.name}: submap {submap.id!r} has a pose, but its id has no number by "
+                "which a pose file could name it"
             )
         key = submap.id if index is None else index
         if key in owners:
             raise InputError(
-                f"{dataset.name}: the ids {owners[key]!r} and {submap.id!r} have both the "
+                f"{dataset.name}: the ids {owners[key]!r} and {submap.id!r} both have the "
                 f"{'name' if index is None else 'number'} {key}"
             )
         owners[key] = submap.id

@@ -1,7 +1,8 @@
 """PCD, the point cloud library's format: ascii, binary and binary_compressed.
 
-Read here for the same reasons as PLY: Open3D drops the missing rows of a cut ascii file without
-a word, and of a cut binary file returns no points but a printed warning.
+Open3D's reader is not used, for the same reasons as with PLY: it silently drops the missing rows
+of an ascii file that was cut short, and of such a binary file it returns no points and prints a
+warning.
 """
 
 from collections.abc import Sequence
@@ -26,10 +27,10 @@ def read_pcd(path: Path) -> Float[NDArray[np.floating], "n 3"]:
         path: The file.
 
     Returns:
-        Positions [m], float32 if the file has them so, else float64.
+        Positions [m], float32 if they are float32 in the file, otherwise float64.
 
     Raises:
-        InputError: If it is not a PCD, has no x, y and z, or ends too early.
+        InputError: If it is not a PCD file, has no x, y and z, or ends too early.
     """
     data = path.read_bytes()
     header, body_start, num_lines = _parse_header(data, path)
@@ -42,8 +43,8 @@ def read_pcd(path: Path) -> Float[NDArray[np.floating], "n 3"]:
 def read_pcd_colors(path: Path) -> Float[NDArray[np.float64], "n 3"] | None:
     """Read the points' red, green and blue in [0, 1]; None if they have no field ``rgb``.
 
-    The point cloud library packs three bytes into its field ``rgb`` or ``rgba``, which may call
-    itself a float.
+    The point cloud library packs three bytes into its field ``rgb`` or ``rgba``, which may be
+    declared as a float.
 
     Raises:
         InputError: See `read_pcd`.
@@ -93,13 +94,13 @@ def _read_fields(
         return np.column_stack([table[str(column)][:, 0] for column in columns])
     if layout == "binary_compressed":
         return _read_compressed(body, dtype, columns, count, path)
-    raise InputError(f"{path}: DATA {layout!r} is none of ascii, binary, binary_compressed")
+    raise InputError(f"{path}: DATA {layout!r} is not one of ascii, binary, binary_compressed")
 
 
 def _read_compressed(
     body: bytes, dtype: np.dtype[np.void], columns: list[int], count: int, path: Path
 ) -> NDArray[Any]:
-    """Read the layout that keeps each field's values together, packed by LZF."""
+    """Read the layout that stores the values field by field, compressed by LZF."""
     if len(body) < 8:
         raise InputError(f"{path}: is cut short: its compressed points are missing")
     packed_size, size = (int(word) for word in np.frombuffer(body, "<u4", 2))
@@ -111,8 +112,8 @@ def _read_compressed(
     packed = body[8 : 8 + packed_size]
     if len(packed) < packed_size:
         raise InputError(
-            f"{path}: is cut short: {packed_size:,} bytes of compressed points are promised, "
-            f"{len(packed):,} are there; copy or save it again"
+            f"{path}: is cut short: it should hold {packed_size:,} bytes of compressed points, "
+            f"but it holds {len(packed):,}; copy or save it again"
         )
     unpacked = decompress_lzf(packed, size)
     if len(unpacked) != size:
@@ -130,10 +131,10 @@ def decompress_lzf(packed: bytes, size: int) -> bytes:
 
     Args:
         packed: The compressed bytes.
-        size: How many bytes are expected.
+        size: The expected number of bytes.
 
     Returns:
-        What was packed; fewer or more than ``size`` bytes if the data is damaged.
+        The uncompressed bytes; their number is not ``size`` if the data is damaged.
     """
     out = bytearray()
     position = 0
@@ -154,7 +155,7 @@ def decompress_lzf(packed: bytes, size: int) -> bytes:
             if start < 0:
                 return b""
             chunk = out[start : start + length]
-            # A copy may reach into what it is itself writing: then its start repeats.
+            # A copy may overlap its own output; then its start repeats.
             out += (chunk * (length // len(chunk) + 1))[:length]
     except IndexError:
         return b""
@@ -172,12 +173,12 @@ def _parse_header(data: bytes, path: Path) -> tuple[dict[str, list[str]], int, i
         if not words or words[0].startswith("#"):
             continue
         header[words[0].upper()] = words[1:]
-        if number > 100:  # a PCD header has eleven lines: this is something else
+        if number > 100:  # a PCD header has eleven lines, so this is something else
             break
         if words[0].upper() == "DATA":
             _check_header(header, path)
             return header, position, number
-    raise InputError(f"{path}: is not a whole PCD file: its header has no 'DATA' line")
+    raise InputError(f"{path}: is not a complete PCD file: its header has no 'DATA' line")
 
 
 def _check_header(header: dict[str, list[str]], path: Path) -> None:
@@ -190,7 +191,9 @@ def _check_header(header: dict[str, list[str]], path: Path) -> None:
             raise InputError(f"{path}: its {keyword} line does not have {num_fields} entries")
     for keyword in ("SIZE", "COUNT", "POINTS"):
         if not all(word.isdecimal() for word in header.get(keyword, [])):
-            raise InputError(f"{path}: its {keyword} line holds something that is no whole number")
+            raise InputError(
+                f"{path}: its {keyword} line holds something that is not a whole number"
+            )
 
 
 def _types(header: dict[str, list[str]], path: Path) -> list[str]:
@@ -198,6 +201,6 @@ def _types(header: dict[str, list[str]], path: Path) -> list[str]:
     for kind, size in zip(header["TYPE"], header["SIZE"], strict=True):
         letter = KINDS.get(kind, "")
         if int(size) not in SIZES.get(letter, ()):
-            raise InputError(f"{path}: TYPE {kind} of SIZE {size} is no PCD number")
+            raise InputError(f"{path}: TYPE {kind} of SIZE {size} is not a number type of PCD")
         types.append(f"<{letter}{size}")
     return types

@@ -1,9 +1,8 @@
 """PLY, the cloud format that every tool writes.
 
-Read here and not through Open3D: given a file that was cut short, Open3D 0.20 prints a warning
-and returns the missing points as zeros, and its C library prints past Python. trimesh does
-refuse, but cannot say how much is missing. With the header's own promise checked, the rest is
-one NumPy call.
+Open3D's reader is not used: for a file that was cut short, Open3D 0.20 prints a warning and
+returns zeros for the missing points. trimesh refuses such a file, but does not say how much is
+missing. After a check of the number of points in the header, NumPy reads the rest in one call.
 """
 
 import shutil
@@ -33,7 +32,7 @@ SCALARS = {
 }
 RGB = ("red", "green", "blue")
 MAX_FLOAT32_EXTENT = 1000.0
-"""Coordinates beyond this [m] are written as double: there float32 steps reach 0.06 mm."""
+"""Coordinates beyond this [m] are written as doubles: there float32 has steps of 0.06 mm."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class _Element:
         return any(not kind for _, kind in self.properties)
 
     def dtype(self, byte_order: str) -> np.dtype[np.void]:
-        # Numbered, because nothing forbids two properties of one name.
+        # The fields are numbered, because two properties may have the same name.
         return np.dtype(
             [(str(k), byte_order + kind) for k, (_, kind) in enumerate(self.properties)]
         )
@@ -74,10 +73,10 @@ def read_ply(path: Path) -> Float[NDArray[np.floating], "n 3"]:
         path: The file.
 
     Returns:
-        Positions [m], float32 if the file has them so, else float64.
+        Positions [m], float32 if they are float32 in the file, otherwise float64.
 
     Raises:
-        InputError: If it is not a PLY, has no x, y and z, or ends too early.
+        InputError: If it is not a PLY file, has no x, y and z, or ends too early.
     """
     data = path.read_bytes()
     header = _parse_header(data, path)
@@ -87,7 +86,7 @@ def read_ply(path: Path) -> Float[NDArray[np.floating], "n 3"]:
 def read_ply_colors(path: Path) -> Float[Array, "n 3"] | None:
     """Read the vertices' red, green and blue in [0, 1]; None if they have none.
 
-    Whole numbers are taken as shares of the largest of their type, floats as they are.
+    Whole numbers are divided by the largest number of their type; floats are not changed.
 
     Raises:
         InputError: See `read_ply`.
@@ -124,7 +123,7 @@ def _read_vertices(
     if header.layout == "ascii":
         if any(not kind for _, kind in vertex.properties[: max(columns)]):
             wanted = ", ".join(properties)
-            raise InputError(f"{path}: {wanted} must come before any list of a vertex")
+            raise InputError(f"{path}: {wanted} must come before all list properties of a vertex")
         text = data[header.num_bytes :].decode("latin-1")
         skipped = sum(element.count for element in before)
         return read_body(
@@ -134,7 +133,7 @@ def _read_vertices(
         if element.has_list:
             raise InputError(
                 f"{path}: lists in or before 'element vertex' are not supported in a binary PLY; "
-                "save the points alone"
+                "save only the points"
             )
     order = BYTE_ORDERS[header.layout]
     start = header.num_bytes + sum(e.count * e.dtype(order).itemsize for e in before)
@@ -167,7 +166,7 @@ def _parse_header(data: bytes, path: Path) -> _Header:
             case ["format", name, *_]:
                 if name not in BYTE_ORDERS:
                     raise InputError(
-                        f"{where}: format {name!r} is none of {', '.join(BYTE_ORDERS)}"
+                        f"{where}: format {name!r} is not one of {', '.join(BYTE_ORDERS)}"
                     )
                 layout = name
             case ["element", name, count] if count.isdecimal():
@@ -179,7 +178,7 @@ def _parse_header(data: bytes, path: Path) -> _Header:
             case ["ply"] | ["comment", *_] | ["obj_info", *_] | []:
                 pass
             case _:
-                raise InputError(f"{where}: {' '.join(words)[:60]!r} is no line of a PLY header")
+                raise InputError(f"{where}: {' '.join(words)[:60]!r} is not a line of a PLY header")
     raise InputError(f"{path}: is cut short: its header has no 'end_header'; copy or save it again")
 
 
@@ -203,13 +202,13 @@ def write_ply(
 ) -> None:
     """Write points as a little-endian binary PLY.
 
-    float32 wherever that keeps a tenth of a millimetre, double beyond.
+    Positions are float32 if that is precise to a tenth of a millimetre, otherwise double.
 
     Args:
-        path: The file; overwritten if it exists.
+        path: The file; it is overwritten if it exists.
         points: Positions [m].
-        colors: Red, green and blue in [0, 1]; kept to a 255th.
-        extras: Further numbers of each point, by name; kept as float32.
+        colors: Red, green and blue in [0, 1]; written with eight bits each.
+        extras: Further numbers of each point, by name; written as float32.
     """
     extras = extras or {}
     wide = bool(len(points)) and float(np.abs(points).max()) > MAX_FLOAT32_EXTENT
@@ -234,13 +233,13 @@ def write_ply(
 
 
 def write_ply_pieces(path: Path, pieces: Iterable[Float[Array, "n 3"]]) -> int:
-    """Write points as a little-endian binary PLY of doubles, one piece after the other.
+    """Write points as a little-endian binary PLY of doubles, one array after the other.
 
-    How many there are is known when the last one is written: only then comes the header.
+    The header is written last, because only then is the number of points known.
 
     Args:
-        path: The file; overwritten if it exists.
-        pieces: Positions [m], in as many arrays as there are.
+        path: The file; it is overwritten if it exists.
+        pieces: Positions [m], in any number of arrays.
 
     Returns:
         The number of points.

@@ -10,7 +10,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import Pose
 
 QUATERNION_TOLERANCE = 0.01
-"""A length further from 1 than this is no rounding: columns are swapped or missing."""
+"""A length further from 1 than this is not a rounded one: columns are swapped or missing."""
 
 
 def read_poses(path: Path, known: Mapping[int, str]) -> dict[int, Pose]:
@@ -18,14 +18,15 @@ def read_poses(path: Path, known: Mapping[int, str]) -> dict[int, Pose]:
 
     Args:
         path: The file; ``#`` starts a comment.
-        known: Names of the submaps that there are, by index.
+        known: Names of the existing submaps, by index.
 
     Returns:
         Poses by index; not every submap needs one.
 
     Raises:
         InputError: If a row is not eight numbers, its quaternion is not of unit length, its
-            submap does not exist, or the submap was named before; names the line.
+            submap does not exist, or an earlier row names the same submap; the message names the
+            line.
     """
     poses: dict[int, Pose] = {}
     lines_of: dict[int, int] = {}
@@ -48,7 +49,7 @@ def read_poses(path: Path, known: Mapping[int, str]) -> dict[int, Pose]:
 def _parse_row(words: list[str], where: str) -> tuple[int, Pose]:
     if len(words) != 8:
         raise InputError(
-            f"{where}: has {len(words)} columns, a pose needs 8: index tx ty tz qx qy qz qw"
+            f"{where}: has {len(words)} columns, but a pose needs 8: index tx ty tz qx qy qz qw"
         )
     values = parse_numbers(words, where)
     if not values[0].is_integer():
@@ -60,7 +61,7 @@ def parse_numbers(words: list[str], where: str) -> list[float]:
     """Parse the columns of a row.
 
     Raises:
-        InputError: If one is not a number, or not finite; says where.
+        InputError: If one is not a number or not finite; the message begins with `where`.
     """
     try:
         values = [float(word) for word in words]
@@ -75,7 +76,7 @@ def make_pose(values: list[float], where: str) -> Pose:
     """Make a pose of ``tx ty tz qx qy qz qw``.
 
     Raises:
-        InputError: If the quaternion is not of unit length; says where.
+        InputError: If the quaternion is not of unit length; the message begins with `where`.
     """
     quaternion = np.array(values[3:])
     length = float(np.linalg.norm(quaternion))
@@ -87,11 +88,11 @@ def make_pose(values: list[float], where: str) -> Pose:
 
 
 def write_poses(path: Path, poses: Mapping[int, Pose]) -> None:
-    """Write poses as rows of a pose file, to a micrometre and nine digits of quaternion.
+    """Write poses as the rows of a pose file; see `pose_row`.
 
     Args:
-        path: The file; overwritten if it exists.
-        poses: By index.
+        path: The file; it is overwritten if it exists.
+        poses: Poses by index.
     """
     rows = ["# index tx ty tz qx qy qz qw   (p_world = R p_submap + t)"]
     rows += [pose_row(str(index), pose) for index, pose in poses.items()]
@@ -99,11 +100,11 @@ def write_poses(path: Path, poses: Mapping[int, Pose]) -> None:
 
 
 def pose_row(key: str, pose: Pose) -> str:
-    """Spell a pose as a TUM row.
+    """Format a pose as a TUM row.
 
     Args:
-        key: Its index or time.
-        pose: Goes to a micrometre and nine digits of quaternion.
+        key: Index or time of the pose.
+        pose: The pose; it is written to a micrometre and nine decimals of the quaternion.
     """
     translation = " ".join(f"{value:.6f}" for value in pose.translation)
     quaternion = " ".join(f"{value:.9f}" for value in pose.quaternion)

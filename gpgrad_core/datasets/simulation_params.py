@@ -22,31 +22,34 @@ class SimulationParams:
     seed: Annotated[
         int,
         Bounds(0, 2**32 - 1, 1),
-        Doc("Same seed, same dataset, to the bit."),
+        Doc("Seed of all random choices. The same seed gives the same dataset, bit for bit."),
     ] = 0
     num_submaps: Annotated[
         int,
         Bounds(1, 200, 1, "submaps"),
-        Doc("How many submaps the rover makes, half of them on the way back."),
+        Doc("Number of submaps. The rover makes half of them on the way back."),
     ] = 24
     route: Annotated[
         Literal["winding", "loop", "figure_eight"],
-        Doc("Shape of the way out; the way back follows it in the opposite direction."),
+        Doc("Shape of the way out. The way back follows it in the opposite direction."),
     ] = "loop"
     spacing: Annotated[
         float,
         Bounds(1.0, 20.0, 0.5, "m"),
-        Doc("Driven from the start of one submap to the start of the next."),
+        Doc("Distance driven from the start of one submap to the start of the next."),
     ] = 5.0
     lateral_offset: Annotated[
         float,
         Bounds(0.0, 5.0, 0.1, "m"),
-        Doc("How far the way back swings to either side of the way out, crossing it."),
+        Doc("How far the way back swings to either side of the way out, which it crosses."),
     ] = 1.0
     extent: Annotated[
         float,
         Bounds(10.0, 240.0, 1.0, "m"),
-        Doc("Side of the square of terrain; the route and all that is seen must fit."),
+        Doc(
+            "Side of the square of terrain. The route and all that the sensor sees must fit into "
+            "it."
+        ),
     ] = 44.0
     relief: Annotated[
         float,
@@ -56,38 +59,46 @@ class SimulationParams:
     hill_height: Annotated[
         float,
         Bounds(0.0, 20.0, 0.1, "m"),
-        Doc("Standard deviation of the smooth hills under the fractal ground; 0: there are none."),
+        Doc(
+            "Standard deviation of the height of the smooth hills under the fractal ground. 0 "
+            "makes none."
+        ),
     ] = 0.0
     hill_size: Annotated[
         float,
         Bounds(4.0, 200.0, 1.0, "m"),
-        Doc("From hill to hill; their slopes are about 5 times the height by this."),
+        Doc(
+            "Distance from hill to hill. The hills' slopes are about 5 times their height divided "
+            "by this."
+        ),
     ] = 16.0
     roughness: Annotated[
         float,
         Bounds(0.0, 1.0, 0.05),
-        Doc("Share of small bumps in the fractal ground: 0 is rolling, 1 is jagged."),
+        Doc("Share of small bumps in the fractal ground. 0 is rolling, 1 is jagged."),
     ] = 0.3
     crater_density: Annotated[
         float,
         Bounds(0.0, 0.2, 0.005, "1/m²"),
-        Doc("Craters of 1 m to 8 m across per square metre."),
+        Doc("Number of craters per square metre. They are 1 m to 8 m across."),
     ] = 0.04
     dune_height: Annotated[
         float,
         Bounds(0.0, 0.5, 0.01, "m"),
-        Doc("Height of the wind ripples, which lie in patches."),
+        Doc("Height of the wind ripples. They lie in patches."),
     ] = 0.1
     rock_density: Annotated[
         float,
         Bounds(0.0, 5.0, 0.1, "1/m²"),
-        Doc("Rocks of 10 cm to 1.2 m across per square metre, small ones far more often."),
+        Doc(
+            "Number of rocks per square metre. They are 10 cm to 1.2 m across, and most are small."
+        ),
     ] = 1.5
     sensor: Annotated[
         Literal["stereo", "lidar", "airborne"],
         Doc(
-            "A panned stereo camera, a LiDAR that sees all around in rings, or an airborne scanner "
-            "that looks straight down."
+            "Sensor: a panned stereo camera or a LiDAR of the rover, which sees all around in "
+            "rings, or an airborne scanner, which looks straight down."
         ),
     ] = "stereo"
     scan_density: Annotated[
@@ -98,17 +109,17 @@ class SimulationParams:
     camera_height: Annotated[
         float,
         Bounds(0.2, 3.0, 0.1, "m"),
-        Doc("Of the sensor above the ground under the rover."),
+        Doc("Height of the sensor above the ground under the rover."),
     ] = 1.2
     field_of_view: Annotated[
         float,
         Bounds(0.3, 3.1, 0.1, "rad"),
-        Doc("Width of what the panned camera sees at one stop; a LiDAR sees all around."),
+        Doc("Angle that the panned camera sees at one stop. A LiDAR sees all around."),
     ] = 2.1
     lidar_rings: Annotated[
         int,
         Bounds(2, 128, 1, "rings"),
-        Doc("Rays of the LiDAR above one another."),
+        Doc("Number of the LiDAR's rays above one another."),
     ] = 64
     max_range: Annotated[
         float,
@@ -118,42 +129,51 @@ class SimulationParams:
     noise_constant: Annotated[
         float,
         Bounds(0.0, 0.5, 0.001, "m"),
-        Doc("Standard deviation of a measured range at the sensor, or of an airborne height."),
+        Doc("Standard deviation of a range measured next to the sensor, or of an airborne height."),
     ] = 0.005
     noise_quadratic: Annotated[
         float,
         Bounds(0.0, 0.1, 0.0005, "1/m"),
-        Doc("Growth of it with the square of the range, in stereo only."),
+        Doc(
+            "How much the standard deviation of a range grows with its square, in stereo. That of "
+            "the other sensors does not grow."
+        ),
     ] = 0.0035
     dropout_rate: Annotated[
         float,
         Bounds(0.0, 0.9, 0.05),
-        Doc("Share of the rays that find nothing, in patches and singly."),
+        Doc("Share of the rays that find nothing, in patches and one by one."),
     ] = 0.2
     submap_drift: Annotated[
         float,
         Bounds(0.0, 0.1, 0.001, "m/√m"),
-        Doc("Drift within a submap, along each axis; the same number in radians of yaw."),
+        Doc(
+            "Random walk of the position within a submap, along each axis. Yaw drifts by the same "
+            "number in radians."
+        ),
     ] = 0.004
     odometry_drift: Annotated[
         float,
         Bounds(0.0, 0.3, 0.005),
-        Doc("Standard deviation of the error in distance from submap to submap, as a share."),
+        Doc(
+            "Standard deviation of odometry's error from submap to submap, as a share of the "
+            "distance."
+        ),
     ] = 0.02
     heading_drift: Annotated[
         float,
         Bounds(0.0, 0.2, 0.001, "rad/√m"),
-        Doc("Random walk of the odometry's heading."),
+        Doc("Random walk of odometry's heading."),
     ] = 0.012
     voxel_size: Annotated[
         float,
         Bounds(0.01, 0.5, 0.01, "m"),
-        Doc("Points within one cube of this side become their mean."),
+        Doc("All points within one cube of this side are replaced by their mean."),
     ] = 0.04
     max_points: Annotated[
         int,
         Bounds(100, 1_000_000, 1000, "points"),
-        Doc("A submap with more points is thinned to this many, at random."),
+        Doc("A submap with more points than this is thinned to this many at random."),
     ] = 30_000
 
     @property

@@ -20,7 +20,7 @@ def read_text(path: Path) -> str:
         InputError: If it is not text.
     """
     try:
-        # Spreadsheets put a byte-order mark in front; utf-8-sig takes it off.
+        # Spreadsheets write a byte-order mark, which utf-8-sig removes.
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not text; is its ending right?") from None
@@ -34,18 +34,20 @@ def write_lines(path: Path, lines: Iterable[str]) -> None:
 def read_table(path: Path) -> Float[Array, "n 3"]:
     """Read an XYZ or CSV file.
 
-    Columns are parted by commas, semicolons, tabs or spaces. A first row of words must name the
-    columns x, y and z, in any case and order; without it they are the first three. Further
-    columns are ignored, and so are empty lines and lines that start with ``#`` or ``//``.
+    Columns are separated by commas, semicolons, tabs or spaces. If the first row is a header, it
+    must name the columns x, y and z, in any order and in lower or upper case; without a header
+    they are the first three columns. Further columns are ignored, and so are empty lines and lines
+    that start with ``#`` or ``//``.
 
     Args:
         path: The file.
 
     Returns:
-        Positions [m]; none where the file has no rows. An empty field reads as NaN.
+        Positions [m], possibly none. An empty field is read as NaN.
 
     Raises:
-        InputError: If a row lacks a column, or a field is not a number; names the line.
+        InputError: If a row lacks a column, or a field is not a number; the message names the
+            line.
     """
     lines = read_text(path).splitlines()
     first = next((k for k, line in enumerate(lines) if _is_data(line)), None)
@@ -56,7 +58,7 @@ def read_table(path: Path) -> Float[Array, "n 3"]:
     columns = _named_columns(fields)
     if columns is not None:
         return parse_rows(lines[first + 1 :], columns, separator, path, first_line=first + 2)
-    # CloudCompare comments its header out; a comment of another width is only a comment.
+    # CloudCompare writes its header as a comment with as many words as there are columns.
     for line in lines[:first]:
         words = _fields(re.sub(r"^\s*(#|//)+", "", line), separator)
         columns = columns or (_named_columns(words) if len(words) == len(fields) else None)
@@ -79,23 +81,23 @@ def read_body(
     skipped: int = 0,
     first_line: int,
 ) -> Float[Array, "n columns"]:
-    """Read the rows of an ascii body whose header promised how many there are.
+    """Read the rows of an ascii body, whose number the header gives.
 
     Args:
-        text: All that follows the header.
-        count: Rows promised.
-        columns: Which columns are wanted, such as those of x, y and z.
+        text: Everything after the header.
+        count: Number of rows according to the header.
+        columns: Which columns to read, such as those of x, y and z.
         path: The file, for the error message.
-        skipped: Lines before the rows that belong to something else.
+        skipped: Number of lines before the rows that belong to something else.
         first_line: Number of the body's first line in the file.
 
     Raises:
-        InputError: If there are fewer rows, or a row is not what it should be.
+        InputError: If there are fewer rows, a row lacks a column, or a field is not a number.
     """
     rows = text.splitlines()[skipped : skipped + count]
     whole = len(rows)
     if rows and not text.endswith("\n") and skipped + whole == len(text.splitlines()):
-        # The last line has no end: where something is missing it may itself have lost digits.
+        # The last line has no line end: if the file is cut short, the line may lack digits.
         whole -= whole < count or len(rows[-1].split()) <= max(columns)
     if whole < count:
         raise cut_short(path, count, whole)
@@ -105,15 +107,15 @@ def read_body(
 def as_floats(
     columns: NDArray[np.floating] | NDArray[np.integer],
 ) -> NDArray[np.floating]:
-    """Give numbers a type that holds them exactly: float32 stays, all else becomes float64."""
+    """Convert numbers to floats without loss: float32 stays, everything else becomes float64."""
     kept = np.float32 if columns.dtype.kind == "f" and columns.dtype.itemsize == 4 else np.float64
     return columns.astype(kept, copy=False)
 
 
 def cut_short(path: Path, promised: int, found: int) -> InputError:
-    """Make the error for a file that ends before its header's promise is kept."""
+    """Make the error for a file with fewer points than its header says."""
     return InputError(
-        f"{path}: is cut short: its header promises {promised:,} points, the file ends after "
+        f"{path}: is cut short: its header promises {promised:,} points, but the file ends after "
         f"{found:,}; copy or save it again"
     )
 
@@ -129,9 +131,9 @@ def parse_rows(
     """Parse columns out of rows of numbers, at full precision.
 
     Args:
-        lines: Text, a row a line; empty lines and comments are skipped.
-        columns: Which columns are wanted, such as those of x, y and z, counted from 0.
-        separator: What parts the columns; None means spaces.
+        lines: One row per line; empty lines and comments are skipped.
+        columns: Which columns to read, such as those of x, y and z, counted from 0.
+        separator: What separates the columns; None means spaces.
         path: The file, for the error message.
         first_line: Number of the first of these lines in the file, for the error message.
 
@@ -144,7 +146,7 @@ def parse_rows(
     try:
         return np.loadtxt(rows, delimiter=separator, usecols=columns, comments=None, ndmin=2)
     except ValueError:
-        # The quick reader counts lines its own way and knows no empty fields; say it exactly.
+        # NumPy's reader accepts no empty fields, and its errors do not name the file's line.
         return _parse_slowly(lines, columns, separator, path, first_line)
 
 

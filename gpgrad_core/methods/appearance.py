@@ -81,10 +81,10 @@ class AppearanceDetector:
         progress(1.0)
         return seen
 
-    def gather(self, views: list[SeenSubmap]) -> list[SeenSubmap]:
-        """Let each submap know how similar those before it are."""
+    def gather(self, extracted: list[SeenSubmap]) -> list[SeenSubmap]:
+        """Add to each submap how similar the earlier ones are."""
         vocabulary = Vocabulary()
-        return [SeenSubmap(s.place, s.images, vocabulary.look_up_and_learn(s)) for s in views]
+        return [SeenSubmap(s.place, s.images, vocabulary.look_up_and_learn(s)) for s in extracted]
 
     def compare(self, query: SeenSubmap, database: SeenSubmap) -> Registration:
         """Score a pair by its similarity, and by epipolar inliers where it is similar enough."""

@@ -1,4 +1,4 @@
-"""What rivals in space share: thinned clouds with normals, descriptors, their associations."""
+"""What methods with 3D descriptors share: thinned clouds with normals, and associations."""
 
 from dataclasses import dataclass
 from typing import Any

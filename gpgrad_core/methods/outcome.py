@@ -1,4 +1,4 @@
-"""What rivals return, in the terms of the pipeline; most of them know no dense check."""
+"""Registrations of rival methods, most of which have no dense check."""
 
 from dataclasses import replace
 
@@ -14,23 +14,24 @@ from gpgrad_core.types import Registration
 def outcome(
     motion: SE2 | None, inliers: Bool[NDArray[np.bool_], "m"], score: float | None = None
 ) -> Registration:
-    """Make a registration of what has no overlap to compare densely.
+    """Make a registration without a dense check.
 
     Args:
-        motion: Maps the query's frame into the database's; None if there is none.
-        inliers: Which associations agree with it.
-        score: The rival's own confidence; None: the number of inliers, as the paper's Sec. VII.
+        motion: Maps the query's frame into the database's; None if no motion was found.
+        inliers: Which associations agree with the motion.
+        score: The method's own score; None takes the number of inliers, as in the paper's
+            Sec. VII.
     """
     value = float(np.sum(inliers)) if score is None else float(score)
     return Registration(motion, inliers, np.inf, 0.0, 0.0, value)
 
 
 LEAST_INLIERS = 8
-"""Of a rival's loop closure, unless more are asked for."""
+"""Smallest number of inliers of a rival's loop closure; the parameters can only raise it."""
 
 
 def judged_by_inliers(params: PipelineParams) -> PipelineParams:
-    """Leave the verdict to the inliers: another score has another scale."""
+    """Let the number of inliers decide, because a rival's score has another scale."""
     num = max(params.closure.min_inliers, LEAST_INLIERS)
     return replace(params, closure=replace(params.closure, min_inliers=num, min_score=0.0))
 
@@ -40,12 +41,13 @@ def seen_from_above(
 ) -> SE2:
     """Reduce a motion in space to the plane; both frames are gravity-aligned.
 
-    The turn is the yaw closest to the rotation. The shift puts the middle of the query where the
-    whole motion puts it: that of the origin would take a tilt about a far point for a shift.
+    The yaw is the one closest to the rotation. The offset moves the middle of the query to the
+    same place as the motion does; with the offset of the origin, a tilt about a distant point
+    would become a shift.
 
     Args:
         T_database_query: Rigid motion as a matrix.
-        query_points: What was moved [m].
+        query_points: Points of the query [m].
     """
     rotation, translation = T_database_query[:3, :3], T_database_query[:3, 3]
     yaw = float(np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1]))

@@ -36,7 +36,7 @@ MAX_DISSIMILARITY = np.inf
 
 
 def paper_params(params: PipelineParams) -> PipelineParams:
-    """Turn parameters into the paper's, Secs. V and VI-B; only the seed and the noise stay.
+    """Turn parameters into the paper's, Secs. V and VI-B; only the seed and the noise are kept.
 
     | what | paper | taken |
     |---|---|---|
@@ -124,8 +124,8 @@ def register_as_printed(
 ) -> Registration:
     """Run Algorithm 1, line by line.
 
-    Two things differ in form and not in result: the inliers of all iterations are counted at once,
-    and h, which is dear, only where the other half of the condition holds.
+    Two things are computed in another way, with the same result: the inliers of all iterations are
+    counted at once, and the expensive h is computed only where the rest of the condition holds.
 
     Args:
         query: I_g^q and I_v^q.

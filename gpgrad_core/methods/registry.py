@@ -32,15 +32,15 @@ class Method:
     """A way of detecting loop closures.
 
     Attributes:
-        name: What ``--method`` calls it.
-        summary: What it does, in a line.
-        detector: Makes its detector, which keeps what it makes of each submap in the memo.
-        adapt: Turns the parameters asked for into those that the method runs with.
-        fitted: Whether it runs with parameters that are fitted to the dataset; the others take
+        name: Its name, as in ``--method``.
+        summary: What it does, in one line.
+        detector: Makes its detector, which keeps the results of each submap in the memo.
+        adapt: Turns the given parameters into those with which the method runs.
+        fitted: Whether it runs with parameters that are fitted to the dataset. The others take
             what is not given as `MapParams` says.
-        package: Module that it needs and that may not load: of an extra, or for want of a shared
-            library of the system.
-        install: What pip installs to bring the package.
+        package: A module that it needs and that may be missing, because it belongs to an extra or
+            needs a shared library of the system.
+        install: The argument of ``pip install`` that brings the package.
     """
 
     name: str
@@ -75,7 +75,7 @@ class Method:
 
     @property
     def installed(self) -> bool:
-        """Whether the package it needs is there."""
+        """Whether the package that it needs is installed."""
         return not self.package or importlib.util.find_spec(self.package) is not None
 
 
@@ -154,7 +154,7 @@ def find_method(name: str) -> Method:
     """Find a method by its name.
 
     Raises:
-        InputError: If there is none of that name, or the package it needs is not installed.
+        InputError: If there is no such method, or the package that it needs is not installed.
     """
     method = METHODS.get(name)
     if method is None:

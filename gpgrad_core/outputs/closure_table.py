@@ -1,4 +1,4 @@
-"""Every pair of submaps as a row of a table, for spreadsheets: ``closures.csv``."""
+"""``closures.csv``: one row per pair of submaps, for spreadsheets."""
 
 import csv
 from pathlib import Path
@@ -24,7 +24,7 @@ COLUMNS = (
 def write_closure_table(path: Path | str, report: ClosureReport) -> None:
     """Write a report's pairs as comma-separated values with a header.
 
-    x, y and yaw are of ``T_database_query``; their cells are empty where no motion was found.
+    x, y and yaw are those of ``T_database_query``; they are empty where no motion was found.
 
     Raises:
         InputError: If the file cannot be written there.

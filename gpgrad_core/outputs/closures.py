@@ -1,4 +1,4 @@
-"""``closures.json``: the verdict on every pair of submaps, and what it was made with."""
+"""``closures.json``: the verdict on every pair of submaps, and how it was reached."""
 
 import json
 import math
@@ -21,24 +21,25 @@ from gpgrad_core.version import VERSION
 
 @dataclass(frozen=True)
 class PairRecord:
-    """One pair of submaps, as the file has it.
+    """One pair of submaps in the file.
 
     Attributes:
         query: Id of the later submap.
         database: Id of the earlier one.
-        num_inliers: Associations that agree with the motion.
-        score: Higher is more likely a closure.
-        dissimilarity: The paper's SSD metric h; infinite where nothing was compared.
+        num_inliers: Number of associations that agree with the motion.
+        score: A pair with a higher score is more likely a loop closure.
+        dissimilarity: The paper's SSD metric h; infinite if the maps were not compared.
         overlap_area: Trusted area that both maps share [m²].
         accepted: Whether the pair is a loop closure.
-        reason: Why, or why not.
-        T_database_query: Maps points of the query's frame into the database's; None where nothing
-            was estimated.
-        z_offset: What is to be added to the query's heights [m]; None where it is not known.
-        covariance: Of x [m], y [m] and yaw [rad], row by row; None where it is not known.
-        z_std: Standard deviation of ``z_offset`` [m]; None where it is not known.
-        scale: Scale at which the maps were compared [m]; None where they were not.
-        agreement: How far the heights differ, and how far they might; None where it is not known.
+        reason: Why it is accepted or refused.
+        T_database_query: Maps points of the query's frame into the database's; None if no motion
+            was found.
+        z_offset: Height to add to the query so that it lies on the database [m]; None if it is not
+            known.
+        covariance: Covariance of x [m], y [m] and yaw [rad], row by row; None if it is not known.
+        z_std: Standard deviation of ``z_offset`` [m]; None if it is not known.
+        scale: Scale at which the maps were compared [m]; None if they were not compared.
+        agreement: How far the heights differ, and how far they might; None if it is not known.
     """
 
     query: str
@@ -59,16 +60,16 @@ class PairRecord:
 
 @dataclass(frozen=True)
 class ClosureReport:
-    """All that ``closures.json`` holds.
+    """The content of ``closures.json``.
 
     Attributes:
-        dataset: Its name.
-        method: What detected the closures.
-        seed: Of the random choices.
+        dataset: The dataset's name.
+        method: The method that detected the closures.
+        seed: Seed of the random choices.
         params: All parameters, as nested tables.
-        versions: Of gpgrad and of what the numbers depend on.
-        seconds: Time of each stage [s]; all that may differ between two runs of one seed.
-        submaps: Number of points by id, in the dataset's order.
+        versions: Versions of gpgrad and of the libraries that the numbers depend on.
+        seconds: Time of each stage [s]; only this may differ between two runs with one seed.
+        submaps: Number of points by the submap's id, in the dataset's order.
         pairs: Every unordered pair once.
     """
 
@@ -90,13 +91,14 @@ class ClosureReport:
 def report_closures(
     dataset: Dataset, result: DetectionResult, params: PipelineParams, *, method: str = "gradient"
 ) -> ClosureReport:
-    """Gather what the file tells about a detection.
+    """Make the content of the file from a detection.
 
     Args:
-        dataset: What was searched.
-        result: What was found.
-        params: What it was found with; where the result says what automatic ones came to, that.
-        method: Name of the detector.
+        dataset: The dataset that was searched.
+        result: The result of the detection. If it tells the parameters that automatic ones came
+            to, the file has those.
+        params: The parameters of the detection.
+        method: The name of the method.
     """
     params = result.params or params
     return ClosureReport(
@@ -112,7 +114,7 @@ def report_closures(
 
 
 def write_closures(path: Path | str, report: ClosureReport) -> None:
-    """Write a report as JSON, whole or not at all.
+    """Write a report as JSON, completely or not at all.
 
     Raises:
         InputError: If the file cannot be written there.
@@ -133,16 +135,16 @@ def write_closures(path: Path | str, report: ClosureReport) -> None:
         ],
     }
     with replacing(path) as unfinished:
-        # NaN and Infinity are not JSON; better to fail here than in the reader.
+        # NaN and Infinity are not JSON; an error here is better than one in a reader.
         text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
         unfinished.write_text(text + "\n", encoding="utf-8")
 
 
 def read_closures(path: Path | str) -> ClosureReport:
-    """Read what `write_closures` wrote.
+    """Read a file that `write_closures` wrote.
 
     Raises:
-        InputError: If the file is not JSON, or lacks something; names the file and the key.
+        InputError: If the file is not JSON or a key is missing; the message names file and key.
         OSError: If the file cannot be read.
     """
     path = Path(path)
@@ -168,9 +170,10 @@ def read_closures(path: Path | str) -> ClosureReport:
 
 
 def restore_closures(report: ClosureReport) -> tuple[LoopClosure, ...]:
-    """Give the closures that a file tells of, as far as it does.
+    """Turn the content of a file back into loop closures, as far as possible.
 
-    Which associations were inliers is not in the file, only how many; nor is the correlation.
+    The file has the number of inliers, but not which associations they are, and it does not have
+    the correlation.
     """
     return tuple(_closure(pair) for pair in report.pairs)
 
@@ -206,7 +209,7 @@ def _record(closure: LoopClosure) -> PairRecord:
         reason=closure.reason,
         T_database_query=motion
         and SE2(_rounded(motion.x), _rounded(motion.y), _rounded(motion.yaw)),
-        # What knows no covariance did not align the heights either.
+        # Without a covariance the heights were not aligned either.
         z_offset=None if covariance is None else _rounded(registration.z_offset),
         covariance=None
         if covariance is None
@@ -243,7 +246,7 @@ def _read_pair(pair: Mapping[str, Any]) -> PairRecord:
 
 
 def _usable(covariance: Float[Array, "3 3"] | None) -> Float[Array, "3 3"] | None:
-    """Make a covariance symmetric to the last digit; None where it holds nothing."""
+    """Make a covariance exactly symmetric; None if it is not positive definite."""
     if covariance is None or not np.isfinite(covariance).all():
         return None
     symmetric = 0.5 * (covariance + covariance.T)
@@ -251,13 +254,13 @@ def _usable(covariance: Float[Array, "3 3"] | None) -> Float[Array, "3 3"] | Non
 
 
 def _read_covariance(rows: object) -> tuple[tuple[float, ...], ...] | None:
-    """Check a covariance of any tool's: what is not one makes a graph that cannot be solved."""
+    """Check a covariance that any tool may have written; with a bad one no graph can be solved."""
     if rows is None:
         return None
     matrix = np.asarray(rows, dtype=np.float64)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise TypeError("a covariance must be three rows of three numbers")
-    # Sums in half precision leave the halves of a matrix alike to six digits.
+    # Sums in single precision leave the two halves of a matrix equal to six digits only.
     if np.abs(matrix - matrix.T).max() > 1e-5 * np.abs(matrix).max():
         raise TypeError("a covariance must be symmetric")
     matrix = 0.5 * (matrix + matrix.T)
@@ -267,5 +270,5 @@ def _read_covariance(rows: object) -> tuple[tuple[float, ...], ...] | None:
 
 
 def _rounded(value: float) -> float:
-    """Nine digits: a nanometre in a metre; the rest is the noise of the arithmetic."""
+    """Round to nine digits, a nanometre in a metre; further digits are arithmetic noise."""
     return float(f"{value:.9g}")

@@ -1,4 +1,4 @@
-"""Writing a file whole or not at all."""
+"""Files that are written completely or not at all."""
 
 import os
 from collections.abc import Generator
@@ -9,18 +9,18 @@ from gpgrad_core.errors import InputError
 
 
 def check_output(path: Path | str, endings: tuple[str, ...] = ()) -> Path:
-    """Check that a file can be written there, before the long work that fills it.
+    """Check that a file can be written; call this before the long work that makes its content.
 
     Args:
-        path: Where the file will be.
-        endings: File endings allowed, such as ``(".npz", ".tif")``; empty allows all.
+        path: The file.
+        endings: Allowed endings, such as ``(".npz", ".tif")``; empty allows all.
 
     Returns:
         The same path.
 
     Raises:
         InputError: If the folder does not exist or cannot be written to, if the path is a folder,
-            or if its ending is none of those allowed.
+            or if its ending is not allowed.
     """
     path = Path(path)
     if endings and path.suffix.lower() not in endings:
@@ -36,18 +36,18 @@ def check_output(path: Path | str, endings: tuple[str, ...] = ()) -> Path:
 
 @contextmanager
 def replacing(path: Path | str) -> Generator[Path]:
-    """Give a neighbouring path to write to, and put it in place once the block has succeeded.
+    """Give a temporary path to write to, and rename it to `path` if the block succeeds.
 
-    A reader so never sees half a file, and a failure leaves what was there before.
+    So a reader never sees half a file, and after a failure the old file is still there.
 
     Args:
-        path: Where the file is to be.
+        path: Where the file will be.
 
     Raises:
         InputError: As `check_output`.
     """
     path = check_output(path)
-    # The ending stays: writers choose the format by it.
+    # The ending stays the same, because writers choose the format by it.
     unfinished = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     try:
         yield unfinished

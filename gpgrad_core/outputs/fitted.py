@@ -9,11 +9,11 @@ from gpgrad_core.outputs.files import replacing
 
 
 def write_fitted(path: Path | str, result: FitResult) -> None:
-    """Write what a fit found, with the noise model that it holds for.
+    """Write the fitted hyperparameters and the noise model that they belong to.
 
     Args:
-        path: File to write; a table ``[map]`` of six digits a value.
-        result: Of `fit_parameters`.
+        path: File to write: a table ``[map]``, six digits per value.
+        result: The result of `fit_parameters`.
 
     Raises:
         InputError: If it cannot be written there.
@@ -27,7 +27,7 @@ def write_fitted(path: Path | str, result: FitResult) -> None:
     fitted: dict[str, object] = {"noise_model": result.params.noise_model}
     for name in fitted_names(result.params):
         value = getattr(result.params, name)
-        if value is not None:  # a file that does not name it leaves it at None
+        if value is not None:  # a missing line means None
             fitted[name] = float(f"{value:.6g}")
     text = "\n".join([*lines, tomli_w.dumps({"map": fitted})])
     with replacing(path) as unfinished:

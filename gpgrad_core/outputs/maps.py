@@ -1,8 +1,10 @@
-"""Gradient maps as files: arrays (``.npz``), raster (``.tif``), picture (``.png``), mesh."""
+"""Gradient maps as files: arrays (``.npz``), rasters (``.tif``), pictures (``.png``), meshes."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,21 +16,21 @@ from gpgrad_core.outputs.files import check_output, replacing
 from gpgrad_core.types import Array, GradientMap, Grid
 
 BgrImage = UInt8[NDArray[np.uint8], "height width 3"]
-"""Blue, green, red, as OpenCV has it."""
+"""A picture with OpenCV's order of colours: blue, green, red."""
 
 Layer = Float[NDArray[np.floating], "rows columns"]
 
 TILE = 256
-"""Side of the squares of cells that a raster is written in."""
+"""Side of a raster's tiles [cells]."""
 MAP_ENDINGS = (".npz", ".tif", ".tiff", ".png", ".ply", ".glb", ".obj")
 
 PANEL_WIDTH, PANEL_HEIGHT = 460, 460
 MARGIN, BAR_WIDTH, HEADER = 12, 14, 30
 GEO_KEYS = (
     *(1, 1, 0, 3),  # version 1.1.0, three keys
-    *(1024, 0, 1, 32767),  # the model is our own: a local frame
-    *(1025, 0, 1, 1),  # a value stands for the area of its cell
-    *(3076, 0, 1, 9001),  # in metres
+    *(1024, 0, 1, 32767),  # a user-defined model: a local frame
+    *(1025, 0, 1, 1),  # a value is that of its cell's area
+    *(3076, 0, 1, 9001),  # lengths are in metres
 )
 INK, PAPER, UNSEEN = (40, 40, 40), (255, 255, 255), (205, 205, 205)
 
@@ -40,14 +42,14 @@ def write_map(
 
     Args:
         path: ``.npz``; ``.tif`` or ``.tiff``; ``.png``; ``.ply``, ``.glb`` or ``.obj`` for a mesh.
-        gradient_map: What to write.
-        name: Of the submap, for the picture's title.
-        max_std_ratio: Cells less sure than this are left grey in the picture, and out of a mesh;
-            files of numbers hold every cell.
+        gradient_map: The map to write.
+        name: The submap's name, for the picture's title.
+        max_std_ratio: Cells with a larger std / signal_std are grey in a picture and left out of a
+            mesh; ``.npz`` and ``.tif`` files have every cell.
 
     Raises:
-        InputError: If the ending is another, the picture would be too large to draw, or the file
-            cannot be written there.
+        InputError: If the ending is not one of these, the map is too long and thin for a picture,
+            or the file cannot be written there.
         OSError: If writing fails.
     """
     path = check_output(path, MAP_ENDINGS)
@@ -64,7 +66,7 @@ def write_map(
 
 
 def _layers(gradient_map: GradientMap) -> dict[str, Array]:
-    """The layers, as every format names them."""
+    """Name the layers; the names are the same in every format."""
     return {
         "elevation": gradient_map.elevation,
         "variance": gradient_map.variance,
@@ -78,17 +80,18 @@ UNITS = {"elevation": "m", "variance": "m2", "slope_x": "m/m", "slope_y": "m/m",
 
 
 def write_arrays(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
-    """Write layers and their grid as an NPZ; layers on disk are not brought into memory."""
+    """Write layers and their grid as an NPZ; memory-mapped layers are not read into memory."""
     arrays = {"origin": np.asarray(grid.origin), "resolution": np.asarray(grid.resolution)}
-    np.savez_compressed(path, allow_pickle=False, **layers, **arrays)
+    entries: dict[str, Any] = {**layers, **arrays}  # none is a keyword of NumPy's own
+    np.savez_compressed(path, **entries)
 
 
 def write_raster(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
-    """Write one band a layer, north up, with GeoTIFF's tags for the scale and the place.
+    """Write one band per layer, north up, with GeoTIFF's tags for scale and position.
 
-    The frame is local: there is no coordinate system to name. Geographic programs still take the
-    cell size and the corner from the tags, and GDAL the names of the bands; NaN is no data.
-    Layers on disk are read tile by tile.
+    The frame is local, so no coordinate system is named. Geographic programs still read the cell
+    size and the corner from the tags, and GDAL also the names of the bands. NaN means no data.
+    Memory-mapped layers are read tile by tile.
     """
     import tifffile  # noqa: PLC0415 - for this format only; it would slow down every start
 
@@ -130,7 +133,10 @@ def write_raster(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
 def mesh_map(
     gradient_map: GradientMap, max_std_ratio: float
 ) -> tuple[Float[Array, "v 3"], Int[NDArray[np.intp], "f 3"]]:
-    """Make the terrain's surface: a vertex a cell [m], two triangles a square of trusted cells.
+    """Make the terrain's surface: one vertex per cell, two triangles per square of trusted cells.
+
+    Returns:
+        The vertices [m], and the vertices' indices of each triangle, anticlockwise from above.
 
     Raises:
         InputError: If no four neighbouring cells are trusted.
@@ -140,13 +146,13 @@ def mesh_map(
     whole = trusted[:-1, :-1] & trusted[:-1, 1:] & trusted[1:, :-1] & trusted[1:, 1:]
     if not whole.any():
         raise InputError(
-            f"no part of the map is known to {max_std_ratio:g} of its signal_std: raise "
-            "features.max_std_ratio, or the length-scale"
+            f"nowhere on the map is the standard deviation below {max_std_ratio:g} of signal_std: "
+            "raise features.max_std_ratio, or the length-scale"
         )
     row, column = np.nonzero(whole)
     corner = row * grid.shape[1] + column
     right, above = corner + 1, corner + grid.shape[1]
-    faces = np.concatenate(  # anticlockwise seen from above: normals point up
+    faces = np.concatenate(  # anticlockwise from above, so that normals point up
         [np.column_stack([corner, right, above]), np.column_stack([right, above + 1, above])]
     )
     vertices = np.column_stack([grid.positions, gradient_map.elevation.ravel()])
@@ -172,66 +178,16 @@ def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0
     """Draw the layers with their legends, for a person to look at; north is up.
 
     Args:
-        gradient_map: What to draw.
-        name: Of the submap, for the title.
-        max_std_ratio: Cells less sure than this are left grey.
+        gradient_map: The map to draw.
+        name: The submap's name, for the title.
+        max_std_ratio: Cells with a larger std / signal_std are grey.
 
     Raises:
         InputError: If the map is too long and thin to draw.
     """
     trusted = gradient_map.trusted(max_std_ratio)
-    seen = trusted if trusted.any() else np.ones_like(trusted)
-    steepest = float(np.quantile(gradient_map.gradient[seen], 0.99)) or 1.0
-    slope_x, slope_y = gradient_map.slope[..., 0], gradient_map.slope[..., 1]
-    # Light from the north-west, 45 degrees high, as on paper maps.
-    light = np.array([-1.0, 1.0, np.sqrt(2.0)]) / 2.0
-    shade = (light[2] - slope_x * light[0] - slope_y * light[1]) / np.sqrt(
-        1.0 + gradient_map.gradient**2
-    )
-    low, high = (float(np.quantile(gradient_map.elevation[seen], q)) for q in (0.005, 0.995))
-    most = float(gradient_map.std.max())
-    panels = [
-        _panel("shaded relief", "", shade, (0.0, 1.0), seen=seen),
-        _panel(
-            "elevation",
-            "m",
-            gradient_map.elevation,
-            (low, high),
-            colour_map=cv2.COLORMAP_VIRIDIS,
-            seen=seen,
-        ),
-        _panel(
-            "standard deviation",
-            "m",
-            gradient_map.std,
-            (0.0, most),
-            colour_map=cv2.COLORMAP_CIVIDIS,
-        ),
-        _panel(
-            "gradient",
-            "m/m",
-            gradient_map.gradient,
-            (0.0, steepest),
-            colour_map=cv2.COLORMAP_MAGMA,
-            seen=seen,
-        ),
-        _panel(
-            "dz/dx",
-            "m/m",
-            slope_x,
-            (-steepest, steepest),
-            colour_map=cv2.COLORMAP_TWILIGHT_SHIFTED,
-            seen=seen,
-        ),
-        _panel(
-            "dz/dy",
-            "m/m",
-            slope_y,
-            (-steepest, steepest),
-            colour_map=cv2.COLORMAP_TWILIGHT_SHIFTED,
-            seen=seen,
-        ),
-    ]
+    shown = trusted if trusted.any() else np.ones_like(trusted)
+    panels = [_draw_panel(panel) for panel in _panels(gradient_map, shown)]
     grid = gradient_map.grid
     rows, columns = grid.shape
     title = (
@@ -245,17 +201,49 @@ def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0
     return np.vstack([header, body])
 
 
-def _panel(
-    title: str,
-    unit: str,
-    layer: Array,
-    limits: tuple[float, float],
-    *,
-    colour_map: int | None = None,
-    seen: Bool[NDArray[np.bool_], "rows columns"] | None = None,
-) -> BgrImage:
-    """One layer with its title and legend, of one size for all."""
-    low, high = limits
+@dataclass(frozen=True, eq=False)
+class _Panel:
+    """A layer to draw; cells that are not shown are grey, and no colour map means grey shades."""
+
+    title: str
+    unit: str
+    layer: Array
+    limits: tuple[float, float]
+    colour_map: int | None = None
+    shown: Bool[NDArray[np.bool_], "rows columns"] | None = None
+
+
+def _panels(
+    gradient_map: GradientMap, shown: Bool[NDArray[np.bool_], "rows columns"]
+) -> list[_Panel]:
+    """Choose the layers and the limits of their colours."""
+    elevation, std, gradient = gradient_map.elevation, gradient_map.std, gradient_map.gradient
+    low, high = (float(np.quantile(elevation[shown], q)) for q in (0.005, 0.995))
+    steepest = float(np.quantile(gradient[shown], 0.99)) or 1.0
+    slopes = (-steepest, steepest), cv2.COLORMAP_TWILIGHT_SHIFTED, shown
+    slope_x, slope_y = gradient_map.slope[..., 0], gradient_map.slope[..., 1]
+    return [
+        _Panel("shaded relief", "", _shade(gradient_map), (0.0, 1.0), shown=shown),
+        _Panel("elevation", "m", elevation, (low, high), cv2.COLORMAP_VIRIDIS, shown),
+        _Panel("standard deviation", "m", std, (0.0, float(std.max())), cv2.COLORMAP_CIVIDIS),
+        _Panel("gradient", "m/m", gradient, (0.0, steepest), cv2.COLORMAP_MAGMA, shown),
+        _Panel("dz/dx", "m/m", slope_x, *slopes),
+        _Panel("dz/dy", "m/m", slope_y, *slopes),
+    ]
+
+
+def _shade(gradient_map: GradientMap) -> Float[Array, "rows columns"]:
+    """Light the terrain from the north-west, 45 degrees high, as on paper maps."""
+    slope_x, slope_y = gradient_map.slope[..., 0], gradient_map.slope[..., 1]
+    light = np.array([-1.0, 1.0, np.sqrt(2.0)]) / 2.0
+    facing = light[2] - slope_x * light[0] - slope_y * light[1]
+    return facing / np.sqrt(1.0 + gradient_map.gradient**2)
+
+
+def _draw_panel(chosen: _Panel) -> BgrImage:
+    """Draw one layer with its title and legend; all panels have the same size."""
+    title, unit, layer, colour_map = chosen.title, chosen.unit, chosen.layer, chosen.colour_map
+    low, high = chosen.limits
     span = max(high - low, 1e-12)
     rows, columns = layer.shape
     scale = min(PANEL_WIDTH / columns, PANEL_HEIGHT / rows)
@@ -266,10 +254,10 @@ def _panel(
             "write .npz or .tif"
         )
     colours = _coloured(np.clip((layer - low) / span, 0.0, 1.0), colour_map)
-    if seen is not None:
-        colours[~seen] = UNSEEN
+    if chosen.shown is not None:
+        colours[~chosen.shown] = UNSEEN
     shrinking = cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST
-    # Row 0 is the lowest y; in a picture it is at the bottom.
+    # Row 0 has the lowest y, which is at the bottom of a picture.
     image = cv2.resize(np.ascontiguousarray(colours[::-1]), size, interpolation=shrinking)
 
     legend_width = BAR_WIDTH + 90

@@ -10,6 +10,9 @@ from gpgrad_core.params.bounds import Bounds
 
 P = TypeVar("P")
 
+AUTOMATIC = "automatic"
+"""What files say instead of None, which TOML does not have."""
+
 
 @dataclass(frozen=True)
 class Field:

@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.fields import Field, fields_of
+from gpgrad_core.params.fields import AUTOMATIC, Field, fields_of
 from gpgrad_core.types import Dataset
 
 P = TypeVar("P")
-
-AUTOMATIC = "automatic"
-"""What files say instead of None, which TOML does not have."""
 
 
 def read_parameters(path: Path | str, base: P) -> P:

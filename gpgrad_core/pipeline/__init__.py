@@ -1,6 +1,6 @@
 """The order of the stages: one map, one pair, or all pairs of a dataset.
 
-Nothing else knows this order. What a changed parameter does not touch is not computed again.
+Only this folder knows the order. What a changed parameter does not affect is not computed again.
 """
 
 from gpgrad_core.pipeline.automatic import is_resolved, resolve_parameters

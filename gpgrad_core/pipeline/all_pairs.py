@@ -20,19 +20,19 @@ Pair: TypeAlias = tuple[int, int]
 Compare: TypeAlias = Callable[[Any, Any], Registration]
 
 STAGES = {"maps": (0.0, 0.4), "features": (0.4, 0.5), "pairs": (0.5, 1.0)}
-"""Stretch of the progress that each stage takes up."""
+"""Part of the progress that each stage takes."""
 BLOCKS_A_WORKER = 12
-"""Pairs are shared out in blocks: many, so that no worker waits long for the last one; and
-square, so that a worker in another process is sent few submaps for many pairs."""
+"""Pairs are compared in blocks. There are many blocks, so that no worker waits long for the last
+one, and they are square, so that few submaps are sent to another process for many pairs."""
 
 
 @runtime_checkable
 class StagedDetector(Protocol):
-    """A `LoopDetector` whose work on single submaps can be done ahead, once each.
+    """A `LoopDetector` whose work on single submaps is done first, once for each submap.
 
-    ``compare(view(query), view(database))`` is what calling it with both submaps gives, where
-    ``view`` is ``infer`` and then ``extract``. For an executor of processes the detector and
-    what the stages return must be picklable.
+    Calling it with two submaps gives the same as ``infer`` and then ``extract`` for each of them,
+    followed by ``compare``. For an executor of processes the detector and the results of its
+    stages must be picklable.
     """
 
     def __call__(self, query: Submap, database: Submap) -> Registration:
@@ -40,11 +40,11 @@ class StagedDetector(Protocol):
         ...
 
     def infer(self, submap: Submap, progress: Progress = silent) -> Any:
-        """Make what features are drawn from: a map, or a prepared cloud."""
+        """Make what features are extracted from: a map or a prepared cloud."""
         ...
 
     def extract(self, made: Any, progress: Progress = silent) -> Any:
-        """Make all that the comparison needs of one submap."""
+        """Extract what the comparison needs of one submap."""
         ...
 
     def compare(self, query: Any, database: Any) -> Registration:
@@ -54,10 +54,10 @@ class StagedDetector(Protocol):
 
 @runtime_checkable
 class OrderedDetector(StagedDetector, Protocol):
-    """A `StagedDetector` that learns from all submaps in order, such as a growing vocabulary."""
+    """A `StagedDetector` that learns from the submaps in their order, as a bag of words does."""
 
-    def gather(self, views: list[Any]) -> list[Any]:
-        """Tell each extracted submap what is to be known of those before it."""
+    def gather(self, extracted: list[Any]) -> list[Any]:
+        """Add to each extracted submap what it needs to know of the earlier ones."""
         ...
 
 
@@ -69,29 +69,29 @@ def compare_all(
 ) -> tuple[list[tuple[Pair, Registration]], dict[str, float]]:
     """Register every submap to all earlier ones.
 
-    The answer does not depend on the executor or the number of threads: BLAS, whose sums do,
-    is held to one.
+    The result does not depend on the executor or the number of threads. BLAS runs on one thread,
+    because its sums would depend on their number.
 
     Args:
-        submaps: In order.
-        detector: Any; of a `StagedDetector` each submap is prepared once.
-        executor: Threads or processes; None does all in this thread.
+        submaps: The submaps in order.
+        detector: Any detector; with a `StagedDetector` each submap is prepared only once.
+        executor: Threads or processes; None does everything in this thread.
         progress: Called from this thread; may raise Cancelled.
 
     Returns:
-        The registrations, by query and then by database, and the seconds of each stage.
+        The registrations, sorted by query and then by database, and the seconds of each stage.
     """
-    views, seconds = list(submaps), dict.fromkeys(STAGES, 0.0)
+    extracted, seconds = list(submaps), dict.fromkeys(STAGES, 0.0)
     compare: Compare = detector
     start = perf_counter()
     if isinstance(detector, StagedDetector):
         compare = detector.compare
         for name, stage in (("maps", detector.infer), ("features", detector.extract)):
-            views = side_by_side(stage, views, executor, part(progress, *STAGES[name]))
+            extracted = side_by_side(stage, extracted, executor, part(progress, *STAGES[name]))
             if name == "features" and isinstance(detector, OrderedDetector):
-                views = detector.gather(views)
+                extracted = detector.gather(extracted)
             seconds[name], start = perf_counter() - start, perf_counter()
-    blocks = [_Block.of(views, pairs) for pairs in _blocks(len(views), executor)]
+    blocks = [_Block.of(extracted, pairs) for pairs in _blocks(len(extracted), executor)]
     found = side_by_side(
         _ComparedBlock(compare), blocks, executor, part(progress, *STAGES["pairs"])
     )
@@ -105,15 +105,15 @@ def compare_all(
 def side_by_side(
     work: Work[J, R], jobs: list[J], executor: Executor | None, progress: Progress
 ) -> list[R]:
-    """Do all jobs as `run_jobs` does, with an answer that does not depend on the executor."""
-    # Alone, a job may use all cores by itself; beside others it takes its share.
+    """Do all jobs like `run_jobs`, with results that do not depend on the executor."""
+    # A single job may use all cores; jobs side by side share them.
     beside = 1 if executor is None else max(1, len(jobs))
     return run_jobs(_Sharing(work, max(1, num_workers() // beside)), jobs, executor, progress)
 
 
 @dataclass(frozen=True, eq=False)
 class _Sharing(Generic[J, R]):
-    """Work that leaves the other cores to its neighbours."""
+    """Work that uses only its share of the cores."""
 
     work: Work[J, R]
     threads: int
@@ -125,14 +125,14 @@ class _Sharing(Generic[J, R]):
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Some pairs, with what must be known of their submaps, each once."""
+    """Some pairs, and what was extracted of each of their submaps."""
 
     pairs: tuple[Pair, ...]
-    views: dict[int, Any]
+    extracted: dict[int, Any]
 
     @classmethod
-    def of(cls, views: list[Any], pairs: tuple[Pair, ...]) -> "_Block":
-        return cls(pairs, {k: views[k] for pair in pairs for k in pair})
+    def of(cls, extracted: list[Any], pairs: tuple[Pair, ...]) -> "_Block":
+        return cls(pairs, {k: extracted[k] for pair in pairs for k in pair})
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,13 +142,14 @@ class _ComparedBlock:
     def __call__(self, job: _Block, progress: Progress) -> list[tuple[Pair, Registration]]:
         found: list[tuple[Pair, Registration]] = []
         for query, database in job.pairs:
-            found.append(((query, database), self.compare(job.views[query], job.views[database])))
+            registration = self.compare(job.extracted[query], job.extracted[database])
+            found.append(((query, database), registration))
             progress(len(found) / len(job.pairs))
         return found
 
 
 def _blocks(count: int, executor: Executor | None) -> list[tuple[Pair, ...]]:
-    """Cut all pairs of so many submaps into squares of neighbours."""
+    """Divide the pairs of all submaps into square blocks of neighbours."""
     num_pairs = count * (count - 1) // 2
     workers = 1 if executor is None else num_workers()
     side = max(1, ceil(sqrt(num_pairs / (BLOCKS_A_WORKER * workers))))

@@ -1,4 +1,4 @@
-"""A coarse map, quickly: what there is to see while a slider moves and the full one is made."""
+"""A coarse map in little time, to show while a slider moves and the full map is being made."""
 
 from dataclasses import replace
 
@@ -23,36 +23,38 @@ from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import GradientMap, Submap, read_only
 
 COARSER = 3.0
-"""Side of a cell of the coarse map, in cells of the full one."""
+"""Side of a cell of the coarse map, in cells of the full map."""
 THINNED_TO = 0.7
-"""Cells of this many length-scales keep one point each: more would hardly change the picture.
+"""Side of the cells that keep one point each, in length-scales. More points would hardly change
+the picture.
 
-Even thinning leaves the trusted area as it is, where thinning at random tears holes. Measured at
-length-scales from 0.15 to 0.5 m and a noise of 5 cm: heights within 2 cm rms of the full map's,
-the trusted area within 2 % of the map, in under half the time.
+Even thinning leaves the trusted area as it is, while random thinning makes holes in it. Measured
+at length-scales from 0.15 to 0.5 m and a noise of 5 cm: heights within 2 cm rms of the full map,
+the trusted area within 2 % of the map, in less than half the time.
 """
 FEWEST_CELLS = 50
-"""Along the longer side of the submap: long length-scales are cheap with more points too."""
+"""Smallest number of these cells along the longer side of the submap. With a long length-scale,
+more points cost little."""
 LEAST_SIGNAL_STD = 0.001
-"""What the params allow [m]; perfectly flat ground has less."""
+"""Smallest value that the parameters allow [m]; perfectly flat ground has a smaller one."""
 
 
 def infer_coarse_map(
     submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
 ) -> GradientMap:
-    """Infer the map of fewer points on larger cells; of the full fit where there already is one.
+    """Infer the map from fewer points on larger cells, or from the full fit if the memo has it.
 
     Args:
         submap: Gravity-aligned points [m].
-        params: Those of the full map.
-        memo: Shared with the pipeline.
-        progress: Called now and then; may raise Cancelled.
+        params: Parameters of the full map.
+        memo: The memo of the pipeline.
+        progress: Called from time to time; may raise Cancelled.
 
     Raises:
         InputError: If the GP would be too large or cannot be solved.
     """
     resolution = COARSER * params.resolution
-    map_grid(submap, resolution)  # refuse a cloud that is too wide before the long work
+    map_grid(submap, resolution)  # refuses a cloud that is too wide, before the long work
     if memo.holds(fit_terrain, submap, params.terrain):
         posterior = memo(fit_terrain, submap, params.terrain)
     else:
@@ -71,7 +73,7 @@ def infer_coarse_map(
 
 
 def fit_roughly(submap: Submap, params: TerrainParams, progress: Progress = silent) -> Posterior:
-    """Fit the GP to points [m], not quite exactly.
+    """Fit the GP to points [m] with reduced accuracy.
 
     Raises:
         InputError: If the GP would be too large or cannot be solved.
@@ -82,21 +84,21 @@ def fit_roughly(submap: Submap, params: TerrainParams, progress: Progress = sile
 def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
     """Replace the points of every cell of `THINNED_TO` length-scales by their weighted mean.
 
-    Outliers are not looked for here, but by the fit, among the means: it costs less.
+    Outliers are not removed here; the fit finds them among the means, which costs less.
 
     Args:
-        submap: What is thinned, after what `max_points` asks for.
-        params: Of the full map.
+        submap: The submap to thin; `max_points` is applied first.
+        params: Parameters of the full map.
     """
     kept = kept_rows(submap, params.max_points)
     points, noise_std = submap.points[kept], ordinary_noise(submap, submap, params)[kept]
     longest = float(np.ptp(points[:, :2], axis=0).max())
     cell = min(THINNED_TO * params.length_scale, longest / FEWEST_CELLS)
     means, _ = bin_points(points, cell, noise_std)
-    # A mean stands for ground that bends over its cell: it is not believed more than a point.
+    # The ground bends within a cell, so a mean is no more certain than a point.
     of_cell = bin_points(np.column_stack([points[:, :2], noise_std]), cell)[0][:, 2]
     read_only(means)
-    # Its own key in the memo, without hashing the points anew.
+    # This fingerprint is a new key for the memo, without hashing the points again.
     return Submap(submap.id, means, f"{submap.fingerprint}-{hash(params)}", noise_std=of_cell)
 
 
@@ -108,7 +110,7 @@ def infer_quick_maps(
     helper: Helper | None = None,
     progress: Progress = silent,
 ) -> tuple[GradientMap, GradientMap]:
-    """Give `infer_quick_map` of two submaps, at once if there is a helper.
+    """Make the `infer_quick_map` of two submaps, both at the same time if there is a helper.
 
     Raises:
         InputError: If the GP would be too large or cannot be solved.
@@ -124,7 +126,7 @@ def infer_quick_maps(
 def infer_quick_map(
     submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
 ) -> GradientMap:
-    """Give the full map if it is in the memo, and else a coarse one."""
+    """Give the full map if the memo has it, otherwise a coarse one."""
     if memo.holds(fit_terrain, submap, params.terrain):
         posterior = memo(fit_terrain, submap, params.terrain)
         if memo.holds(sample_map, submap, posterior, params.resolution, params.scale):

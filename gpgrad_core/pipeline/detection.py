@@ -1,4 +1,4 @@
-"""The order of the stages; the only file that knows it."""
+"""The order of the stages, which only this file knows."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -39,7 +39,7 @@ FIT_SHARE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class PairResult:
-    """Everything between two submaps and the verdict on them, for whoever wants to look."""
+    """The results of all stages for one pair of submaps."""
 
     query_map: GradientMap
     database_map: GradientMap
@@ -70,8 +70,8 @@ class DetectionResult:
 def infer_map(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> GradientMap:
-    """Make a submap's gradient map, keeping the fitted GP and the map apart."""
-    map_grid(submap, params.map.resolution)  # refuse a cloud that is too wide before the long work
+    """Make a submap's gradient map; the memo keeps the fitted GP and the map separately."""
+    map_grid(submap, params.map.resolution)  # refuses a cloud that is too wide, before the fit
     posterior = memo(fit_terrain, submap, params.map.terrain, progress=progress)
     return memo(sample_map, submap, posterior, params.map.resolution, params.map.scale)
 
@@ -84,14 +84,14 @@ def infer_features(
 
 
 def extract_kept(gradient_map: GradientMap, params: PipelineParams, memo: Memo) -> Features:
-    """Draw a map's keypoints, keeping the untrusted ones apart for when the mask moves."""
+    """Extract a map's keypoints; the memo keeps all of them for another mask."""
     detected = memo(detect_features, gradient_map, params.features.detector)
     return memo(select_trusted, detected, params.features)
 
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """All that is made of one submap before it meets the other."""
+    """Everything that is made of one submap before it is compared."""
 
     posterior: Posterior
     gradient_map: GradientMap
@@ -122,10 +122,10 @@ def _infer_both(
     helper: Helper,
     progress: Progress,
 ) -> None:
-    """Run the stages of both submaps at once, into the memo."""
+    """Run the stages of both submaps at the same time, and put the results into the memo."""
     here, there = (query, params, memo), (database, params, Memo())
     _, side = beside(helper, _infer_side, here, there, progress)
-    # What came from the other process is known from now on by how it was made.
+    # From now on the memo knows the other process's results by how they were made.
     posterior = memo.keep(side.posterior, fit_terrain, database, params.map.terrain)
     gradient_map = memo.keep(
         side.gradient_map,
@@ -147,15 +147,15 @@ def register_pair(
     progress: Progress = silent,
     helper: Helper | None = None,
 ) -> PairResult:
-    """Run every stage for one pair; what is in the memo is not run again.
+    """Run all stages for one pair; what the memo has is not computed again.
 
     Args:
-        query: Submap to be placed.
-        database: Submap it is placed on.
-        params: Of all stages.
-        memo: Shared by all calls that may ask for the same again.
+        query: The submap to be placed.
+        database: The submap on which it is placed.
+        params: Parameters of all stages.
+        memo: Shared by all calls that may need the same results.
         progress: Called with the fraction done; may raise Cancelled.
-        helper: Takes one of the submaps where both are new; the answer is the same.
+        helper: Takes over one of the submaps if both are new; the result is the same.
 
     Raises:
         InputError: If a submap's map cannot be made.
@@ -195,7 +195,7 @@ MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], Gradien
 
 @dataclass(frozen=True, eq=False)
 class ExtractedSubmap:
-    """All that the comparison needs of one submap; little of it, for it may go to a process."""
+    """What the comparison needs of one submap; it is small, because processes exchange it."""
 
     features: Features
     prepared: Prepared
@@ -203,13 +203,14 @@ class ExtractedSubmap:
 
 @dataclass(frozen=True, eq=False)
 class MapDetector:
-    """The pipeline as a `LoopDetector`; and, with other maps or images, some of its rivals.
+    """The pipeline as a `LoopDetector`; with other maps or images, it is also some of its rivals.
 
     Attributes:
-        params: Of all stages.
-        memo: Keeps what was made of each submap; empty at first in another process.
+        params: Parameters of all stages.
+        memo: Keeps the results of each submap; another process begins with an empty one.
         make_map: Makes a submap's map; a function of a module, so that it can be pickled.
-        drawn_from: The map whose ``gradient`` is the image that keypoints are drawn from.
+        drawn_from: Makes the map whose ``gradient`` is the image for the keypoints; None takes the
+            map itself.
     """
 
     params: PipelineParams
@@ -226,7 +227,7 @@ class MapDetector:
         return self.make_map(submap, self.params, self.memo, progress)
 
     def extract(self, made: GradientMap, progress: Progress = silent) -> ExtractedSubmap:
-        """Draw the keypoints."""
+        """Extract the keypoints."""
         image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
         features = extract_kept(image, self.params, self.memo)
         progress(1.0)
@@ -260,14 +261,14 @@ def detect_loop_closures(
     Parameters that are automatic are fitted to the dataset first (`resolve_parameters`).
 
     Args:
-        dataset: Submaps in order.
-        params: Of all stages; of the verdict only, where a detector is given.
-        detector: Another way to register pairs; None is the pipeline.
-        executor: Threads or processes to share the work out to; None does it all here. The
-            answer is the same. For processes the detector must be picklable.
-        memo: To share results with other calls; None keeps what this call needs. Processes do
+        dataset: The submaps in order.
+        params: Parameters of all stages; with a detector, only those of the verdict are used.
+        detector: Another way to register pairs; None uses the pipeline.
+        executor: Threads or processes that share the work; None does everything in this thread.
+            The result is the same. For processes the detector must be picklable.
+        memo: Shares results with other calls; None keeps what this call needs. Other processes do
             not fill it.
-        progress: Called from this thread now and then; may raise Cancelled.
+        progress: Called from this thread from time to time; may raise Cancelled.
 
     Raises:
         InputError: If a submap's map cannot be made.

@@ -11,7 +11,7 @@ from gpgrad_core.registration import RegistrationParams
 
 @dataclass(frozen=True)
 class PipelineParams:
-    """All parameters, a group a stage."""
+    """All parameters, one group per stage."""
 
     map: MapParams = field(default_factory=MapParams)
     features: FeatureParams = field(default_factory=FeatureParams)

@@ -1,4 +1,4 @@
-"""Results of stages, kept by what they were made from, within a number of bytes."""
+"""Results of stages, kept by their inputs and limited to a number of bytes."""
 
 import threading
 import weakref
@@ -16,20 +16,21 @@ R = TypeVar("R")
 class Memo:
     """Remembers ``function(*arguments)`` by (function, params, keys of inputs).
 
-    No array is hashed: a root, such as a submap, brings its ``fingerprint``; whatever a stage
-    made is known by the key it was made under, while it lives; params are their own key. So
-    moving a late slider runs late stages only, and going back runs none. A stage that fails or
-    is cancelled stores nothing. The same key gives the same object: views skip by identity.
+    No array is hashed. A submap has a ``fingerprint``; the result of a stage is known by the key
+    under which it was made, as long as it lives; parameters are their own key. So a changed
+    parameter runs only the later stages, and changing it back runs none. A stage that fails or is
+    cancelled stores nothing. The same key gives the same object, so that a drawing can be skipped
+    by identity.
 
-    Safe to share between threads. Two threads that ask for the same new key at once may both
-    compute it; the first result is the one that both get.
+    Threads can share a memo. If two threads ask for the same new key at the same time, both may
+    compute it, and both get the first result.
     """
 
     def __init__(self, max_bytes: int = 2_000_000_000) -> None:
         """Make an empty memo.
 
         Args:
-            max_bytes: Bytes of arrays to keep; the least recently used results go first.
+            max_bytes: Bytes of arrays to keep; the least recently used results are dropped first.
         """
         self._max_bytes = max_bytes
         self._results: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
@@ -38,7 +39,7 @@ class Memo:
         self._lock = threading.RLock()
 
     def __reduce__(self) -> tuple[type["Memo"], tuple[int]]:
-        """Arrive in another process as an empty memo of the same size."""
+        """Become an empty memo of the same size in another process."""
         return Memo, (self._max_bytes,)
 
     @property
@@ -47,7 +48,7 @@ class Memo:
         return self._bytes
 
     def holds(self, function: Callable[..., Any], *arguments: object) -> bool:
-        """Say whether calling with these arguments would compute nothing."""
+        """Tell whether the memo has the result for these arguments."""
         with self._lock:
             return self._key(function, arguments) in self._results
 
@@ -55,9 +56,9 @@ class Memo:
         """Return ``function(*arguments, **unkeyed)``, computed at most once while it is kept.
 
         Args:
-            function: A pure stage verb.
-            arguments: Its inputs and params; these make the key.
-            unkeyed: What does not change the result, such as ``progress``.
+            function: A pure function.
+            arguments: Its inputs and parameters, which make the key.
+            unkeyed: Arguments that do not change the result, such as ``progress``.
         """
         with self._lock:
             key = self._key(function, arguments)
@@ -68,12 +69,12 @@ class Memo:
         return self.keep(function(*arguments, **unkeyed), function, *arguments)
 
     def keep(self, result: R, function: Callable[..., R], *arguments: object) -> R:
-        """Take a result that was computed elsewhere; gives the one that is kept from now on.
+        """Store a result that was computed elsewhere; returns the one that is kept.
 
         Args:
             result: What the call would return.
-            function: A pure stage verb.
-            arguments: Its inputs and params.
+            function: A pure function.
+            arguments: Its inputs and parameters.
         """
         with self._lock:
             key = self._key(function, arguments)
@@ -98,10 +99,10 @@ class Memo:
         if fingerprint is not None:
             return fingerprint
         if not is_dataclass(argument) or _is_params(argument):
-            return cast("Hashable", argument)  # a number, a name, frozen params: its own key
+            return cast("Hashable", argument)  # a number, a name or parameters: its own key
         key = self._keys.get(argument)
         if key is None:
-            # Made outside this memo: known by identity, through a token that dies with it.
+            # It was made outside this memo: a token that lives as long as it does is its key.
             key = self._keys[argument] = object()
         return key
 

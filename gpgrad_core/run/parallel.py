@@ -1,4 +1,4 @@
-"""Many like jobs, here or over an executor, with one progress and one way to stop."""
+"""Many similar jobs, in this thread or over an executor, with one progress and one way to stop."""
 
 import multiprocessing
 import signal
@@ -19,24 +19,24 @@ from gpgrad_core.run.progress import Cancelled, Progress, part, silent
 J = TypeVar("J")
 R = TypeVar("R")
 Work: TypeAlias = Callable[[J, Progress], R]
-"""What is done with each job; for an executor of processes it must be picklable."""
+"""The function that does a job; for an executor of processes it must be picklable."""
 
 LOOK_EVERY = 0.05
 """Seconds between two reports while workers are busy."""
 WORTH_PROCESSES = 40
-"""Pairs of submaps that take longer to compare than processes take to start."""
+"""From this number of pairs on, the comparison takes longer than processes take to start."""
 
 
 def workers(count: int, num_jobs: int) -> Executor:
     """Start processes for `run_jobs`, or threads where there is little to do.
 
-    Registering a pair is thousands of small NumPy calls, which threads of one process mostly
-    wait for each other with: two processes were measured 1.9 times as fast as one, two threads
-    1.1 times. But processes take more than a second to start.
+    Registering a pair is thousands of small NumPy calls, and threads of one process mostly wait
+    for each other while they make them: two processes were measured 1.9 times as fast as one, two
+    threads 1.1 times. But processes take more than a second to start.
 
     Args:
-        count: How many.
-        num_jobs: Pairs of submaps to compare.
+        count: Number of processes or threads.
+        num_jobs: Number of pairs of submaps to compare.
     """
     if num_jobs < WORTH_PROCESSES:
         return ThreadPoolExecutor(count, thread_name_prefix="worker")
@@ -59,15 +59,15 @@ def run_jobs(
 ) -> list[R]:
     """Do all jobs and return their results in the order of the jobs.
 
-    The progress hook is called from the calling thread alone, whatever the executor. If it
-    raises, or a job does, or Ctrl-C is pressed, jobs that have not begun are dropped, running
-    ones are stopped at their next report (in other processes: at their end) and waited for, and
-    the error goes on. The executor stays the caller's, open.
+    The progress hook is called only from the calling thread. If it raises, a job raises or Ctrl-C
+    is pressed, jobs that have not begun are dropped. Running ones stop at their next report, or in
+    other processes at their end. After that the error is raised. The executor stays open; closing
+    it is up to the caller.
 
     Args:
-        work: What is done with each job.
-        jobs: Jobs of about the same length.
-        executor: Threads or processes; None does all here, one after the other.
+        work: The function that does a job.
+        jobs: Jobs of similar length.
+        executor: Threads or processes; None does all jobs in this thread, one after the other.
         progress: Called with the fraction done; may raise Cancelled.
     """
     jobs = list(jobs)
@@ -81,7 +81,7 @@ def run_jobs(
         while pending:
             done, pending = wait(pending, LOOK_EVERY, FIRST_COMPLETED)
             for future in done:
-                future.result()  # an error ends all at once, not when its turn comes
+                future.result()  # raises an error at once, not only when its turn comes
             if done:
                 tally.finish([k for k, future in enumerate(futures) if future.done()])
             progress(tally.fraction)
@@ -93,7 +93,7 @@ def run_jobs(
 
 
 def _share(k: int, count: int) -> tuple[float, float]:
-    """Stretch of the whole that job k of count takes up."""
+    """Compute the part of the progress that job k of count takes."""
     return k / count, (k + 1) / count
 
 
@@ -123,7 +123,7 @@ class _Tally:
 
 
 class _Report:
-    """The progress hook of one job; in another process it is silent, for it cannot reach back."""
+    """The progress hook of one job; in another process it does nothing."""
 
     def __init__(self, tally: _Tally, k: int) -> None:
         self._tally, self._k = tally, k

@@ -1,26 +1,26 @@
-"""How long work reports where it is, and how it is told to stop."""
+"""How long work reports its progress, and how it is told to stop."""
 
 from collections.abc import Callable
 from typing import TypeAlias
 
 Progress: TypeAlias = Callable[[float], None]
-"""Called with the fraction done in [0, 1], once a tile or a block; may raise Cancelled."""
+"""Called with the fraction done in [0, 1], once per tile or block; may raise Cancelled."""
 
 
 class Cancelled(Exception):
-    """Raised by a progress hook to stop the work below it; nothing of it is kept."""
+    """Raised by a progress hook to stop the work that calls it; none of its results are kept."""
 
 
 def silent(fraction: float) -> None:
-    """Report to nobody; the default."""
+    """Do nothing; this is the default hook."""
 
 
 def part(progress: Progress, start: float, stop: float) -> Progress:
-    """Let a stage report 0..1 into the stretch ``start..stop`` of the whole.
+    """Make a hook for one stage, whose 0 to 1 becomes ``start`` to ``stop`` of the whole.
 
     Args:
-        progress: The hook of the whole.
+        progress: The hook of the whole work.
         start: Fraction of the whole at which the stage begins.
-        stop: Fraction of the whole at which it ends.
+        stop: Fraction of the whole at which the stage ends.
     """
     return lambda fraction: progress(start + (stop - start) * fraction)

@@ -1,4 +1,4 @@
-"""Our threads and BLAS's own must not fight over the cores."""
+"""Keeps our threads and those of BLAS from competing for the cores."""
 
 import os
 import threading
@@ -13,9 +13,9 @@ _own_share: ContextVar[int | None] = ContextVar("_own_share", default=None)
 
 
 def num_workers() -> int:
-    """Threads to use: the cores this process may run on, or ``GPGRAD_THREADS``.
+    """Count the threads to use: the cores of this process, or ``GPGRAD_THREADS``.
 
-    Within `at_most_workers`, at most as many as given there.
+    Within `at_most_workers` it is no more than the number given there.
     """
     share = _own_share.get()
     return _all_workers() if share is None else min(share, _all_workers())
@@ -23,7 +23,7 @@ def num_workers() -> int:
 
 @contextmanager
 def at_most_workers(count: int) -> Generator[None]:
-    """Hold what this thread runs to some threads, because others run beside it."""
+    """Limit the number of threads that this thread uses, because others run at the same time."""
     token = _own_share.set(count)
     try:
         yield
@@ -42,14 +42,14 @@ def _all_workers() -> int:
 
 @cache
 def _controller() -> ThreadpoolController:
-    return ThreadpoolController()  # looks through all loaded libraries: once is enough
+    return ThreadpoolController()  # slow, because it looks at all loaded libraries
 
 
 def _take_control() -> None:
     """Let this thread set the limits of BLAS.
 
-    From 3.7 on, threadpoolctl heeds only the first thread that ever set OpenBLAS's limit, and
-    passes over all others in silence; here the limit is set and taken back by any thread.
+    From 3.7 on, threadpoolctl lets only the first thread that set OpenBLAS's limit change it and
+    silently ignores all others; here any thread sets and removes the limit.
     """
     for library in _controller().lib_controllers:
         clear = getattr(library, "clear_controlling_thread", None)
@@ -64,11 +64,11 @@ _limiter: object | None = None
 
 @contextmanager
 def single_threaded_blas() -> Generator[None]:
-    """Hold BLAS to one thread while our own threads share out small matrices.
+    """Limit BLAS to one thread while our own threads work on small matrices.
 
     On matrices of a few hundred rows, BLAS threads wait for each other longer than they work
-    (measured: four to six times slower on two busy cores). The limit is the process's, so the
-    first to enter sets it and the last to leave takes it back.
+    (measured: four to six times slower on two busy cores). The limit holds for the whole process,
+    so the first to enter sets it and the last to leave removes it.
     """
     global _inside, _limiter  # noqa: PLW0603 - the limit itself is the process's
     with _lock:

@@ -39,7 +39,7 @@ ENDINGS = (".bag", ".mcap", ".db3")
 
 
 def is_bag(path: Path) -> bool:
-    """Say whether a path is a bag: a file of one, a folder of ROS 2, or a folder of ``.bag``."""
+    """Tell whether a path is a bag: a file, a folder of ROS 2, or a folder of ``.bag`` files."""
     return bool(_files(path))
 
 
@@ -54,19 +54,19 @@ def _files(path: Path) -> list[Path]:
 def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
     """Open a bag.
 
-    The clouds are ``PointCloud2``; the poses ``Odometry``, ``PoseStamped`` or
-    ``PoseWithCovarianceStamped``, or else the transforms from the root of their tree to the
-    clouds' frame. Where the poses are of another frame than the clouds, the transforms between
-    the two are taken.
+    The clouds are ``PointCloud2`` messages. The poses are ``Odometry``, ``PoseStamped`` or
+    ``PoseWithCovarianceStamped`` messages, or else the transforms from the root of their tree to
+    the clouds' frame. If the poses are of another frame than the clouds, the transforms between
+    the two frames are used.
 
     Args:
-        path: A ``.bag``, ``.mcap`` or ``.db3``, a folder of ROS 2, or a folder of ``.bag``, which
-            count as one.
-        sources: Topics and frames, where they are not the only ones; files to be read besides.
-        params: How scans and poses are brought together.
+        path: A ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or a folder of ``.bag``
+            files, which count as one bag.
+        sources: The topics and frames to use, where there is a choice, and further files.
+        params: How scans and poses are matched.
 
     Raises:
-        InputError: If the bag is broken, or what is needed is not in it or more than once.
+        InputError: If the bag is broken, or if the clouds or poses are missing or ambiguous.
     """
     with _reading(path) as reader:
         cloud_topic = _choose(reader, CLOUDS, sources.cloud_topic, "clouds", "--cloud-topic", path)
@@ -84,7 +84,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     if contents.unstamped:
         number = contents.unstamped
         have = "message has" if number == 1 else "messages have"
-        notes += (f"{number:,} {have} no time: taken as when it was recorded",)
+        notes += (f"{number:,} {have} no time: the time of recording is used",)
     mount, mount_notes = _mount(contents, tree, stamps, sources, params, path)
     both = body.known & mount.known
     notes += mount_notes + place(stamps, Located(body.poses, both), span, str(path), params)
@@ -111,17 +111,17 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
 
 @dataclass(eq=False)
 class _Contents:
-    """What a first pass over a bag leaves in memory: all but the points."""
+    """What the first pass over a bag reads: everything but the points."""
 
     frame: str = ""  # of the clouds
     stamps: list[float] = field(default_factory=list[float])  # of the clouds [s]
     logged: list[int] = field(default_factory=list[int])  # when they were recorded [ns]
     pose_topic: str | None = None
-    body_frame: str = ""  # what the poses are of, if the messages say
+    body_frame: str = ""  # the frame whose poses they are, if the messages say
     rows: list[list[float]] = field(default_factory=list[list[float]])
     covariances: list[Array] = field(default_factory=list[Array])
     frames: FrameRows = field(default_factory=FrameRows)
-    unstamped: int = 0  # messages that do not say when they were measured
+    unstamped: int = 0  # messages without a time of measurement
 
 
 def _gather(reader: Any, cloud_topic: str, pose_topic: str | None, path: Path) -> _Contents:
@@ -148,7 +148,7 @@ def _gather(reader: Any, cloud_topic: str, pose_topic: str | None, path: Path) -
 
 
 def _stamp(contents: _Contents, message: Any, logged: int) -> float:
-    """Give the time of a message [s]; where it was not filled in, when it was recorded."""
+    """Give the time of a message [s], or the time of recording if the message has none."""
     stamp = seconds(message.header)
     if stamp > 0:
         return stamp
@@ -177,12 +177,12 @@ def _body(
     params: BuildParams,
     path: Path,
 ) -> tuple[Located, str, tuple[str, ...]]:
-    """Find the body's pose at each scan; and say what time is known, and what was assumed."""
+    """Find the body's pose at each scan; also give the poses' time span in words, and notes."""
     if sources.poses is not None:
         found = read_pose_file(sources.poses)
         if found.numbered:
             raise InputError(
-                f"{sources.poses}: KITTI poses have no times to find a bag's scans by; "
+                f"{sources.poses}: KITTI poses have no times, which a bag's scans need; "
                 "give TUM poses"
             )
         trajectory = found.trajectory
@@ -194,7 +194,7 @@ def _body(
         trajectory = Trajectory.in_order(
             table[:, 0],
             Poses(table[:, 1:4], Rotation.from_quat(table[:, 4:])),
-            # All zeros is ROS's way of saying that nothing is known.
+            # In ROS, a covariance of zeros means that it is not known.
             known if len(known) and np.any(known) else None,
         )
     else:
@@ -219,7 +219,7 @@ def _mount(
     params: BuildParams,
     path: Path,
 ) -> tuple[Located, tuple[str, ...]]:
-    """Find the sensor's pose on the body at each scan, and say what was assumed."""
+    """Find the sensor's pose on the body at each scan, and note what was assumed."""
     if sources.mount is not None:
         fixed = Trajectory(np.zeros(1), read_mount(sources.mount).pose, fixed=True)
         return fixed.at(stamps, params), ()
@@ -229,13 +229,13 @@ def _mount(
         if sources.poses is None and contents.pose_topic is None:
             return itself, ()
         return itself, (
-            f"the poses are taken as those of the clouds' frame {frame!r}; if they are of another, "
-            "say where the sensor sits on it: --mount FILE",
+            f"the poses are used as those of the clouds' frame {frame!r}; if they are of another "
+            "frame, say where the sensor sits on it: --mount FILE",
         )
     between = tree.between(body, frame, stamps, params)
     if between is None:
         raise InputError(
-            f"{path}: no transforms join {body!r}, which the poses are of, to the clouds' frame "
+            f"{path}: no transforms join {body!r}, the frame of the poses, to the clouds' frame "
             f"{frame!r}; say where the sensor sits: --mount FILE with tx ty tz qx qy qz qw"
         )
     return between, ()
@@ -248,7 +248,7 @@ def _reader(
         wanted = kept[start:stop]
         if not len(wanted):
             return
-        # Where the bag is in order, all before the first one wanted is skipped unread.
+        # If the bag is in order, the messages before the first wanted one are skipped unread.
         in_order = bool(np.all(logged[1:] >= logged[:-1]))
         since = int(logged[wanted[0]]) if in_order else None
         number = int(np.searchsorted(logged, since)) if since is not None else 0
@@ -268,7 +268,7 @@ def _reader(
 
 @contextlib.contextmanager
 def _reading(path: Path) -> Generator[Any]:
-    """Open a bag's reader; whatever goes wrong with the bag becomes one line.
+    """Open a bag's reader; every error of the bag becomes an InputError of one line.
 
     Raises:
         InputError: If the extra is not installed, or the bag is broken.
@@ -278,7 +278,7 @@ def _reading(path: Path) -> Generator[Any]:
         typesys: Any = load_library("rosbags.typesys", "gpgrad[ros]")
     except InputError as error:
         raise InputError(f"{path}: to read bags, {error}") from None
-    # Bags of early ROS 2 do not say how their messages are laid out.
+    # Bags of early ROS 2 releases do not define their message types.
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     try:
         with highlevel.AnyReader(_files(path), default_typestore=store) as reader:
@@ -287,11 +287,11 @@ def _reading(path: Path) -> Generator[Any]:
         raise
     except Exception as error:  # rosbags, sqlite, lz4 and zstd each raise their own
         said = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: is not a whole bag: {said}") from None
+        raise InputError(f"{path}: is not a complete bag: {said}") from None
 
 
 def _topics(reader: Any, kinds: Sequence[str]) -> dict[str, int]:
-    """Topics of some kinds, with the number of their messages."""
+    """Find the topics of some message types, with the number of their messages."""
     found = {name: info for name, info in reader.topics.items() if info.msgtype in kinds}
     return {name: int(info.msgcount) for name, info in found.items()}
 
@@ -308,7 +308,8 @@ def _choose(
     if wanted is not None:
         if wanted not in found:
             raise InputError(
-                f"{path}: {flag} {wanted}: is no topic of {what} there; it has {listed or 'none'}"
+                f"{path}: {flag} {wanted}: is not a topic of {what} there; it has "
+                f"{listed or 'none'}"
             )
         return wanted
     if len(found) != 1:

@@ -1,4 +1,4 @@
-"""Recording -> dataset: cut, level, accumulate, write; one scan and one submap in memory."""
+"""Recording -> dataset: level, cut, accumulate, write; one scan and one submap in memory."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -37,20 +37,20 @@ from gpgrad_core.types import Submap
 from gpgrad_core.version import VERSION
 
 LOOKED_AT = 24
-"""Scans, spread over the recording, whose ground tells what is up."""
+"""Number of scans, spread over the recording, whose ground gives the direction up."""
 TRAJECTORIES = "trajectory"
 COUNTED = ("measured", "not_finite", "too_close", "too_far", "empty_scans")
 
 
 @dataclass(frozen=True, eq=False)
 class BuildReport:
-    """What a build made, and of what.
+    """The result of a build.
 
     Attributes:
-        num_submaps: Submaps written.
-        num_scans: Scans that went into them.
-        num_resumed: Submaps that an earlier, unfinished run had written.
-        notes: What was left out or assumed, a line each.
+        num_submaps: Number of submaps written.
+        num_scans: Number of scans in them.
+        num_resumed: Number of submaps that an earlier, unfinished run had written.
+        notes: What was left out or assumed, one line each.
     """
 
     num_submaps: int
@@ -65,12 +65,12 @@ def open_recording(
     """Open a folder of clouds with poses, or a ROS bag.
 
     Args:
-        path: The folder, or the bag.
-        sources: Where its parts are, so far as they are not found by themselves.
-        params: How scans and poses are brought together.
+        path: The folder or the bag.
+        sources: Where the parts of the recording are, if they are not to be found automatically.
+        params: How scans and poses are matched.
 
     Raises:
-        InputError: If it cannot be used; one line: what, where, what to do.
+        InputError: If the recording cannot be used; the message says what is wrong and what to do.
     """
     path = Path(path)
     sources, params = sources or RecordingSources(), params or BuildParams()
@@ -100,24 +100,25 @@ def build_dataset(
 ) -> BuildReport:
     """Build a dataset of submaps from scans and poses.
 
-    Each submap's frame is level, with its origin at the robot's body at its first scan and x
-    along the body's x axis there as seen from above. Its points are the means of voxels, each
-    with the standard deviation of its height, the range it was seen from, and how many points it
-    stands for. ``trajectory/`` holds where the sensor was at each scan, in the submap's frame.
+    Each submap's frame is level. Its origin is the robot's body at the first scan, and its x axis
+    is the body's x axis there as seen from above. The points are the means of voxels, each with
+    the standard deviation of its height, the range from which it was seen and the number of its
+    points. ``trajectory/`` has the sensor's pose at each scan in the submap's frame.
 
-    A build that was stopped, in whatever way, is gone on with by the same call; the result is the
-    same, byte for byte. Until it is whole it is called ``DATASET.partial``.
+    If a build was stopped or killed, the same call resumes it, and the result is the same byte for
+    byte. Until it is finished, its folder is called ``DATASET.partial``.
 
     Args:
         scans: A folder of clouds with poses, or a ROS bag.
-        directory: The dataset to make; must not exist, or be empty.
-        params: Where to cut, what is up, and how points are put together.
-        sources: Where the recording's parts are, so far as they are not found by themselves.
-        restart: Throw away what an earlier run has begun.
-        progress: Called once a scan; may raise Cancelled.
+        directory: The dataset to make; it must not exist or be empty.
+        params: Where to cut, which direction is up, and how points are put together.
+        sources: Where the parts of the recording are, if they are not to be found automatically.
+        restart: Whether to delete an unfinished build and begin again.
+        progress: Called once per scan; may raise Cancelled.
 
     Raises:
-        InputError: If anything there cannot be used; one line: what, where, what to do.
+        InputError: If the recording cannot be used, or the directory is not empty; the message
+            says what is wrong and what to do.
     """
     directory = Path(directory)
     sources, params = sources or RecordingSources(), params or BuildParams()
@@ -144,7 +145,7 @@ def build_dataset(
             measured = sum(entry["measured"] for entry in whole.entries)
             raise InputError(
                 f"{scans}: no submap has {params.min_points} points or more: "
-                f"{len(recording):,} scans have {measured:,} points in all"
+                f"the {len(recording):,} scans have {measured:,} points together"
             )
         _write_rest(whole, recording, pieces, params)
         whole.finish()
@@ -153,12 +154,12 @@ def build_dataset(
         num_submaps=len(written),
         num_scans=sum(entry["scans"][1] - entry["scans"][0] for entry in written),
         num_resumed=resumed,
-        notes=(*recording.notes, *notes, *_told(whole.entries, params)),
+        notes=(*recording.notes, *notes, *_left_out(whole.entries, params)),
     )
 
 
 def _levelled(recording: Recording, params: BuildParams) -> tuple[Recording, tuple[str, ...]]:
-    """Turn the world so that z points up, and give the points in the sensor's frame."""
+    """Turn the world so that z points up, and bring the points into the sensor's frame."""
     if params.points_frame == "world":
         recording = replace(recording, read=_seen_by_sensor(recording))
     named = up_axis(recording.up if params.up == "auto" else params.up)
@@ -169,8 +170,9 @@ def _levelled(recording: Recording, params: BuildParams) -> tuple[Recording, tup
         found = estimate_up(normals, recording.name)
         off = np.arccos(np.clip(found.up @ named, -1.0, 1.0))
         notes = (
-            f"up, by the ground of {len(normals)} scans, is {np.degrees(off):.1f} degrees off that "
-            f"of the poses; half of the scans are within {np.degrees(found.spread):.1f} degrees",
+            f"the direction up, by the ground of {len(normals)} scans, is {np.degrees(off):.1f} "
+            "degrees off that of the poses; half of the scans are within "
+            f"{np.degrees(found.spread):.1f} degrees",
         )
         turn = turned_upright(found.up)
     covariance, truth = recording.covariance, recording.truth
@@ -197,7 +199,7 @@ def _seen_by_sensor(recording: Recording) -> Reader:
 
 
 def _ground_normals(recording: Recording, params: BuildParams) -> list[Array]:
-    """Normals of the ground in some scans spread over the recording, in the poses' frame."""
+    """Find the normals of the ground in some scans of the recording, in the poses' frame."""
     normals: list[Array] = []
     for k in np.unique(np.linspace(0, len(recording) - 1, LOOKED_AT).astype(int)).tolist():
         (points,) = recording.read(k, k + 1)
@@ -211,12 +213,12 @@ def _ground_normals(recording: Recording, params: BuildParams) -> list[Array]:
 def _usable(
     points: Float[NDArray[np.floating], "n 3"], params: BuildParams
 ) -> tuple[Float[Array, "m 3"], dict[str, int]]:
-    """Leave out points that are not finite, too close or too far, and count them."""
+    """Drop the points that are not finite, too close or too far, and count them."""
     measured = np.asarray(points, np.float64)
     finite = np.isfinite(measured).all(axis=1)
     kept = measured[finite]
     ranges = np.linalg.norm(kept, axis=1)
-    # Even without a limit there is one: what voxels can number.
+    # Without a given limit, the keys of the voxels still limit the range.
     furthest = min(params.max_range or np.inf, 0.5 * reach(params.voxel_size))
     close, far = ranges < params.min_range, ranges > furthest
     counts = {
@@ -235,7 +237,7 @@ def _add_submaps(
     params: BuildParams,
     progress: Progress,
 ) -> Journal:
-    """Make all submaps that the journal does not have yet."""
+    """Make the submaps that are not in the journal yet."""
     for number in range(len(journal.entries), len(pieces)):
         piece = pieces[number]
         ends = piece.start / len(recording), piece.stop / len(recording)
@@ -251,7 +253,7 @@ def _add_submap(
     params: BuildParams,
     progress: Progress,
 ) -> Journal:
-    """Make one submap, write its cloud and note it down."""
+    """Make one submap, write its cloud and add it to the journal."""
     submap_id = f"{number:03d}"
     from_world = Poses.of(level_pose(recording.body.one(scans.start))).inverse()
     sums = VoxelSums(params.voxel_size)
@@ -280,7 +282,7 @@ def _add_submap(
 
 
 def _is_terrain(voxels: Voxels) -> bool:
-    """Say whether the points span an area: a line of them would spoil the whole dataset."""
+    """Tell whether the points span an area; a submap that does not would spoil the dataset."""
     try:
         Submap.from_points(voxels.points)
     except InputError:
@@ -291,7 +293,7 @@ def _is_terrain(voxels: Voxels) -> bool:
 def _write_rest(
     journal: Journal, recording: Recording, pieces: list[range], params: BuildParams
 ) -> None:
-    """Write poses, trajectories and what the dataset says of itself."""
+    """Write the poses, the trajectories and ``dataset.toml``."""
     odometry: dict[int, Pose] = {}
     truth: dict[int, Pose] = {}
     trajectories = journal.folder / TRAJECTORIES
@@ -333,8 +335,8 @@ def _limits(params: BuildParams) -> str:
     return " or ".join(text.format(limit) for text, limit in limits.items() if limit is not None)
 
 
-def _told(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
-    """Say what was left out."""
+def _left_out(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
+    """Report what was left out."""
     total = {key: sum(entry[key] for entry in entries) for key in COUNTED}
     reasons = {
         "not_finite": "not finite",
@@ -350,11 +352,13 @@ def _told(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
             yield f"{total[key]:,} of {total['measured']:,} points are {reason}: left out"
     if total["empty_scans"]:
         number = total["empty_scans"]
-        yield f"{number:,} scan{'' if number == 1 else 's'} without any point of use"
+        have = "scan has" if number == 1 else "scans have"
+        yield f"{number:,} {have} no usable point"
     for entry in entries:
         if "hash" not in entry:
             first, stop = entry["scans"]
             yield (
-                f"submap {entry['id']}, of {stop - first:,} scans, was left out: its "
-                f"{entry['points']:,} points are fewer than {params.min_points:,}, or on one line"
+                f"submap {entry['id']} of {stop - first:,} scans was left out: its "
+                f"{entry['points']:,} points are fewer than {params.min_points:,}, or lie on one "
+                "line"
             )

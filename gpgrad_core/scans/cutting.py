@@ -9,8 +9,8 @@ from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.trajectory import Poses
 
 SHORTEST_STEP = 0.05
-"""Length is counted in steps of this [m] or more: else a robot that stands still and whose pose
-trembles would drive on and on."""
+"""Length is counted in steps of this [m] or more. Otherwise the noise in the pose of a robot that
+stands still would add up to a long drive."""
 
 
 def cut(
@@ -19,19 +19,19 @@ def cut(
     params: BuildParams,
     covariance: Float[Array, "n 3 3"] | None = None,
 ) -> list[range]:
-    """Share scans out to submaps; a scan that reaches a limit begins the next submap.
+    """Divide scans into submaps; a scan that reaches a limit begins the next submap.
 
     Args:
         stamps: Time of each scan [s].
-        poses: Of the robot at each scan, in a frame whose z points up.
+        poses: Pose of the robot at each scan, in a frame whose z points up.
         params: The limits.
-        covariance: Of each position [m²].
+        covariance: Covariance of each position [m²].
 
     Returns:
-        The scans of each submap: without gaps, none empty.
+        The scans of each submap; each has one or more, and every scan is in one.
 
     Raises:
-        InputError: If the uncertainty is to be limited and nothing is known of it.
+        InputError: If the uncertainty is limited but the covariances are not known.
     """
     if params.max_uncertainty is not None and covariance is None:
         raise InputError(
@@ -62,7 +62,7 @@ def cut(
 
 
 def _reached(value: float, limit: float | None) -> bool:
-    # A hair below counts: 5 m of steps of 0.1 m are 4.999999999 m.
+    # Allow for rounding: 50 steps of 0.1 m add up to 4.999999999 m.
     return limit is not None and bool(value >= limit * (1.0 - 1e-6))
 
 
@@ -71,9 +71,9 @@ def _turn(angle: float) -> float:
 
 
 def _growth(before: Float[Array, "3 3"], after: Float[Array, "3 3"]) -> float:
-    """Standard deviation that a position has gained, along its worst direction [m].
+    """Compute how much a position's standard deviation has grown, in its worst direction [m].
 
-    Odometry adds up independent steps, so the covariance of what lies between two poses is the
-    difference of theirs.
+    Odometry adds up independent steps, so the covariance of the motion between two poses is the
+    difference of their covariances.
     """
     return float(np.sqrt(max(0.0, float(np.linalg.eigvalsh(after - before)[-1]))))

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from gpgrad_core.scans.recording import (
     spelled,
     truth_at,
 )
-from gpgrad_core.scans.trajectory import Poses
+from gpgrad_core.scans.trajectory import Poses, Trajectory
 
 CLOUD_FOLDERS = ("", "scans", "velodyne", "velodyne_points", "clouds")
 POSE_NAMES = ("poses.txt", "poses.tum", "poses_odom.txt", "odometry.txt", "trajectory.txt")
@@ -34,19 +35,78 @@ KITTI_CALIBRATION = "calib.txt"
 def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
     """Open a folder of clouds.
 
-    The clouds lie in the folder itself, or in ``scans/``, ``velodyne/`` or ``clouds/``; beside
-    them ``poses.txt``, and maybe ``poses_gt.txt``, ``times.txt``, ``mount.txt`` or KITTI's
-    ``calib.txt``. A scan's time is the number in its file's name, unless there are times.
+    The clouds lie in the folder itself, or in ``scans/``, ``velodyne/`` or ``clouds/``. The
+    folder also has ``poses.txt``, and may have ``poses_gt.txt``, ``times.txt``, ``mount.txt`` or
+    KITTI's ``calib.txt``. Without ``times.txt``, a scan's time is the number in its file's name.
 
     Args:
         path: The folder.
-        sources: Files that are somewhere else.
-        params: How scans and poses are brought together.
+        sources: Files that are in other places.
+        params: How scans and poses are matched.
 
     Raises:
-        InputError: If there are no clouds or no poses, or they cannot be brought together.
+        InputError: If there are no clouds or no poses, or they do not belong together.
     """
     clouds, scans_folder = _find_clouds(path)
+    files = _read_files(path, scans_folder, sources)
+    times = files.times
+    if times is not None and len(times) != len(clouds) and not files.poses.numbered:
+        raise InputError(
+            f"{files.times_path}: holds {len(times):,} times for {len(clouds):,} scans"
+        )
+    keys, stamps, notes = _stamps(clouds, files.poses, times, path)
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
+    located = files.poses.trajectory.at(keys, params)
+    notes += place(keys, located, _span(files.poses), str(path), params)
+    known = np.flatnonzero(located.known)
+    kept = [clouds[k] for k in order[known]]
+    true_poses, truth_notes = truth_at(
+        files.true_trajectory, keys[known], str(files.truth_path), params
+    )
+    return Recording(
+        name=path.resolve().name,
+        identity=identify([*kept, *files.paths]),
+        stamps=None if stamps is None else stamps[order[known]],
+        body=located.poses[known],
+        mount=files.mount.pose,
+        read=_reader(kept),
+        labels=tuple(cloud.name for cloud in kept),
+        up="-y" if files.mount.on_camera else "z",
+        covariance=None if located.covariance is None else located.covariance[known],
+        truth=true_poses,
+        notes=(*notes, *files.mount_notes, *truth_notes),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Files:
+    """The text files that belong to a folder of clouds, and what they hold."""
+
+    pose_path: Path
+    poses: PoseFile
+    truth_path: Path | None
+    truth: PoseFile | None
+    times_path: Path | None
+    times: Float[Array, "t"] | None
+    mount_path: Path | None
+    mount: Mount
+    mount_notes: tuple[str, ...]
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files that there are."""
+        paths = (self.pose_path, self.truth_path, self.times_path, self.mount_path)
+        return [path for path in paths if path is not None]
+
+    @property
+    def true_trajectory(self) -> Trajectory | None:
+        """The true poses by time, or by KITTI's row."""
+        return None if self.truth is None else self.truth.trajectory
+
+
+def _read_files(path: Path, scans_folder: Path, sources: RecordingSources) -> _Files:
+    """Find and read the files beside the clouds, unless the sources name others."""
     places = [path] if scans_folder == path else [path, scans_folder]
     pose_path = sources.poses or _find(places, POSE_NAMES)
     if pose_path is None:
@@ -62,36 +122,17 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
         )
     times_path = sources.times or _find(places, TIME_NAMES)
     times = None if times_path is None else read_times(times_path)
-    if times is not None and len(times) != len(clouds) and not poses.numbered:
-        raise InputError(f"{times_path}: holds {len(times):,} times for {len(clouds):,} scans")
-    wanted, stamps, notes = _stamps(clouds, poses, times, path)
-    order = np.argsort(wanted, kind="stable")
-    clouds, wanted = [clouds[k] for k in order], wanted[order]
-    stamps = None if stamps is None else stamps[order]
-    located = poses.trajectory.at(wanted, params)
-    notes += place(wanted, located, _span(poses), str(path), params)
-    kept = np.flatnonzero(located.known)
-    true_poses, truth_notes = truth_at(
-        None if truth is None else truth.trajectory, wanted[kept], str(truth_path), params
-    )
-    mount_path, mount, mount_note = _find_mount(sources, places, poses)
-    texts = (pose_path, truth_path, times_path, mount_path)
-    return Recording(
-        name=path.resolve().name,
-        identity=identify([clouds[k] for k in kept] + [file for file in texts if file]),
-        stamps=None if stamps is None else stamps[kept],
-        body=located.poses[kept],
-        mount=mount.pose,
-        read=_reader([clouds[k] for k in kept]),
-        labels=tuple(clouds[k].name for k in kept),
-        up="-y" if mount.on_camera else "z",
-        covariance=None if located.covariance is None else located.covariance[kept],
-        truth=true_poses,
-        notes=(*notes, *mount_note, *truth_notes),
+    mount_path, mount, mount_notes = _find_mount(sources, places, poses)
+    return _Files(
+        *(pose_path, poses),
+        *(truth_path, truth),
+        *(times_path, times),
+        *(mount_path, mount, mount_notes),
     )
 
 
 def _find_clouds(path: Path) -> tuple[list[Path], Path]:
+    """List the clouds, sorted by name, and the folder that they lie in."""
     for name in CLOUD_FOLDERS:
         folder = path / name
         if not folder.is_dir():
@@ -105,7 +146,7 @@ def _find_clouds(path: Path) -> tuple[list[Path], Path]:
             return clouds, folder
     raise InputError(
         f"{path}: holds no scans: neither it nor its {', '.join(CLOUD_FOLDERS[1:])} have clouds "
-        f"({' '.join(READERS)}), and it is no bag"
+        f"({' '.join(READERS)}), and it is not a bag"
     )
 
 
@@ -118,16 +159,16 @@ def _find(places: Sequence[Path], names: Sequence[str]) -> Path | None:
 def _find_mount(
     sources: RecordingSources, places: Sequence[Path], poses: PoseFile
 ) -> tuple[Path | None, Mount, tuple[str, ...]]:
-    """Give the file of the sensor's pose on the body, what it says, and a note if it was found."""
-    # Many a calib.txt is another tool's; beside KITTI's poses it is KITTI's.
+    """Find the file of the sensor's pose on the body; give its path, its content and a note."""
+    # Other tools have a calib.txt too; beside KITTI's poses it is KITTI's.
     names = (*MOUNT_NAMES, KITTI_CALIBRATION) if poses.numbered else MOUNT_NAMES
     path = sources.mount or _find(places, names)
     if path is None:
         return None, Mount(Poses.identity()), ()
     mount = read_mount(path)
     if mount.on_camera:
-        return path, mount, (f"{path.name}: KITTI's, so the poses are of a camera: up is -y",)
-    found = f"{path.name}: was found, and is taken as the sensor's pose on the body"
+        return path, mount, (f"{path.name}: is KITTI's, so the poses are of a camera: up is -y",)
+    found = f"{path.name}: was found and is used as the sensor's pose on the body"
     return path, mount, () if sources.mount else (found,)
 
 
@@ -141,18 +182,20 @@ def _span(poses: PoseFile) -> str:
 def _stamps(
     clouds: list[Path], poses: PoseFile, times: Float[Array, "t"] | None, path: Path
 ) -> tuple[Array, Float[Array, "n"] | None, tuple[str, ...]]:
-    """Tell by what each scan is looked up among the poses, and its time [s] if anything tells it.
+    """Find the key by which each scan is looked up among the poses, and its time.
+
+    Returns:
+        The keys: times [s], or KITTI's row numbers; the times [s], None if they are not known; and
+        notes.
 
     Raises:
-        InputError: If that cannot be told.
+        InputError: If the keys cannot be found.
     """
     numbers = [number_in(cloud.stem) for cloud in clouds]
     if poses.numbered:
         rows = _row_of_each(numbers, len(poses.trajectory.stamps), path)
         if times is not None and int(rows.max()) >= len(times):
-            raise InputError(
-                f"{path}: there is a scan {int(rows.max())} and only {len(times):,} times"
-            )
+            raise InputError(f"{path}: has a scan {int(rows.max())}, but only {len(times):,} times")
         return rows.astype(np.float64), None if times is None else times[rows], ()
     if times is not None:
         return times, times, ()
@@ -160,14 +203,14 @@ def _stamps(
     if len(known) < len(numbers):
         first = clouds[numbers.index(None)].name
         raise InputError(
-            f"{path}: the name {first} tells no time; give the scans' times: --times FILE"
+            f"{path}: the name {first} holds no time; give the scans' times: --times FILE"
         )
     stamps = np.array(known)
     spans = poses.trajectory.stamps[[0, -1]] + [-1.0, 1.0]
     middle = float(np.median(stamps))
     for scale, unit in ((1.0, ""), (1e-9, "nanoseconds"), (1e-6, "microseconds"), (1e-3, "ms")):
         if spans[0] <= scale * middle <= spans[1]:
-            note = (f"the numbers in the scans' names are taken as {unit}",) if unit else ()
+            note = (f"the numbers in the scans' names are read as {unit}",) if unit else ()
             return scale * stamps, scale * stamps, note
     return stamps, stamps, ()
 
@@ -175,7 +218,7 @@ def _stamps(
 def _row_of_each(
     numbers: list[float | None], num_rows: int, path: Path
 ) -> Int[NDArray[np.int64], "n"]:
-    """Tell which KITTI row is the pose of each scan: by its number, or else by its turn."""
+    """Find the KITTI row of each scan: by the number in its name, or else by its place in order."""
     whole = [int(number) for number in numbers if number is not None and number.is_integer()]
     if len(whole) == len(numbers) and max(whole) < num_rows:
         return np.array(whole)
@@ -188,9 +231,10 @@ def _row_of_each(
 
 
 def number_in(stem: str) -> float | None:
-    """Find the number that a file's name tells: the last one in it.
+    """Find the last number in a file's name.
 
-    Seconds and nanoseconds apart, as ROS tools write them, are one.
+    Seconds and nanoseconds that a point or an underscore separates, as ROS tools write them, count
+    as one number.
 
     >>> number_in("scan_000012"), number_in("1311868164.363181"), number_in("ground")
     (12.0, 1311868164.363181, None)

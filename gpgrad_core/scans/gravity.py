@@ -12,13 +12,14 @@ from gpgrad_core.scans.voxels import Voxels
 from gpgrad_core.se2 import SE2, Pose
 
 GROUND_VOXEL = 0.2
-"""Points are thinned to this [m] first: else the dense ground at the robot's feet decides."""
+"""Points are thinned to voxels of this side [m] first. Otherwise the dense ground close to the
+robot would decide."""
 TRIM = 2.5
-"""Points further off the plane than this many standard deviations are no ground."""
+"""Points further from the plane than this many standard deviations do not count as ground."""
 ROUNDS = 10
 LEAST_POINTS = 20
 UPRIGHT = 0.95
-"""Length of the vertical part of a body's x axis beyond which its y axis gives the heading."""
+"""If the vertical part of a body's x axis is longer than this, its y axis gives the heading."""
 
 
 def up_axis(name: str) -> Float[Array, "3"]:
@@ -29,11 +30,11 @@ def up_axis(name: str) -> Float[Array, "3"]:
 
 
 def turned_upright(up: Float[Array, "3"]) -> Rotation:
-    """Give the shortest turn that takes a direction to z."""
+    """Give the smallest rotation that turns a direction to z."""
     cosine = float(np.clip(up[2] / np.linalg.norm(up), -1.0, 1.0))
     axis = np.cross(up, [0.0, 0.0, 1.0])
     length = float(np.linalg.norm(axis))
-    if length < 1e-12:  # up or down already: if down, over by x
+    if length < 1e-12:  # along z already; a direction that points down is turned about x
         axis, length = np.array([1.0, 0.0, 0.0]), 1.0
     return Rotation.from_rotvec(np.arccos(cosine) * axis / length)
 
@@ -42,23 +43,23 @@ def level_pose(pose: Pose) -> Pose:
     """Give the level frame at a pose: z up, x along the body's x axis as seen from above.
 
     Args:
-        pose: Of a body in a frame whose z points up.
+        pose: Pose of a body in a frame whose z points up.
     """
     forward = pose.rotation[:, 0]
-    if abs(forward[2]) > UPRIGHT:  # looks up or down: it heads nowhere
+    if abs(forward[2]) > UPRIGHT:  # x points up or down and gives no heading
         forward = pose.rotation[:, 1]
     x, y, z = pose.translation.tolist()
     return Pose.from_planar(SE2(x, y, float(np.arctan2(forward[1], forward[0]))), z)
 
 
 def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
-    """Fit a plane to the ground, leaving out again and again what lies off it.
+    """Fit a plane to the ground; each round leaves out the points that lie off the last plane.
 
     Args:
-        points: Positions about the sensor [m], which is above the ground.
+        points: Positions relative to the sensor [m], which is above the ground.
 
     Returns:
-        The plane's normal, pointing up; None if there are too few points.
+        The plane's normal (3,), pointing up; None if there are too few points.
     """
     thinned = Voxels.of(points, np.zeros(len(points)), GROUND_VOXEL).points
     if len(thinned) < LEAST_POINTS:
@@ -79,32 +80,33 @@ def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
 
 @dataclass(frozen=True, eq=False)
 class UpEstimate:
-    """The direction that ground planes agree on."""
+    """The direction up, estimated from ground planes."""
 
     up: Float[Array, "3"]
     spread: float  # median angle of the planes' normals to it [rad]
 
 
 def estimate_up(normals: list[Array], where: str) -> UpEstimate:
-    """Find what is up from the ground's planes along a recording: slopes average out.
+    """Estimate the direction up from the ground planes of a recording; slopes average out.
 
     Args:
-        normals: Of the planes, in the frame of the poses.
-        where: What is recorded, for the error message.
+        normals: Normals (3,) of the planes, in the frame of the poses.
+        where: Name of the recording, for the error message.
 
     Raises:
-        InputError: If there is none.
+        InputError: If there are no planes, or they disagree.
     """
     if not normals:
         raise InputError(
-            f"{where}: no scan shows enough ground to tell what is up; take gravity from the poses"
+            f"{where}: no scan shows enough ground to find the direction up; "
+            "take gravity from the poses"
         )
     stacked = np.array(normals)
     middle = np.median(stacked, axis=0)
     length = float(np.linalg.norm(middle))
     if length < 0.5:
         raise InputError(
-            f"{where}: the scans disagree about what is up; take gravity from the poses"
+            f"{where}: the scans disagree on the direction up; take gravity from the poses"
         )
     up = middle / length
     angles = np.arccos(np.clip(stacked @ up, -1.0, 1.0))

@@ -1,8 +1,9 @@
-"""An unfinished dataset that can be gone on with, and that nothing takes for a whole one.
+"""An unfinished dataset, which a later run can resume and which nobody mistakes for a finished one.
 
-All is written to ``DATASET.partial``, the clouds to a folder that no reader of datasets looks
-into. Each finished submap is a line of the journal, with the hash of its cloud; what a killed run
-left behind its last whole line is made anew. At the end the folder takes its name in one step.
+Everything is written to ``DATASET.partial``, and the clouds to a folder in it that no reader of
+datasets looks at. The journal has one line per finished submap, with the hash of its cloud. What a
+killed run left after its last complete line is made again. At the end the folder is renamed in one
+step.
 """
 
 import contextlib
@@ -23,18 +24,18 @@ from gpgrad_core.errors import InputError
 
 Entry = dict[str, Any]
 JOURNAL = "build.jsonl"
-"""Stays with the finished dataset: it says what the submaps were made from."""
+"""Name of the journal; it stays in the finished dataset and tells what the submaps were made of."""
 UNFINISHED_CLOUDS, CLOUDS = "unfinished", "submaps"
 
 
 @dataclass(frozen=True, eq=False)
 class Journal:
-    """A dataset in the making.
+    """An unfinished dataset.
 
     Attributes:
-        directory: The dataset to be.
-        folder: Where it is in the making.
-        entries: Of the submaps that are finished.
+        directory: Where the finished dataset will be.
+        folder: Where the unfinished dataset is.
+        entries: One entry per finished submap.
     """
 
     directory: Path
@@ -47,11 +48,11 @@ class Journal:
         return self.folder / UNFINISHED_CLOUDS
 
     def added(self, entry: Entry, cloud: Path | None) -> "Journal":
-        """Note down a submap, once its cloud is on the disk.
+        """Add a submap to the journal, after its cloud has been written to the disk.
 
         Args:
-            entry: What is known of it.
-            cloud: Its file, if it has one.
+            entry: What the journal is to say about the submap.
+            cloud: The file of its cloud; None if it has none.
         """
         if cloud is not None:
             _to_disk(cloud)
@@ -63,11 +64,11 @@ class Journal:
         return Journal(self.directory, self.folder, (*self.entries, entry))
 
     def abandon(self) -> None:
-        """Leave nothing behind."""
+        """Remove the unfinished dataset."""
         shutil.rmtree(self.folder)
 
     def finish(self) -> None:
-        """Give the dataset its name: from here on it is whole."""
+        """Give the dataset its name; from then on it is finished."""
         self.clouds.rename(self.folder / CLOUDS)
         _to_disk(self.folder)
         if self.directory.exists():
@@ -80,16 +81,16 @@ class Journal:
 def open_journal(
     directory: Path, header: Mapping[str, Any], *, restart: bool = False
 ) -> Generator[Journal]:
-    """Begin a dataset, or go on with one that was begun from the same.
+    """Begin a dataset, or resume an unfinished one with the same header.
 
     Args:
-        directory: The dataset to be; must not exist, or be empty.
-        header: What it is made from: the recording's identity, and all parameters.
-        restart: Throw away what was begun.
+        directory: Where the dataset will be; it must not exist or be empty.
+        header: What the dataset is made of: the recording's identity and all parameters.
+        restart: Whether to delete an unfinished dataset and begin again.
 
     Raises:
-        InputError: If the directory is taken, or was begun from something else, or another
-            process is at work on it.
+        InputError: If the directory is not empty, the unfinished dataset has another header, or
+            another process is working on it.
     """
     directory = directory.resolve()
     check_vacant(directory)
@@ -120,16 +121,18 @@ def _taken_up(directory: Path, folder: Path, header: Mapping[str, Any]) -> Journ
     lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
     if not lines:
         if any(entry.name not in (JOURNAL, UNFINISHED_CLOUDS) for entry in folder.iterdir()):
-            raise InputError(f"{folder}: is in the way and no unfinished build; move it away")
-        shutil.rmtree(folder)  # killed before it wrote a line
+            raise InputError(
+                f"{folder}: is in the way and is not an unfinished build; move it away"
+            )
+        shutil.rmtree(folder)  # the run was killed before it wrote a line
         return _begun(directory, folder, header)
     begun = _parsed(lines[0])
     if begun is None or begun != json.loads(json.dumps(header)):
         raise InputError(
-            f"{folder}: holds a build that was begun with {_difference(begun, header)}; "
-            "go on with the same, or throw it away with --restart"
+            f"{folder}: holds an unfinished build with {_difference(begun, header)}; "
+            "use the same to resume it, or delete it with --restart"
         )
-    if (folder / CLOUDS).exists():  # killed while it took its name
+    if (folder / CLOUDS).exists():  # the run was killed while the folder was renamed
         (folder / CLOUDS).rename(folder / UNFINISHED_CLOUDS)
     clouds = folder / UNFINISHED_CLOUDS
     clouds.mkdir(exist_ok=True)
@@ -155,7 +158,7 @@ def _parsed(line: str) -> Entry | None:
     try:
         entry = json.loads(line)
     except json.JSONDecodeError:
-        return None  # cut short when the run was killed
+        return None  # the run was killed while it wrote this line
     return cast("Entry", entry) if isinstance(entry, dict) else None
 
 
@@ -187,10 +190,10 @@ def _hash(file: Path) -> str:
 
 
 def _to_disk(path: Path) -> None:
-    """Wait until a file, or the names in a folder, would outlive a power cut."""
+    """Wait until a file, or the names in a folder, would survive a power cut."""
     if path.is_dir() and os.name == "nt":
-        return  # Windows opens no folders
-    # … and waits only for files that are open for writing.
+        return  # Windows cannot open folders
+    # Windows can only flush files that are open for writing.
     descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(descriptor)
@@ -200,10 +203,10 @@ def _to_disk(path: Path) -> None:
 
 @contextlib.contextmanager
 def _alone(folder: Path) -> Generator[None]:
-    """Keep a second process away from a dataset in the making; the lock dies with its holder.
+    """Lock an unfinished dataset against other processes; the lock ends with its process.
 
     Raises:
-        InputError: If another process is at work on it.
+        InputError: If another process is working on it.
     """
     if importlib.util.find_spec("fcntl") is None:  # not on Windows
         yield
@@ -214,7 +217,9 @@ def _alone(folder: Path) -> Generator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise InputError(f"{folder}: another process is at work on it; let it end") from None
+            raise InputError(
+                f"{folder}: another process is working on it; wait until it has finished"
+            ) from None
         try:
             yield
         finally:

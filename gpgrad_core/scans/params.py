@@ -23,64 +23,70 @@ class BuildParams:
     max_length: Annotated[
         float | None,
         Bounds(0.1, 1000.0, 0.5, "m"),
-        Doc("Cut after this length of trajectory; None: never for its length."),
+        Doc("End a submap after this length of trajectory. None sets no limit."),
     ] = 5.0
     max_uncertainty: Annotated[
         float | None,
         Bounds(0.001, 100.0, 0.01, "m"),
         Doc(
-            "Cut once the position's standard deviation has grown by this since the submap's "
-            "origin; needs poses with covariances. None: never for it."
+            "End a submap once the position's standard deviation has grown by this since its "
+            "origin. This needs poses with covariances. None sets no limit."
         ),
     ] = None
     max_turn: Annotated[
         float | None,
         Bounds(0.05, 3.14159, 0.05, "rad"),
-        Doc("Cut once the heading is this far off that at the submap's origin; None: never."),
+        Doc(
+            "End a submap once the heading differs this much from the heading at its origin. None "
+            "sets no limit."
+        ),
     ] = None
     max_time: Annotated[
         float | None,
         Bounds(0.1, 86_400.0, 1.0, "s"),
-        Doc("Cut after this time; None: never for it."),
+        Doc("End a submap after this time. None sets no limit."),
     ] = None
     gravity: Annotated[
         Literal["poses", "cloud"],
         Doc(
-            "What says where up is: the frame of the poses, or the ground's own plane, over the "
-            "whole recording."
+            "What says where up is: the frame of the poses, or the plane of the ground (cloud), "
+            "over the whole recording."
         ),
     ] = "poses"
     up: Annotated[
         UpAxis,
-        Doc("Axis of the poses' frame that points up; auto: z, and -y for KITTI camera poses."),
+        Doc("Axis of the poses' frame that points up. auto is z, or -y for KITTI's camera poses."),
     ] = "auto"
     points_frame: Annotated[
         Literal["sensor", "world"],
-        Doc("Frame that the points of a scan are in: the sensor's, or already that of the poses."),
+        Doc("Frame of a scan's points: the sensor's, or already the poses' (world)."),
     ] = "sensor"
     pose_matching: Annotated[
         Literal["interpolate", "nearest"],
-        Doc("Pose of a scan: interpolated between the two around its time, or the nearest one."),
+        Doc(
+            "Pose of a scan: interpolated between the poses before and after it, or the nearest in"
+            " time."
+        ),
     ] = "interpolate"
     max_time_difference: Annotated[
         float,
         Bounds(0.0, 100.0, 0.01, "s"),
-        Doc("A scan further than this from the nearest pose is left out."),
+        Doc("A scan is left out if the nearest pose is further away in time than this."),
     ] = 0.1
     min_range: Annotated[
         float,
         Bounds(0.0, 100.0, 0.1, "m"),
-        Doc("Points closer to the sensor, such as the robot itself, are left out."),
+        Doc("Points closer to the sensor than this, such as the robot itself, are left out."),
     ] = 0.0
     max_range: Annotated[
         float | None,
         Bounds(0.5, 1000.0, 0.5, "m"),
-        Doc("Points further from the sensor are left out; None: none are."),
+        Doc("Points further from the sensor than this are left out. None keeps all."),
     ] = None
     voxel_size: Annotated[
         float,
         Bounds(0.005, 5.0, 0.005, "m"),
-        Doc("Points within one cube of this side become their mean."),
+        Doc("All points within one cube of this side are replaced by their mean."),
     ] = 0.04
     min_points: Annotated[
         int,

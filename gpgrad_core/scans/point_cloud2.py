@@ -9,18 +9,18 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-"""NumPy's types by the numbers that the message has for them."""
+"""NumPy's types by the numbers that the message uses for them."""
 
 
 def points_of(message: Any, where: str) -> Float[NDArray[np.floating], "n 3"]:
-    """Give x, y and z [m] of each point, NaN and all.
+    """Read x, y and z [m] of each point, also where they are NaN.
 
     Args:
-        message: As rosbags deserialises it.
-        where: Its topic and number, for the error message.
+        message: The message, deserialised by rosbags.
+        where: Topic and number of the message, for the error message.
 
     Raises:
-        InputError: If it has no x, y and z, or fewer bytes than it promises.
+        InputError: If the message has no x, y and z, or fewer bytes than its header says.
     """
     fields = {field.name: field for field in message.fields}
     missing = [name for name in "xyz" if name not in fields]
@@ -30,10 +30,10 @@ def points_of(message: Any, where: str) -> Float[NDArray[np.floating], "n 3"]:
     order = ">" if message.is_bigendian else "<"
     formats = [order + NUMBERS.get(fields[name].datatype, "") for name in "xyz"]
     if any(len(one) < 2 for one in formats):
-        raise InputError(f"{where}: x, y and z are of no number type that PointCloud2 has")
+        raise InputError(f"{where}: x, y and z do not have a number type of PointCloud2")
     rows, columns = int(message.height), int(message.width)
     row_size = columns * int(message.point_step)
-    # A driver that leaves row_step at 0 means rows without padding.
+    # Some drivers leave row_step at 0 when the rows have no padding.
     step = max(int(message.row_step), row_size) if rows > 1 else row_size
     data = np.asarray(message.data, np.uint8)
     if rows * columns == 0:
@@ -43,8 +43,8 @@ def points_of(message: Any, where: str) -> Float[NDArray[np.floating], "n 3"]:
     ]
     if max(ends) > message.point_step or len(data) < (rows - 1) * step + row_size:
         raise InputError(
-            f"{where}: is cut short: {rows * columns:,} points of {message.point_step} bytes are "
-            f"promised, {len(data):,} bytes are there"
+            f"{where}: is cut short: it should hold {rows * columns:,} points of "
+            f"{message.point_step} bytes, but it holds {len(data):,} bytes"
         )
     layout = np.dtype(
         {

@@ -1,4 +1,4 @@
-"""Files of poses over time: TUM and KITTI rows, and where a sensor sits on its body."""
+"""Files of poses over time (TUM and KITTI rows), of times, and of a sensor's pose on its body."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,18 +15,21 @@ from gpgrad_core.scans.trajectory import Poses, Trajectory
 
 TUM, TUM_WITH_COVARIANCE, KITTI = 8, 44, 12
 ROTATION_TOLERANCE = 0.01
-"""A matrix further from a rotation than this is no rounding: its columns are something else."""
+"""A matrix further from a rotation than this is not a rounded one: its columns have another
+meaning."""
 MOUNT_KEYS = ("Tr:", "Tr_velo_to_cam:", "Tr_velo_cam:")
-"""What KITTI calls the pose of the LiDAR in the camera's frame, which its poses are of."""
+"""KITTI's names for the pose of the LiDAR in the frame of the camera; its poses are those of the
+camera."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseFile:
-    """What a file of poses holds.
+    """The content of a file of poses.
 
     Attributes:
-        trajectory: Poses by time; KITTI's have no time, and stand at their row's number from 0.
-        numbered: The rows are KITTI's.
+        trajectory: Poses by time; KITTI's poses have no times, so the row's number from 0 stands
+            for it.
+        numbered: Whether the rows are KITTI's.
     """
 
     trajectory: Trajectory
@@ -36,13 +39,13 @@ class PoseFile:
 def read_pose_file(path: Path) -> PoseFile:
     """Read TUM rows ``timestamp tx ty tz qx qy qz qw``, or KITTI rows of a 3x4 matrix.
 
-    TUM rows may go on with the 36 numbers of a covariance, position first, as ROS has it.
+    A TUM row may also have the 36 numbers of a covariance, position first, as in ROS.
 
     Args:
         path: The file; ``#`` starts a comment.
 
     Raises:
-        InputError: If a row is none of these, or is no pose; names the line.
+        InputError: If a row has none of these forms, or is not a pose; the message names the line.
     """
     rows: list[list[float]] = []
     numbers: list[int] = []
@@ -80,8 +83,8 @@ def _matrices(table: Float[Array, "n 12"], numbers: list[int], path: Path) -> Po
     wrong = np.flatnonzero((off > ROTATION_TOLERANCE) | (np.linalg.det(turns) < 0))
     if len(wrong):
         raise InputError(
-            f"{path}, line {numbers[wrong[0]]}: the first three columns of the 3x4 matrix are no "
-            "rotation"
+            f"{path}, line {numbers[wrong[0]]}: the first three columns of the 3x4 matrix are not "
+            "a rotation"
         )
     return Poses(np.ascontiguousarray(matrices[:, :, 3]), Rotation.from_matrix(turns))
 
@@ -90,7 +93,8 @@ def read_times(path: Path) -> Float[Array, "n"]:
     """Read the times [s] of scans, the first number of each row.
 
     Raises:
-        InputError: If a row is not a number, or there are none; names the line.
+        InputError: If a row does not begin with a number, or there are no rows; the message names
+            the line.
     """
     times = [parse_numbers(words[:1], f"{path}, line {k}")[0] for k, words in _rows(path)]
     if not times:
@@ -100,11 +104,11 @@ def read_times(path: Path) -> Float[Array, "n"]:
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """Where a sensor sits.
+    """The pose of a sensor on the robot's body.
 
     Attributes:
-        pose: One, ``T_body_sensor``.
-        on_camera: The body is KITTI's camera, whose y axis points down.
+        pose: One pose, ``T_body_sensor``.
+        on_camera: Whether the body is KITTI's camera, whose y axis points down.
     """
 
     pose: Poses
@@ -112,13 +116,14 @@ class Mount:
 
 
 def read_mount(path: Path) -> Mount:
-    """Read where a sensor sits on the body that the poses are of.
+    """Read the pose of a sensor on the body whose poses are recorded.
 
     Args:
-        path: One row ``tx ty tz qx qy qz qw`` or of a 3x4 matrix, or KITTI's ``calib.txt``.
+        path: A file with one row, ``tx ty tz qx qy qz qw`` or a 3x4 matrix, or KITTI's
+            ``calib.txt``.
 
     Raises:
-        InputError: If it is neither.
+        InputError: If the file is none of these.
     """
     rows = list(_rows(path))
     named = [(number, words[1:]) for number, words in rows if words[0] in MOUNT_KEYS]
@@ -137,7 +142,7 @@ def read_mount(path: Path) -> Mount:
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """Give the words of each row that holds any, with its number."""
+    """Split each row into words; rows without words are left out. Each comes with its number."""
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     split = (

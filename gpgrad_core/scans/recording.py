@@ -1,4 +1,4 @@
-"""What a recording is to all that follows, whatever files it came in."""
+"""A recording: scans with poses, whatever files they came from."""
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
@@ -19,16 +19,16 @@ Reader: TypeAlias = Callable[[int, int], Iterator[Float[NDArray[np.floating], "n
 
 @dataclass(frozen=True)
 class RecordingSources:
-    """Where the parts of a recording are, so far as they are not found by themselves.
+    """Where the parts of a recording are, if they are not to be found automatically.
 
     Attributes:
         poses: File of poses: TUM or KITTI rows.
-        truth: File of true poses, which are passed on for evaluation.
-        times: File of the scans' times [s], one a row.
-        mount: File of the sensor's pose on the body that the poses are of.
-        cloud_topic: Topic of a bag's clouds.
-        pose_topic: Topic of a bag's poses.
-        world_frame: Frame of a bag's transforms that the map is built in.
+        truth: File of true poses, which the dataset keeps for evaluation.
+        times: File of the scans' times [s], one per row.
+        mount: File of the sensor's pose on the body whose poses are recorded.
+        cloud_topic: Topic of the clouds in a bag.
+        pose_topic: Topic of the poses in a bag.
+        world_frame: Frame of a bag's transforms in which the map is built.
     """
 
     poses: Path | None = None
@@ -42,21 +42,21 @@ class RecordingSources:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Scans with a pose each; what has none was left out and is told in the notes.
+    """Scans with one pose each; scans without a pose were left out, as the notes report.
 
     Attributes:
-        name: As shown to people.
-        identity: Hash of what was read, to know the same recording again.
-        stamps: Time of each scan [s]; None where nothing tells it.
+        name: The name that people see.
+        identity: Hash by which the same recording is recognised.
+        stamps: Time of each scan [s]; None if the times are not known.
         body: Pose of the robot's body at each scan, ``T_world_body``.
-        mount: Pose of the sensor on it, ``T_body_sensor``: one, or one a scan.
-        read: Yields the points [m] of a stretch of scans, from the first up to the last, one
-            scan in memory at a time.
-        labels: What each scan is called, for messages.
-        up: Axis of the world that the kind of recording suggests as up.
-        covariance: Of each position [m²], where the source gives it.
-        truth: True poses of the body at the scans, where there is a source of them.
-        notes: What was left out or assumed, a line each.
+        mount: Pose of the sensor on the body, ``T_body_sensor``: one for all scans, or one each.
+        read: ``read(start, stop)`` yields the points (n, 3) [m] of scans start to stop - 1; only
+            one scan is in memory at a time.
+        labels: Name of each scan, for messages.
+        up: Axis of the world that points up, as far as the kind of recording tells.
+        covariance: Covariance of each position [m²], where the source gives it.
+        truth: True poses of the body at the scans, where the source gives them.
+        notes: What was left out or assumed, one line each.
     """
 
     name: str
@@ -82,7 +82,7 @@ class Recording:
 
 
 def identify(files: Iterable[Path]) -> str:
-    """Hash names, sizes and times of change of files: their contents would take minutes."""
+    """Hash the names, sizes and modification times of files; the contents would take minutes."""
     digest = hashlib.blake2b(digest_size=16)
     for file in files:
         status = file.stat()
@@ -97,23 +97,23 @@ def place(
 
     Args:
         stamps: Times of the scans [s].
-        located: The poses found for them.
-        trajectory: The stretch of time that the poses span, in words.
-        where: What is recorded, for messages.
-        params: Says how far from a pose a scan may be.
+        located: The poses that were found for them.
+        trajectory: The time span of the poses, in words.
+        where: Name of the recording, for messages.
+        params: Gives the largest time difference between a scan and a pose.
 
     Returns:
-        A note if some have none.
+        A note if some scans have no pose.
 
     Raises:
-        InputError: If none has.
+        InputError: If no scan has a pose.
     """
     missing = int(np.sum(~located.known))
     if missing == len(stamps):
         raise InputError(
             f"{where}: no scan has a pose within {params.max_time_difference:g} s: the scans are "
-            f"from {spelled(stamps)}, the poses {trajectory}; give the poses of this recording, or "
-            "raise max_time_difference"
+            f"from {spelled(stamps)}, the poses are {trajectory}; give the poses of this "
+            "recording, or raise max_time_difference"
         )
     if not missing:
         return ()
@@ -125,7 +125,7 @@ def place(
 
 
 def spelled(stamps: Float[Array, "n"]) -> str:
-    """Say a stretch of time.
+    """Describe a time span.
 
     >>> spelled(np.array([1.0, 2.5]))
     '1.000 to 2.500 s'
@@ -136,10 +136,10 @@ def spelled(stamps: Float[Array, "n"]) -> str:
 def truth_at(
     truth: Trajectory | None, stamps: Float[Array, "n"], where: str, params: BuildParams
 ) -> tuple[Located | None, tuple[str, ...]]:
-    """Find the true poses of scans, and say if some have none.
+    """Find the true poses of scans, and make a note if some have none.
 
     Raises:
-        InputError: If none has.
+        InputError: If no scan has a true pose.
     """
     if truth is None:
         return None, ()

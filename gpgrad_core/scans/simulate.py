@@ -1,4 +1,4 @@
-"""A synthetic recording: what a rover's sensor saw along its drive, scan after scan."""
+"""A synthetic recording: the scans of a rover's sensor along its drive."""
 
 from pathlib import Path
 
@@ -26,9 +26,9 @@ from gpgrad_core.se2 import Pose
 
 SCAN_STREAM = 3
 START, PERIOD = 1_700_000_000.0, 0.1
-"""When the drive begins, and from scan to scan [s]."""
+"""Time at which the drive begins, and time from scan to scan [s]."""
 POSES_A_SCAN = 2
-"""Odometry is quicker than the sensor, and no pose falls together with a scan."""
+"""Poses per scan: odometry is faster than the sensor. No pose has the time of a scan."""
 
 
 def simulate_recording(
@@ -39,18 +39,18 @@ def simulate_recording(
     points_a_scan: int | None = None,
     progress: Progress = silent,
 ) -> None:
-    """Simulate a drive and write what was recorded: scans, odometry and true poses.
+    """Simulate a drive and write the recording: scans, odometry and true poses.
 
-    The folder is as `build_dataset` takes it: ``scans/`` holds clouds in the sensor's frame,
-    named by their time; ``poses.txt`` and ``poses_gt.txt`` hold poses of the sensor as TUM rows,
-    as odometry has them and as they were.
+    `build_dataset` can read the folder. ``scans/`` has the clouds in the sensor's frame, named by
+    their time; ``poses.txt`` has the sensor's poses by odometry and ``poses_gt.txt`` the true
+    ones, both as TUM rows.
 
     Args:
-        directory: Folder to make; must not exist, or be empty.
-        num_scans: Evenly spread over the drive.
+        directory: Folder to make; it must not exist or be empty.
+        num_scans: Number of scans, evenly spread over the drive.
         params: Ground, route, sensor and odometry.
-        points_a_scan: A scan with more is thinned to this many; None: none is.
-        progress: Called once a scan.
+        points_a_scan: A scan with more points is thinned to this many; None keeps all.
+        progress: Called once per scan.
 
     Raises:
         InputError: If the directory is taken, the route does not fit into the extent, or there
@@ -88,7 +88,7 @@ def _write_poses(
     terrain: HeightField,
     params: SimulationParams,
 ) -> None:
-    """Write the sensor's poses, from a little before the first scan to a little after the last."""
+    """Write the sensor's poses, from just before the first scan to just after the last."""
     rng = stream(params.seed, ODOMETRY_STREAM)
     step = spacing / POSES_A_SCAN
     distances = step * (np.arange(POSES_A_SCAN * num_scans + 1) - 0.5)
@@ -99,7 +99,7 @@ def _write_poses(
     head = "# timestamp tx ty tz qx qy qz qw   (p_world = R p_sensor + t)"
     of_truth, of_odometry = [head], [head]
     for distance, level, wrong, true in zip(distances, ground, believed, truth, strict=True):
-        # Drift moves and turns the rover as a whole; what tilts it, an inertial unit sees.
+        # Drift moves and turns the rover as a whole; an inertial unit measures its tilt.
         moved = Rotation.from_quat(wrong.quaternion) * Rotation.from_quat(level.quaternion).inv()
         tilt = Rotation.from_rotvec([*(ATTITUDE_STD * rng.standard_normal(2)), 0.0])
         rotation = tilt * moved * Rotation.from_quat(true.quaternion)

@@ -30,29 +30,29 @@ class Poses:
         return Poses(self.translation[chosen], self.rotation[chosen])
 
     def __matmul__(self, other: "Poses") -> "Poses":
-        """Chain two stacks of the same length, or one pose with a stack."""
+        """Compose two stacks of the same length, or one pose with a stack."""
         return Poses(
             self.translation + self.rotation.apply(other.translation),
             self.rotation * other.rotation,
         )
 
     def inverse(self) -> "Poses":
-        """Map the other way."""
+        """``T_a_b.inverse()`` is ``T_b_a``."""
         back = self.rotation.inv()
         return Poses(-back.apply(self.translation), back)
 
     def one(self, index: int) -> Pose:
-        """Give one pose by itself."""
+        """Give one pose as a `Pose`."""
         return Pose(self.translation[index], self.rotation[index].as_quat(canonical=True))
 
     @classmethod
     def of(cls, pose: Pose) -> "Poses":
-        """Make a stack of one."""
+        """Make a stack of one pose."""
         return cls(pose.translation[None], Rotation.from_quat(pose.quaternion[None]))
 
     @classmethod
     def identity(cls) -> "Poses":
-        """Make a stack of one that moves nothing."""
+        """Make a stack of one identity."""
         return cls(np.zeros((1, 3)), Rotation.identity(1))
 
 
@@ -62,9 +62,9 @@ class Trajectory:
 
     Attributes:
         stamps: Times [s], increasing.
-        poses: One a time.
-        covariance: Of each position [m²], where the source gives it.
-        fixed: The one pose holds at all times, as of a sensor screwed to a robot.
+        poses: One pose per time.
+        covariance: Covariance of each position [m²], where the source gives it.
+        fixed: Whether the single pose holds at all times, as that of a sensor on a robot.
     """
 
     stamps: Float[Array, "n"]
@@ -79,7 +79,7 @@ class Trajectory:
         poses: Poses,
         covariance: Float[Array, "n 3 3"] | None = None,
     ) -> "Trajectory":
-        """Sort by time; of poses of the same time the first is kept."""
+        """Make a trajectory sorted by time; of poses with the same time the first is kept."""
         stamps, first = np.unique(stamps, return_index=True)
         kept = None if covariance is None else covariance[first]
         return cls(stamps, poses[first], kept)
@@ -102,7 +102,7 @@ class Trajectory:
         covariance = None if self.covariance is None else self.covariance[nearest]
         if params.pose_matching == "nearest" or last == 0:
             return Located(self.poses[nearest], known, covariance)
-        # Beyond either end the last pose known stands in.
+        # Beyond either end, the last known pose is used.
         inside = np.clip(wanted, self.stamps[0], self.stamps[-1])
         step = self.stamps[after] - self.stamps[before]
         share = np.where(step > 0, (inside - self.stamps[before]) / np.where(step > 0, step, 1), 0)
@@ -114,16 +114,16 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Poses at the times asked for; those that are not known hold nothing of use."""
+    """Poses at requested times; where `known` is false, the pose is meaningless."""
 
     poses: Poses
     known: Bool[NDArray[np.bool_], "n"]
     covariance: Float[Array, "n 3 3"] | None = None
 
     def __matmul__(self, other: "Located") -> "Located":
-        """Chain motions; known where both are."""
+        """Compose motions; the result is known where both are."""
         return Located(self.poses @ other.poses, self.known & other.known, self.covariance)
 
     def inverse(self) -> "Located":
-        """Map the other way."""
+        """``T_a_b.inverse()`` is ``T_b_a``."""
         return Located(self.poses.inverse(), self.known)

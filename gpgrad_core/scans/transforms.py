@@ -17,19 +17,19 @@ from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class FrameTree:
-    """Each frame's parent, and its pose in it by time: ``T_parent_frame``."""
+    """The parent of each frame, and the frame's pose in it over time, ``T_parent_frame``."""
 
     parents: dict[str, str]
     edges: dict[str, Trajectory]
 
     def root(self, frame: str) -> str:
-        """Climb from a frame to where the tree ends."""
+        """Find the root of a frame's tree."""
         return self._way_up(frame)[-1]
 
     def between(
         self, target: str, source: str, stamps: Float[Array, "n"], params: BuildParams
     ) -> Located | None:
-        """Find ``T_target_source`` at given times [s]; None if no chain of frames joins them."""
+        """Find ``T_target_source`` at given times [s]; None if no transforms join the frames."""
         up_target, up_source = self._way_up(target), self._way_up(source)
         common = next((frame for frame in up_target if frame in up_source), None)
         if common is None:
@@ -45,7 +45,7 @@ class FrameTree:
         return way
 
     def _climb(self, frames: list[str], stamps: Float[Array, "n"], params: BuildParams) -> Located:
-        """Chain the poses of frames, each in its parent: ``T_top_bottom``."""
+        """Compose the poses of frames, each in its parent: ``T_top_bottom``."""
         motion = Trajectory(np.zeros(1), Poses.identity(), fixed=True).at(stamps, params)
         for frame in frames:
             motion = self.edges[frame].at(stamps, params) @ motion
@@ -54,7 +54,7 @@ class FrameTree:
 
 @dataclass(frozen=True, eq=False)
 class FrameRows:
-    """Gathers transforms as they come out of a bag."""
+    """Collects transforms while a bag is read."""
 
     parents: dict[str, str] = field(default_factory=dict[str, str])
     rows: dict[str, list[list[float]]] = field(default_factory=lambda: defaultdict(list))
@@ -64,7 +64,7 @@ class FrameRows:
         """Add the transforms of a ``TFMessage``.
 
         Raises:
-            InputError: If a frame has a second parent, or a turn is none.
+            InputError: If a frame has a second parent, or a quaternion is not of unit length.
         """
         for one in message.transforms:
             parent, child = plain(one.header.frame_id), plain(one.child_frame_id)
@@ -75,7 +75,7 @@ class FrameRows:
                 )
             if static:
                 self.static.add(child)
-                self.rows[child] = []  # the latest holds
+                self.rows[child] = []  # only the latest counts
             move, turn = one.transform.translation, one.transform.rotation
             stamp = seconds(one.header)
             values = [float(v) for v in (move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)]
@@ -83,7 +83,7 @@ class FrameRows:
             self.rows[child].append([stamp, *values])
 
     def tree(self) -> FrameTree:
-        """Put together what was gathered."""
+        """Make the tree of all transforms so far."""
         edges = {child: _edge(rows, child in self.static) for child, rows in self.rows.items()}
         return FrameTree(dict(self.parents), edges)
 
@@ -99,7 +99,7 @@ def _edge(rows: list[list[float]], fixed: bool) -> Trajectory:
 
 
 def plain(frame: str) -> str:
-    """Give a frame's name as ROS 2 has it: ROS 1 may put a slash in front."""
+    """Remove the slash that ROS 1 may put before a frame's name."""
     return frame.lstrip("/")
 
 

@@ -1,6 +1,6 @@
-"""Points of many scans -> means of voxels, with what is known of how they scatter.
+"""Points of many scans -> means of voxels, with the standard deviation of their height.
 
-Only sums are kept, so memory grows with the ground seen and not with the points measured.
+Only sums are kept, so memory grows with the area of the ground and not with the number of points.
 """
 
 from dataclasses import dataclass
@@ -11,14 +11,15 @@ from jaxtyping import Float, Int
 from gpgrad_core.arrays import Array, NDArray
 
 BITS = 21
-"""Of a key, for each axis; z holds the lowest, so that the voxels of a column stand together."""
+"""Bits of a key for each axis. z has the lowest bits, so that the keys of a column of voxels follow
+one another."""
 HALF = 1 << (BITS - 1)
 PRIOR_WEIGHT = 4.0
-"""Degrees of freedom that the scatter usual at its range counts for in a column."""
+"""Weight of the usual scatter in the scatter of a column, in degrees of freedom."""
 RANGE_BINS = 8
-"""Into which columns are parted by range, to learn the scatter usual there."""
+"""Number of bins of columns by range; the usual scatter is that of a bin."""
 LEAST_NOISE = 0.001
-"""Standard deviation of a mean [m], on ground that does not scatter at all."""
+"""Smallest standard deviation of a mean [m], where the points do not scatter at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +28,10 @@ class Voxels:
 
     Attributes:
         size: Side of a voxel [m].
-        keys: Of the voxels that hold points, increasing.
-        sums: A row a voxel: number of points, offsets x, y and z from its centre [m], squares of
-            the offset z [m²], squares of the ranges they were measured at [m²].
+        keys: Keys of the voxels that hold points, increasing.
+        sums: One row per voxel: number of points; sums of their offsets x, y and z from the
+            voxel's centre [m], of the squares of the offset z [m²], and of the squares of the
+            ranges at which they were measured [m²].
     """
 
     size: float
@@ -42,7 +44,7 @@ class Voxels:
 
         Args:
             points: Positions [m], each within `reach` of the origin.
-            ranges: Distance of each from the sensor that measured it [m].
+            ranges: Distance of each point from the sensor that measured it [m].
             size: Side of a voxel [m].
         """
         cells = np.floor(points / size)
@@ -54,7 +56,7 @@ class Voxels:
         return _summed(size, (x << (2 * BITS)) | (y << BITS) | z, values)
 
     def merged(self, other: "Voxels") -> "Voxels":
-        """Put two sets of voxels of the same size together."""
+        """Merge two sets of voxels of the same size."""
         return _summed(
             self.size,
             np.concatenate([self.keys, other.keys]),
@@ -63,7 +65,7 @@ class Voxels:
 
     @property
     def counts(self) -> Float[Array, "m"]:
-        """Points of each voxel."""
+        """Number of points in each voxel."""
         return self.sums[:, 0]
 
     @property
@@ -75,20 +77,20 @@ class Voxels:
 
     @property
     def ranges(self) -> Float[Array, "m"]:
-        """Root mean square of the ranges that each voxel's points were measured at [m]."""
+        """Root mean square of the ranges at which each voxel's points were measured [m]."""
         return np.sqrt(self.sums[:, 5] / self.counts)
 
     @property
     def noise_std(self) -> Float[Array, "m"]:
-        """Standard deviation of each mean's height [m], by the scatter of the points.
+        """Standard deviation of each mean's height [m], from the scatter of the points.
 
-        The scatter is that of the whole column over a voxel's base: a voxel by itself would cut
-        off what lies above and below it. Where a column holds few points, the scatter usual at
-        its range counts besides.
+        The scatter is that of the whole column of voxels; a single voxel would cut off the points
+        above and below it. Where a column has few points, the usual scatter at its range counts as
+        well.
 
-        A mean is believed as one point is, and not √n times as much: most of its points' errors,
-        those of the pose above all, are the same. Of the voxels in a column, those with more
-        points count for more.
+        A mean is as uncertain as one point, and not √n times more certain: most errors of its
+        points, above all those of the pose, are the same for all. Within a column, voxels with
+        more points are more certain.
         """
         _, first, column = np.unique(self.keys >> BITS, return_index=True, return_inverse=True)
         z = self.points[:, 2]
@@ -105,7 +107,7 @@ class Voxels:
 
 
 def reach(size: float) -> float:
-    """Distance from the origin along an axis that voxels of this size cover [m]."""
+    """Compute how far from the origin voxels of this size reach along an axis [m]."""
     return (HALF - 1) * size
 
 
@@ -118,7 +120,7 @@ def _summed(size: float, keys: NDArray[np.int64], values: Array) -> Voxels:
 def _usual(
     squares: Float[Array, "c"], freedom: Float[Array, "c"], squared_range: Float[Array, "c"]
 ) -> Float[Array, "c"]:
-    """Variance that columns at the same range have on the whole [m²]."""
+    """Compute the average variance of the columns at the same range [m²]."""
     overall = squares.sum() / max(freedom.sum(), 1.0)
     edges = np.quantile(squared_range, np.linspace(0, 1, RANGE_BINS + 1)[1:-1])
     of_column = np.searchsorted(edges, squared_range)
@@ -128,9 +130,9 @@ def _usual(
 
 
 class VoxelSums:
-    """Adds scan after scan; sets of voxels of like size are merged, as digits carry over.
+    """Adds scan after scan; sets of voxels of similar size are merged, like digits that carry.
 
-    So a scan costs what its own points cost, and not what the whole submap holds.
+    So the cost of adding a scan depends on its own points and not on the whole submap.
     """
 
     def __init__(self, size: float) -> None:
@@ -152,7 +154,7 @@ class VoxelSums:
         self._sets.append(new)
 
     def total(self) -> Voxels:
-        """Give all that was added."""
+        """Give the voxels of all scans."""
         if not self._sets:
             return Voxels(self._size, np.empty(0, np.int64), np.empty((0, 6)))
         total = self._sets[-1]

@@ -39,7 +39,7 @@ class GraphParams:
     odometry_std: Annotated[
         float,
         Bounds(0.0001, 100.0, 0.005, "m", slider=(0.005, 0.2)),
-        Doc("Standard deviation of odometry's offset, besides what grows with the distance."),
+        Doc("Standard deviation of odometry along x and y that does not grow with the distance."),
     ] = 0.02
     height_drift: Annotated[
         float,
@@ -54,27 +54,30 @@ class GraphParams:
     heading_std: Annotated[
         float,
         Bounds(0.0001, 3.2, 0.001, "rad", slider=(0.001, 0.05)),
-        Doc("Standard deviation of odometry's turn, besides what grows with the distance."),
+        Doc("Standard deviation of odometry's heading that does not grow with the distance."),
     ] = 0.002
     tilt_std: Annotated[
         float,
         Bounds(0.0001, 3.2, 0.001, "rad", slider=(0.001, 0.05)),
-        Doc("Standard deviation of roll and pitch, which gravity gives."),
+        Doc("Standard deviation of roll and pitch, which are measured by gravity."),
     ] = 0.005
     closure_height_std: Annotated[
         float,
         Bounds(0.0001, 100.0, 0.005, "m", slider=(0.005, 0.2)),
-        Doc("Standard deviation of a closure's height, where the ground was aligned."),
+        Doc("Standard deviation of a loop closure's height where the ground was aligned."),
     ] = 0.03
     association_std: Annotated[
         float,
         Bounds(0.0001, 10.0, 0.01, "m", slider=(0.01, 0.5)),
-        Doc("Standard deviation of one inlier; n of them place a closure without a covariance."),
+        Doc(
+            "Standard deviation of one inlier. It is used for loop closures that have no "
+            "covariance."
+        ),
     ] = 0.15
     unseen_std: Annotated[
         float,
         Bounds(0.0001, 1000.0, 0.1, "m"),
-        Doc("Standard deviation of a closure's height, where the ground was not aligned."),
+        Doc("Standard deviation of a loop closure's height where the ground was not aligned."),
     ] = 10.0
 
     def __post_init__(self) -> None:

@@ -49,17 +49,20 @@ class MergeParams:
     resolution: Annotated[
         float,
         Bounds(0.005, 10.0, 0.005, "m", slider=(0.02, 0.5)),
-        Doc("Side of a cell of the merged elevation map."),
+        Doc("Side of a cell of the merged map."),
     ] = 0.05
     voxel: Annotated[
         float,
         Bounds(0.001, 10.0, 0.005, "m", slider=(0.01, 0.5)),
-        Doc("Points of the merged cloud within one cube of this side become their mean."),
+        Doc(
+            "All points of the merged cloud within one cube of this side are replaced by their "
+            "mean."
+        ),
     ] = 0.05
     max_std_ratio: Annotated[
         float,
         Bounds(0.001, 1.0, 0.01, "", slider=(0.05, 1.0)),
-        Doc("Cells less sure than this, as std / signal_std, are left empty."),
+        Doc("Cells whose standard deviation is above this share of signal_std are left empty."),
     ] = 0.3
 
     def __post_init__(self) -> None:

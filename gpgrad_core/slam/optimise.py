@@ -44,8 +44,8 @@ class SolverParams:
         float,
         Bounds(1.0, 1_000_000.0, 0.5, "", slider=(5.0, 100.0)),
         Doc(
-            "Closures that the corrected map contradicts by more are refused; 22.5: one right "
-            "closure in a thousand."
+            "A loop closure is refused if its chi-square in the corrected map is above this. 22.5 "
+            "refuses one right loop closure in a thousand."
         ),
     ] = 22.5
 

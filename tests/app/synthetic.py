@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.viewer.all_pairs.judging import Survey
+from app.viewer.all_pairs.judging import ComparedPairs
 from app.viewer.state import ViewState
 from gpgrad_core.arrays import Array
 from gpgrad_core.evaluation import measure_pairs
@@ -139,7 +139,7 @@ PAIR_SCORES = {
 }
 
 
-def make_survey() -> Survey:
+def make_compared() -> ComparedPairs:
     """All pairs of `make_dataset`, whose poses are taken for true, with scores by hand."""
     dataset = make_dataset()
     true = tuple(replace(submap, pose_true=submap.pose_odometry) for submap in dataset.submaps)
@@ -156,7 +156,7 @@ def make_survey() -> Survey:
     )
     seconds = {"maps": 1.0, "features": 1.0, "pairs": 1.0, "total": 3.0}
     result = DetectionResult(closures, seconds)
-    return Survey(dataset, PipelineParams(), result, measure_pairs(dataset))
+    return ComparedPairs(dataset, PipelineParams(), result, measure_pairs(dataset))
 
 
 def make_features(positions: Array) -> Features:

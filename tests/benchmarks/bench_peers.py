@@ -1,8 +1,8 @@
 """The GP against its peers: ``python -m tests.benchmarks.bench_peers --json RAW.json``.
 
 Same points, same grid, same run, each method in a process of its own with all cores. Needs the
-extra `bench` (and `dev`); a peer that is not installed is left out, and the table says so. Linux
-only, for the peak memory.
+extras `dev`, `bench` and `bench-torch`; a peer that is not installed is left out, and the table
+says so. Linux only, for the peak memory.
 
 Tables go to standard output, the figure of cost to assets/pictures/gp_peers.png, all figures to
 the JSON. ``--parts`` measures some parts anew and takes the others from the JSON; with no name

@@ -21,8 +21,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from app.viewer import state as states
+from app.viewer.params.tab import MAIN_PARAMETERS
 from app.viewer.server import Viewer
-from app.viewer.session import MAIN_PARAMETERS
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.gradient_map import MapParams, kept_points
 from gpgrad_core.params.fields import with_path
@@ -157,9 +157,9 @@ def measure_server(viewer: Viewer, path: str) -> tuple[Times, Times]:
     for value in VALUES[path]:
         changed = states.with_params(state, with_path(PARAMS, path, value))
         start, start_process = time.perf_counter(), time.process_time()
-        rough = session._preview(changed, silent)
+        rough = session.pair._preview(changed, silent)
         first = time.perf_counter() - start, time.process_time() - start_process
-        session._compute(changed, silent)
+        session.pair._compute(changed, silent)
         last = time.perf_counter() - start, time.process_time() - start_process
         if rough is None:
             first = last

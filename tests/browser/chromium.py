@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, sync_playwright
 
-from app.viewer.modes import VIEW_WIDTH
+from app.viewer.modes.tab import PANEL_WIDTH
 from gpgrad_core.arrays import NDArray
 
 # Software rendering that works without a graphics card, and no request of the browser's own.
@@ -148,7 +148,7 @@ class ViewerPage:
         """Find the inner edges of the two panels [pixels]."""
         right = self.widget("Length-scale").bounding_box()
         assert right is not None
-        return VIEW_WIDTH + 20, right["x"] - 130
+        return PANEL_WIDTH + 20, right["x"] - 130
 
     def is_blank(self) -> bool:
         """Say whether the canvas has one colour nearly everywhere."""

@@ -1,4 +1,4 @@
-"""Take the README's pictures from the viewer itself: ``python -m tests.browser.make_pictures``."""
+"""Take the pictures of README and guide: ``python -m tests.browser.make_pictures``."""
 
 import io
 import sys
@@ -122,11 +122,6 @@ def main() -> int:
     with launch(executable) as browser:
         page = ViewerPage(browser, viewer.url, size=SIZE)
         save(page, "side_by_side.jpg")
-        page.tick("Surfaces")
-        page.tick("Point clouds")
-        save(page, "point_clouds.jpg")
-        page.tick("Surfaces")
-        page.tick("Point clouds")
         page.choose("Layer", "gradient")
         save(page, "gradient.jpg")
         page.choose("Layout", "registered")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from app.viewer.session import MAIN_PARAMETERS
+from app.viewer.params.tab import MAIN_PARAMETERS
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams
 
@@ -74,7 +74,7 @@ def test_a_drag_of_200_events_ends_on_the_last_value(page: "ViewerPage") -> None
     page.drag("Minimum inliers", 30, steps=50)
     value = int(page.value("Minimum inliers"))
     assert value > 8
-    page.wait(lambda: f"of {value} needed" in page.verdict(), "the last value's verdict")
+    page.wait(lambda: f"threshold {value}" in page.verdict(), "the last value's verdict")
     page.drag("Length-scale", 40, steps=50, pause_ms=10)
     page.drag("Length-scale", -25, steps=50, pause_ms=10)
     page.settle()

@@ -59,7 +59,7 @@ def test_killed_and_gone_on_with(
     kill(2, recording, out)
     assert not out.exists()
     assert run(["build", str(recording), "--out", str(out), *FLAGS]) == 0
-    assert "of them from before: " in capsys.readouterr().out
+    assert "of them resumed: " in capsys.readouterr().out
     assert contents(out) == contents(whole)
     assert {entry.name for entry in tmp_path.iterdir()} == {"data", "whole"}
 
@@ -80,7 +80,7 @@ def test_interrupted(
         patched.setattr("gpgrad_core.scans.build.write_ply", interrupt)
         assert run(["build", str(recording), "--out", str(out)]) == 130
     said = capsys.readouterr().err
-    assert said == "gpgrad: interrupted; the same command goes on from here\n"
+    assert said == "gpgrad: interrupted; run the same command to resume\n"
     assert {entry.name for entry in tmp_path.iterdir()} == {"data.partial"}
 
 

@@ -65,7 +65,7 @@ def test_the_same_seed_gives_the_same_file(
     assert first == second
 
 
-def test_a_flag_outweighs_the_file_and_the_file_the_dataset(
+def test_a_flag_overrides_the_file_and_the_file_the_dataset(
     gpgrad: Run, traverse: Path, tmp_path: Path
 ) -> None:
     toml = tmp_path / "mine.toml"

@@ -13,8 +13,8 @@ from contextlib import suppress
 
 import pytest
 
-from app.viewer.server import Sessions, Viewer
-from app.viewer.session import MAIN_PARAMETERS
+from app.viewer.params.tab import MAIN_PARAMETERS
+from app.viewer.server import Sharing, Viewer
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.params.fields import get_path
@@ -28,7 +28,7 @@ PARAMS = PipelineParams(map=MapParams(max_points=5000, resolution=0.06))
 
 SURFACE = ("/pair/query/surface.points", "/query/surface.points")
 
-Serve = Callable[[Sessions], Viewer]
+Serve = Callable[[Sharing], Viewer]
 Visit = Callable[[Viewer], ProtocolPage]
 
 
@@ -36,7 +36,7 @@ Visit = Callable[[Viewer], ProtocolPage]
 def serve() -> Iterator[Serve]:
     viewers: list[Viewer] = []
 
-    def start(sessions: Sessions) -> Viewer:
+    def start(sessions: Sharing) -> Viewer:
         dataset = load_dataset(demo_path())
         viewers.append(Viewer(dataset, PARAMS, port=0, source=str(demo_path()), sessions=sessions))
         return viewers[-1]
@@ -148,21 +148,21 @@ def test_a_drag_of_200_events_in_2_s(
     page = visit(viewer)
     (session,) = viewer.sessions
     order: list[object] = []
-    show = session._on_result
+    show = session.pair._on_result
 
     def spy(state: object, picture: object, seconds: float) -> None:
         order.append(state)
         show(state, picture, seconds)  # type: ignore[arg-type]
 
     asked: list[object] = []
-    change = session._set
+    change = session.desk._set
 
     def record(state: object) -> None:
         asked.append(state)
         change(state)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(session._runner, "_on_result", spy)
-    monkeypatch.setattr(session, "_set", record)
+    monkeypatch.setattr(session.pair._runner, "_on_result", spy)
+    monkeypatch.setattr(session.desk, "_set", record)
     start = time.monotonic()
     drag(viewer, page, label, values)
     settle(viewer, [page])

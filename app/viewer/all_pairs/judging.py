@@ -28,8 +28,8 @@ RULES: dict[str, Rule] = {rule.name: rule for rule in EvaluationParams().rules}
 
 
 @dataclass(frozen=True, eq=False)
-class Survey:
-    """Every pair of a dataset, registered.
+class ComparedPairs:
+    """All pairs of a dataset with their registrations.
 
     Attributes:
         dataset: Whose pairs.
@@ -44,7 +44,7 @@ class Survey:
     truth: TruePairs | None
 
     def is_of(self, state: ViewState) -> bool:
-        """Say whether a state would give the same registrations: thresholds do not matter."""
+        """Say whether a state would give the same registrations; thresholds do not matter."""
         params = replace(state.params, closure=self.params.closure)
         return state.dataset is self.dataset and params == self.params
 
@@ -72,30 +72,30 @@ class TruthCheck:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
-    """A survey at some thresholds.
+class JudgedPairs:
+    """All pairs, judged at some thresholds.
 
     Attributes:
-        survey: What was judged.
+        compared: The pairs that were judged.
         closures: Every pair with its verdict, as `DetectionResult` orders them.
-        check: Beside the truth, where that is known.
+        check: The comparison with the truth, where that is known.
         outcomes: Of each closure: `RIGHT` or `WRONG` if it was accepted and the truth decides,
             `MISSED` if it was wrongly refused, and else `ACCEPTED` or `REFUSED`.
     """
 
-    survey: Survey
+    compared: ComparedPairs
     closures: tuple[LoopClosure, ...]
     check: TruthCheck | None
     outcomes: tuple[str, ...]
 
     @property
     def num_accepted(self) -> int:
-        """Pairs taken for loop closures."""
+        """Number of pairs accepted as loop closures."""
         return sum(closure.accepted for closure in self.closures)
 
     def scores(self) -> Float[Array, "n n"]:
         """Score of each pair by (query, database) in the dataset's order; NaN elsewhere."""
-        places = {submap.id: k for k, submap in enumerate(self.survey.dataset.submaps)}
+        places = {submap.id: k for k, submap in enumerate(self.compared.dataset.submaps)}
         scores = np.full((len(places), len(places)), np.nan)
         for closure in self.closures:
             at = places[closure.query_id], places[closure.database_id]
@@ -104,9 +104,9 @@ class Judged:
 
     def overlaps(self) -> Float[Array, "n n"]:
         """True overlap by (database, query), mirrored to `scores`; NaN where it is not known."""
-        places = {submap.id: k for k, submap in enumerate(self.survey.dataset.submaps)}
+        places = {submap.id: k for k, submap in enumerate(self.compared.dataset.submaps)}
         overlaps = np.full((len(places), len(places)), np.nan)
-        truth = self.survey.truth
+        truth = self.compared.truth
         if truth is not None and self.check is not None:
             rows = np.array([places[name] for name in truth.ids])
             measured = self.check.rule.measured(truth)
@@ -118,9 +118,9 @@ ACCEPTED, REFUSED = "accepted", "refused"
 RIGHT, WRONG, MISSED = "right", "wrong", "missed"
 
 
-def survey_pairs(
+def compare_pairs(
     dataset: Dataset, params: PipelineParams, memo: Memo, progress: Progress = silent
-) -> Survey:
+) -> ComparedPairs:
     """Register all pairs of a dataset, and measure how far they truly overlap.
 
     Args:
@@ -139,14 +139,14 @@ def survey_pairs(
     truth = None
     if sum(submap.pose_true is not None for submap in dataset.submaps) >= 2:
         truth = measure_pairs(dataset, part(progress, 0.97, 1.0))
-    return Survey(dataset, params, result, truth)
+    return ComparedPairs(dataset, params, result, truth)
 
 
-def judge(survey: Survey, thresholds: ClosureParams, rule: Rule) -> Judged:
-    """Give every pair its verdict, and set the verdicts beside the truth.
+def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> JudgedPairs:
+    """Judge every pair, and compare the verdicts with the truth.
 
     Args:
-        survey: Registered pairs.
+        compared: The registered pairs.
         thresholds: Of the verdict.
         rule: When a pair is truly the same place.
     """
@@ -157,25 +157,25 @@ def judge(survey: Survey, thresholds: ClosureParams, rule: Rule) -> Judged:
             query_id=closure.query_id,
             database_id=closure.database_id,
         )
-        for closure in survey.result.closures
+        for closure in compared.result.closures
     )
-    if survey.truth is None:
+    if compared.truth is None:
         plain = tuple(ACCEPTED if closure.accepted else REFUSED for closure in closures)
-        return Judged(survey, closures, None, plain)
-    labels = rule.label(survey.truth)
-    check = _check(survey, survey.truth, closures, thresholds, rule, labels)
-    return Judged(survey, closures, check, _outcomes(survey.truth, closures, labels))
+        return JudgedPairs(compared, closures, None, plain)
+    labels = rule.label(compared.truth)
+    check = _check(compared, compared.truth, closures, thresholds, rule, labels)
+    return JudgedPairs(compared, closures, check, _outcomes(compared.truth, closures, labels))
 
 
 def _check(
-    survey: Survey,
+    compared: ComparedPairs,
     truth: TruePairs,
     closures: tuple[LoopClosure, ...],
     thresholds: ClosureParams,
     rule: Rule,
     labels: Labels,
 ) -> TruthCheck:
-    ranking = rank_pairs(DetectionResult(closures, {}), survey.dataset, truth, "all pairs")
+    ranking = rank_pairs(DetectionResult(closures, {}), compared.dataset, truth, "all pairs")
     # A pair with too few inliers is not accepted at any score: then the curve runs through the
     # point at which the thresholds stand.
     could_pass = (ranking.num_inliers >= thresholds.min_inliers) & np.array(

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from app.viewer.all_pairs.judging import MISSED, WRONG, Judged
+from app.viewer.all_pairs.judging import MISSED, WRONG, JudgedPairs
 from app.viewer.draw.colors import colorize
 from app.viewer.state import ColorMap
 from gpgrad_core.arrays import Array, NDArray
@@ -17,8 +17,8 @@ TOP_SHARE = 0.995
 """Scores above those of this share of the pairs have the last colour: a few are far above."""
 
 
-def affinity_svg(judged: Judged, shown: tuple[str, str] | None = None) -> str:
-    """Draw the matrix: a row a query, a column a database submap.
+def affinity_svg(judged: JudgedPairs, shown: tuple[str, str] | None = None) -> str:
+    """Draw the matrix, with a row per query and a column per database submap.
 
     Args:
         judged: All pairs with their verdicts.
@@ -27,7 +27,7 @@ def affinity_svg(judged: Judged, shown: tuple[str, str] | None = None) -> str:
     Returns:
         A picture for a page; ids in it are escaped.
     """
-    ids = [submap.id for submap in judged.survey.dataset.submaps]
+    ids = [submap.id for submap in judged.compared.dataset.submaps]
     places = {name: k for k, name in enumerate(ids)}
     count = len(ids)
     marks: list[str] = []
@@ -61,13 +61,13 @@ def affinity_svg(judged: Judged, shown: tuple[str, str] | None = None) -> str:
     )
 
 
-def highest_color(judged: Judged) -> float:
-    """Say which score has the last colour."""
+def highest_color(judged: JudgedPairs) -> float:
+    """Give the score that has the last colour."""
     scores = np.array([closure.registration.score for closure in judged.closures])
     return max(float(np.quantile(scores, TOP_SHARE)), 1e-9) if len(scores) else 1.0
 
 
-def matrix_pixels(judged: Judged) -> UInt8[NDArray[np.uint8], "n n 4"]:
+def matrix_pixels(judged: JudgedPairs) -> UInt8[NDArray[np.uint8], "n n 4"]:
     """Colour every pair: scores in viridis from 0, overlaps in greys from 0 (dark) to 1.
 
     What is not known, and the diagonal, stays transparent.

@@ -2,19 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from html import escape
-from typing import Any
 
 import viser
 
 from app.viewer.host import Host
-from app.viewer.widgets.html import BAD, BUSY, FAINT, paragraph
+from app.viewer.widgets.actions import on_choice, on_press
+from app.viewer.widgets.html import BUSY, FAINT, message_line, paragraph
+from app.viewer.widgets.pair_list import PairList
+from app.viewer.widgets.work_bar import WorkBar
 
-INTRODUCTION = "Compare every submap with all earlier ones, with the parameters as they are now."
+INTRODUCTION = "Compare every submap with all earlier ones, using the present parameters."
 NO_CHOICE: str = "choose a pair …"
 ALL: str = "all"
-MOST_CHOICES = 300
-"""Longer lists make the browser slow; what is left out is counted."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Choice:
 
     @property
     def label(self) -> str:
-        """As the list has it."""
+        """Text of the list's entry."""
         return f"{self.query} → {self.database} · {self.score:.1f} · {self.outcome}"
 
 
@@ -45,7 +44,7 @@ class Findings:
 
     Attributes:
         summary: One line.
-        outdated: Why the pairs should be run again; empty while they need not.
+        outdated: Why the pairs should be compared again; empty while they need not.
         matrix: Picture of the scores, as HTML.
         matrix_caption: What its colours and marks mean.
         curve: Picture of precision over recall, as HTML; empty without truth.
@@ -73,7 +72,6 @@ class AllPairsPanel:
         rules: tuple[str, ...],
         *,
         on_run: Callable[[], None],
-        on_cancel: Callable[[], None],
         on_rule: Callable[[str], None],
         on_pair: Callable[[str, str], None],
     ) -> None:
@@ -83,19 +81,14 @@ class AllPairsPanel:
             host: Whose GUI they join.
             rules: Names of the rules by which a pair is truly the same place.
             on_run: Called when all pairs are asked for.
-            on_cancel: Called when they are no longer wanted.
             on_rule: Given the name of the rule chosen.
             on_pair: Given the query and the database to show.
         """
         gui = host.gui
-        self._on_pair = on_pair
         self._choices: tuple[Choice, ...] = ()
-        self._listed: dict[str, Choice] = {}
         gui.add_html(paragraph(INTRODUCTION, FAINT))
-        self._run = gui.add_button("Run all pairs", hint="Sliders can be used while it runs.")
-        self._cancel = gui.add_button("Cancel", visible=False, color="red")
-        self._bar = gui.add_progress_bar(0.0, visible=False, animated=True)
-        self._message = gui.add_html("")
+        run = gui.add_button("Run all pairs", hint="You can use the sliders while it runs.")
+        self.work_bar = WorkBar(host, "Cancel", "all-pairs", starts=(run,))
         self._summary = gui.add_html("")
         self._matrix = gui.add_html("")
         self._narrow: viser.GuiDropdownHandle[str] = gui.add_dropdown(
@@ -103,132 +96,65 @@ class AllPairsPanel:
             (ALL,),
             initial_value=ALL,
             visible=False,
-            hint="Which pairs to choose from. Right, wrong: accepted, and truly the same place or "
-            "not. Missed: the same place, but refused.",
+            hint="Narrows the list below. Right and wrong pairs are accepted, and truly the same "
+            "place or not. Missed pairs are the same place, but refused.",
         )
-        self._pair: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+        self._pairs = PairList(
+            host,
             "Pair",
-            (NO_CHOICE,),
-            initial_value=NO_CHOICE,
-            visible=False,
-            hint="Shows it; highest score first: query → database · score · what became of it.",
+            none=NO_CHOICE,
+            hint="Shows the pair. The highest score comes first: query → database · score · "
+            "outcome.",
+            on_choose=lambda pair: None if pair is None else on_pair(*pair),
         )
-        self._steps = gui.add_button_group(
-            "Step pair", ("previous", "next"), visible=False, hint="Step through the list."
-        )
+        self._pairs.set_visible(False)
         self._rule = gui.add_dropdown(
             "True if",
             rules,
             initial_value=rules[0],
             visible=False,
-            hint="When the true poses say that a pair shows the same place.",
+            hint="By which rule the true poses say that a pair shows the same place.",
         )
         self._curve = gui.add_html("")
 
-        @self._run.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            on_run()
-
-        @self._cancel.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            on_cancel()
-
-        @self._rule.on_update
-        async def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id is not None:
-                on_rule(event.target.value)
-
-        @self._narrow.on_update
-        async def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id is not None:
-                self._list(None)
-
-        @self._pair.on_update
-        async def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id is not None:
-                self._report()
-
-        @self._steps.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            self._step(1 if event.target.value == "next" else -1)
-
-    def running(self, fraction: float) -> None:
-        """Show how far the run is."""
-        self._run.visible = False
-        self._cancel.visible = True
-        self._bar.visible = True
-        self._bar.value = 100 * min(max(fraction, 0.0), 1.0)
-        self._message.content = _line(f"Running all pairs … {100 * fraction:.0f} %", BUSY)
-
-    def stopped(self, message: str = "", *, bad: bool = False) -> None:
-        """Show that nothing runs, and why if there is something to say."""
-        self._run.visible = True
-        self._cancel.visible = False
-        self._bar.visible = False
-        self._message.content = _line(message, BAD if bad else BUSY) if message else ""
+        on_press(run, on_run)
+        on_choice(self._rule, on_rule)
+        on_choice(self._narrow, lambda _: self._list(self._pairs.chosen))
 
     def clear(self) -> None:
-        """Forget what was found: another dataset is open."""
-        self._choices, self._listed = (), {}
-        for html in (self._summary, self._matrix, self._curve, self._message):
+        """Clear everything, because another dataset is open."""
+        self._choices = ()
+        for html in (self._summary, self._matrix, self._curve):
             html.content = ""
-        for widget in (self._narrow, self._pair, self._steps, self._rule):
-            widget.visible = False
+        self._narrow.visible = self._rule.visible = False
+        self._pairs.set_visible(False)
+        self.work_bar.idle()
 
     def show(self, findings: Findings) -> None:
         """Show what was found."""
-        note = _line(findings.outdated, BUSY) if findings.outdated else ""
+        note = message_line("all-pairs-message", findings.outdated, BUSY)
         self._summary.content = paragraph(findings.summary, "font-weight:600") + note
         self._matrix.content = _figure(findings.matrix, findings.matrix_caption)
         self._curve.content = _figure(findings.curve, findings.curve_caption)
         self._choices = findings.choices
         outcomes = tuple(dict.fromkeys(choice.outcome for choice in findings.choices))
         self._narrow.options = (ALL, *sorted(outcomes))
-        for widget in (self._narrow, self._pair, self._steps):
-            widget.visible = bool(findings.choices)
+        self._narrow.visible = bool(findings.choices)
+        self._pairs.set_visible(bool(findings.choices))
         self._rule.visible = bool(findings.curve_caption)
         self._list(findings.shown)
 
-    def _list(self, shown: tuple[str, str] | None) -> None:
-        """Fill the list; keep what it points at, or point at the pair that is shown."""
-        wanted = self._listed.get(self._pair.value)
-        kept = shown or (None if wanted is None else (wanted.query, wanted.database))
+    def _list(self, chosen: tuple[str, str] | None) -> None:
+        """Fill the list with the outcome that it is narrowed to."""
         narrow = self._narrow.value
-        chosen = [choice for choice in self._choices if narrow in (ALL, choice.outcome)]
-        self._listed = {choice.label: choice for choice in chosen[:MOST_CHOICES]}
-        first = NO_CHOICE
-        if len(chosen) > MOST_CHOICES:
-            first = f"choose a pair … ({MOST_CHOICES} best of {len(chosen):,})"
-        self._pair.options = (first, *self._listed)
-        labels = [
-            label
-            for label, choice in self._listed.items()
-            if (choice.query, choice.database) == kept
-        ]
-        self._pair.value = labels[0] if labels else first
-
-    def _step(self, step: int) -> None:
-        labels = list(self._listed)
-        if not labels:
-            return
-        here = labels.index(self._pair.value) if self._pair.value in self._listed else -1
-        place = 0 if here < 0 else (here + step) % len(labels)
-        self._pair.value = labels[place]
-        self._report()
-
-    def _report(self) -> None:
-        choice = self._listed.get(self._pair.value)
-        if choice is not None:
-            self._on_pair(choice.query, choice.database)
-
-
-def _line(text: str, color: str) -> str:
-    return (
-        f'<div data-testid="all-pairs-message" role="status" style="padding:.1em .75em;'
-        f'font-size:.8em;color:{color}">{escape(text)}</div>'
-    )
+        self._pairs.offer(
+            {
+                choice.label: (choice.query, choice.database)
+                for choice in self._choices
+                if narrow in (ALL, choice.outcome)
+            },
+            chosen,
+        )
 
 
 def _figure(picture: str, caption: str) -> str:

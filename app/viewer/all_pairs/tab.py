@@ -1,135 +1,91 @@
-"""All pairs in the viewer: wires its panel to a runner, and the runner to its pictures."""
+"""The All pairs tab: wires its panel to a worker that registers all pairs, and one that judges."""
 
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from app.viewer.all_pairs.curve import curve_svg
-from app.viewer.all_pairs.judging import RULES, Judged, Survey, TruthCheck, judge, survey_pairs
+from app.viewer.all_pairs.judging import (
+    RULES,
+    ComparedPairs,
+    JudgedPairs,
+    TruthCheck,
+    compare_pairs,
+    judge,
+)
 from app.viewer.all_pairs.matrix import affinity_svg, highest_color
 from app.viewer.all_pairs.panel import AllPairsPanel, Choice, Findings
-from app.viewer.feature import Part
-from app.viewer.host import Host
+from app.viewer.feature import Desk, Feature
 from app.viewer.runner import Runner
 from app.viewer.state import ViewState
-from gpgrad_core.run.memo import Memo
+from app.viewer.work import Work, message_of
 from gpgrad_core.run.progress import Progress
-
-REPORT_EVERY = 0.01
-"""Share of the whole by which the progress must grow to be shown anew."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Judging:
     """What the verdicts on all pairs depend on."""
 
-    survey: Survey
+    compared: ComparedPairs
     state: ViewState
     rule: str
 
 
-class AllPairs(Part):
+class AllPairsTab(Feature):
     """Registers all pairs when asked, and judges them anew as the thresholds move."""
 
-    def __init__(
-        self,
-        host: Host,
-        state: ViewState,
-        memo: Memo,
-        turns: threading.Semaphore,
-        *,
-        on_pair: Callable[[str, str], None],
-        message_of: Callable[[Exception], str],
-        on_judged: Callable[[Judged], None] = lambda judged: None,  # noqa: ARG005
-        on_progress: Callable[[float | None, str], None] = lambda fraction, message: None,  # noqa: ARG005
-    ) -> None:
-        """Make the panel in the current container.
-
-        Args:
-            host: Whose GUI it joins.
-            state: The session as it is.
-            memo: Shared with the pair that is shown.
-            turns: Of what takes long.
-            on_pair: Given the query and the database to show; must be quick.
-            message_of: Says what went wrong in one line.
-            on_judged: Given all pairs whenever they were judged anew.
-            on_progress: Given how far the run is, and None once nothing runs, with why if there
-                is something to say.
-        """
-        self._host = host
-        self._tell_judged = on_judged
-        self._on_progress = on_progress
-        self._memo = memo
-        self._message_of = message_of
+    def __init__(self, desk: Desk) -> None:
+        """Make the panel in the current container."""
+        self._desk = desk
         self._lock = threading.Lock()
-        self._state = state
+        self._state = desk.state
         self._rule = next(iter(RULES))
-        self._survey: Survey | None = None
+        self._compared: ComparedPairs | None = None
         self._asked: tuple[object, ...] = ()
         self._panel = AllPairsPanel(
-            host,
+            desk.host,
             tuple(RULES),
-            on_run=self.run,
-            on_cancel=self.cancel,
+            on_run=self.compare_pairs,
             on_rule=self._set_rule,
-            on_pair=on_pair,
+            on_pair=lambda query_id, database_id: desk.change(pair=(query_id, database_id)),
         )
-        self._surveyor: Runner[ViewState, Survey] = Runner(
-            self._register,
-            self._on_survey,
-            self._on_error,
-            on_cancel=lambda state: self._stopped("Cancelled."),  # noqa: ARG005
-            turns=turns,
+        self._comparer: Work[ViewState, ComparedPairs] = Work(
+            self._panel.work_bar,
+            lambda _: "Running all pairs",
+            self._compare,
+            self._on_compared,
+            slots=desk.capacity.long,
             name="all pairs",
+            watch=desk.comparing,
         )
-        self._judge: Runner[_Judging, Judged] = Runner(
-            lambda job, progress: judge(  # noqa: ARG005 - it is over in milliseconds
-                job.survey, job.state.params.closure, RULES[job.rule]
-            ),
+        self._judge: Runner[_Judging, JudgedPairs] = Runner(
+            _judge,
             self._on_judged,
-            lambda job, error: self._stopped(message_of(error), bad=True),  # noqa: ARG005
+            lambda _, error: self._panel.work_bar.failed(message_of(error)),
             name="verdicts",
         )
+        self.workers = (self._comparer, self._judge)
 
     def follow(self, state: ViewState) -> None:
-        """Follow the session: its thresholds, its pair, another dataset. Returns at once."""
+        """Follow the session: its thresholds, its pair, another dataset."""
         with self._lock:
             other_dataset = state.dataset is not self._state.dataset
             self._state = state
             if other_dataset:
-                self._survey = None
+                self._compared = None
         if other_dataset:
-            self._surveyor.cancel()
+            self._comparer.cancel()
             self._panel.clear()
         self._submit()
 
-    def run(self) -> None:
+    def compare_pairs(self) -> None:
         """Register all pairs with the parameters as they are; returns at once."""
-        self._running(0.0)
-        self._surveyor.submit(self._state)
+        self._comparer.start(self._state)
 
-    def cancel(self) -> None:
+    def stop_comparing(self) -> None:
         """Stop registering."""
-        self._surveyor.cancel()
-
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until nothing runs; says whether that came true within the timeout [s]."""
-        return self._surveyor.wait_idle(timeout) and self._judge.wait_idle(timeout)
-
-    def close(self) -> None:
-        """Stop."""
-        self._surveyor.close()
-        self._judge.close()
-
-    def _running(self, fraction: float) -> None:
-        self._panel.running(fraction)
-        self._on_progress(fraction, "")
-
-    def _stopped(self, message: str = "", *, bad: bool = False) -> None:
-        self._panel.stopped(message, bad=bad)
-        self._on_progress(None, message)
+        self._comparer.cancel()
 
     def _set_rule(self, rule: str) -> None:
         self._rule = rule
@@ -138,54 +94,46 @@ class AllPairs(Part):
     def _submit(self) -> None:
         """Ask for new verdicts, unless nothing changed that they depend on."""
         with self._lock:
-            survey, state = self._survey, self._state
-            if survey is None:
+            compared, state = self._compared, self._state
+            if compared is None:
                 return
             pair = state.query_id, state.database_id
-            asked = survey, state.params.closure, pair, self._rule, survey.is_of(state)
+            asked = compared, state.params.closure, pair, self._rule, compared.is_of(state)
             if asked != self._asked:
                 self._asked = asked
-                self._judge.submit(_Judging(survey, state, self._rule))
+                self._judge.submit(_Judging(compared, state, self._rule))
 
-    def _register(self, state: ViewState, progress: Progress) -> Survey:
-        reported = 0.0
+    def _compare(self, state: ViewState, progress: Progress) -> ComparedPairs:
+        return compare_pairs(state.dataset, state.params, self._desk.memo, progress)
 
-        def report(fraction: float) -> None:
-            nonlocal reported
-            progress(fraction)
-            if fraction - reported >= REPORT_EVERY:
-                reported = fraction
-                self._running(fraction)
-
-        return survey_pairs(state.dataset, state.params, self._memo, report)
-
-    def _on_survey(self, state: ViewState, survey: Survey, seconds: float) -> None:
+    def _on_compared(self, state: ViewState, compared: ComparedPairs, seconds: float) -> None:
         del seconds
         with self._lock:
             if state.dataset is not self._state.dataset:
                 return  # another was opened in the very last moment
-            self._survey = survey
-        self._stopped()
+            self._compared = compared
         self._submit()
 
-    def _on_error(self, state: ViewState, error: Exception) -> None:
-        del state
-        self._stopped(self._message_of(error), bad=True)
-
-    def _on_judged(self, job: _Judging, judged: Judged, seconds: float) -> None:
+    def _on_judged(self, job: _Judging, judged: JudgedPairs, seconds: float) -> None:
         del seconds
-        if job.survey is not self._survey:
+        if job.compared is not self._compared:
             return
-        with self._host.atomic():
+        host = self._desk.host
+        with host.atomic():
             self._panel.show(findings(judged, job.state))
-        self._host.flush()
-        self._tell_judged(judged)
+        host.flush()
+        self._desk.judged(job.state.dataset, judged.closures)
 
 
-def findings(judged: Judged, state: ViewState) -> Findings:
-    """Put what was judged into pictures and words."""
-    survey, count = judged.survey, judged.num_accepted
-    seconds = survey.result.seconds["total"]
+def _judge(job: _Judging, progress: Progress) -> JudgedPairs:
+    del progress  # it is over in milliseconds
+    return judge(job.compared, job.state.params.closure, RULES[job.rule])
+
+
+def findings(judged: JudgedPairs, state: ViewState) -> Findings:
+    """Turn the judged pairs into pictures and words."""
+    compared, count = judged.compared, judged.num_accepted
+    seconds = compared.result.seconds["total"]
     closures = "loop closure" if count == 1 else "loop closures"
     ranked = sorted(
         zip(judged.closures, judged.outcomes, strict=True),
@@ -195,8 +143,8 @@ def findings(judged: Judged, state: ViewState) -> Findings:
     return Findings(
         summary=f"{count} {closures} in {len(judged.closures):,} pairs · {seconds:.1f} s",
         outdated=""
-        if survey.is_of(state)
-        else "Found with other parameters than those set now: run again to compare.",
+        if compared.is_of(state)
+        else "The parameters have changed since: run again to update.",
         matrix=affinity_svg(judged, shown),
         matrix_caption=_matrix_caption(judged),
         curve="" if judged.check is None else curve_svg(judged.check),
@@ -209,25 +157,28 @@ def findings(judged: Judged, state: ViewState) -> Findings:
     )
 
 
-def _matrix_caption(judged: Judged) -> str:
+def _matrix_caption(judged: JudgedPairs) -> str:
     below = (
-        "Row: query, column: database. Below the diagonal: the score, from dark (0) to yellow "
-        f"({highest_color(judged):.1f})."
+        "Rows are queries, columns are the database. Below the diagonal is the score, from dark "
+        "(0) "
+        f"to yellow ({highest_color(judged):.1f})."
     )
     if judged.check is None:
-        return f"{below} Ring: accepted. Magenta: the pair shown."
+        return f"{below} Rings mark accepted pairs, magenta the pair shown."
     measure = "of the boxes" if judged.check.rule.measure == "box" else "of the surfaces"
     return (
-        f"{below} Above it: the true overlap {measure}, from dark (0) to light (1). "
-        "Ring: green accepted, red wrongly accepted, orange missed. Magenta: the pair shown."
+        f"{below} Above it is the true overlap {measure}, from dark (0) to light (1). "
+        "Green rings mark right pairs, red ones wrong, orange ones missed; magenta marks the pair "
+        "shown."
     )
 
 
 def _curve_caption(check: TruthCheck) -> str:
     if check.curve is None:
-        return f"No pair is true by the rule {check.rule.name}: there is nothing to find."
+        return f"No pair is true by the rule {check.rule.name}, so there is nothing to find."
     precision = f"{check.precision:.3f}" if np.isfinite(check.precision) else "—"
     return (
-        f"At the thresholds set: precision {precision}, recall {check.recall:.3f} (magenta). "
+        f"At the present thresholds, precision is {precision} and recall {check.recall:.3f} "
+        "(magenta). "
         f"Average precision {check.average_precision:.3f}. {check.rule.statement}"
     )

@@ -1,4 +1,4 @@
-"""What can be opened below a folder, and nothing beyond it: links are followed before judging."""
+"""What can be opened below a folder. Links are resolved first, so nothing outside can be."""
 
 import os
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ MOST_ENTRIES = 500
 
 @dataclass(frozen=True)
 class Listing:
-    """What there is to choose in a folder.
+    """What a user can choose in a folder.
 
     Attributes:
         folder: Relative to the root; "." is the root itself.
@@ -50,7 +50,7 @@ def inside(root: Path, path: Path) -> Path:
     except OSError as error:
         raise InputError(f"{path}: no such file or folder in {root}") from error
     if not real.is_relative_to(real_root):
-        raise InputError(f"{path}: lies outside of {root}, all that this viewer may open")
+        raise InputError(f"{path}: lies outside of {root}, and this viewer may open nothing else")
     return real
 
 
@@ -79,7 +79,7 @@ def list_folder(root: Path, folder: Path) -> Listing:
     """
     real = inside(root, folder)
     if not real.is_dir():
-        raise InputError(f"{folder}: is no folder")
+        raise InputError(f"{folder}: is not a folder")
     folders: list[str] = []
     clouds: list[str] = []
     try:
@@ -104,7 +104,7 @@ def list_folder(root: Path, folder: Path) -> Listing:
 
 
 def _entries(path: Path) -> Iterator[Path]:
-    """Walk over all that loading a dataset may touch; links to folders are named, not entered."""
+    """List all that loading a dataset may read; links to folders are listed but not entered."""
     if path.is_file():
         yield path
         return

@@ -1,4 +1,4 @@
-"""The datasets opened last, for the next time."""
+"""The list of recent datasets, which outlives the viewer."""
 
 import json
 import logging

@@ -1,47 +1,27 @@
-"""Opening datasets: wires their panel to the loader, and the loader to the session."""
+"""The Data tab: wires its panel to a loader, and the loader to the session."""
 
 import shutil
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from app.viewer.data.folders import check_inside, list_folder
-from app.viewer.data.panel import UP, Choices, DatasetPanel
+from app.viewer.data.panel import UP, Choices, DatasetPanel, FolderCalls
 from app.viewer.data.recent import recent_datasets, remember_dataset
 from app.viewer.data.unpacking import MOST_GROWTH, check_cloud, unpack
 from app.viewer.data.upload_limit import limit_uploads
-from app.viewer.feature import Part
-from app.viewer.host import Host
-from app.viewer.permissions import Places
-from app.viewer.runner import Runner
-from app.viewer.save.session_file import Saved
+from app.viewer.feature import Desk, Feature
+from app.viewer.opened import Opened
+from app.viewer.session_file import SavedSession
+from app.viewer.work import Work
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.progress import Progress, part
-from gpgrad_core.types import Dataset
 
 CLOUDS = "uploaded clouds"
 """Name of the dataset that single clouds gather in."""
-
-
-@dataclass(frozen=True, eq=False)
-class Opened:
-    """A dataset that was read, and what to start it with.
-
-    Attributes:
-        dataset: The submaps.
-        params: What "reset" goes back to.
-        source: Path that it was read from.
-        saved: Pair, parameters and view to begin with; None begins as the dataset prefers.
-    """
-
-    dataset: Dataset
-    params: PipelineParams
-    source: str
-    saved: Saved | None = None
 
 
 @dataclass(frozen=True)
@@ -50,77 +30,57 @@ class Request:
 
     path: Path | None = None
     upload: tuple[str, bytes] | None = None
-    saved: Saved | None = None
+    saved: SavedSession | None = None
 
     @property
     def name(self) -> str:
-        """As people are told it."""
+        """What messages call it."""
         if self.upload is not None:
             return self.upload[0]
         return "the demo" if self.path is None else str(self.path)
 
 
-class Opening(Part):
-    """Opens what the panel asks for, one at a time; what is open stays until the next is ready."""
+class DataTab(Feature):
+    """Opens one dataset at a time; what is open stays until the next is ready."""
 
-    def __init__(
-        self,
-        host: Host,
-        source: str,
-        places: Places,
-        *,
-        on_opened: Callable[[Opened], None],
-        message_of: Callable[[Exception], str],
-    ) -> None:
-        """Make the panel in the current container.
-
-        Args:
-            host: Whose GUI it joins.
-            source: Path of what is open.
-            places: Where may be read from.
-            on_opened: Given what was opened.
-            message_of: Says what went wrong in one line.
-        """
-        self._places = places
-        self._on_opened = on_opened
-        self._message_of = message_of
+    def __init__(self, desk: Desk) -> None:
+        """Make the panel in the current container."""
+        self._desk = desk
+        self._permissions = desk.permissions
         self._uploads: Path | None = None  # of this session, made when first needed
         self._folder = Path()
-        root = places.root
+        allowed = desk.permissions
         self._panel = DatasetPanel(
-            host,
+            desk.host,
             on_load=self._open,
-            on_demo=lambda: self._loader.submit(Request()),
-            on_cancel=self._cancel,
-            on_enter=None if root is None else self._enter,
-            on_open_here=None if root is None else lambda: self._submit(self._folder),
-            on_upload=None if places.uploads is None else self._upload,
-            upload_hint=f"Up to {places.max_upload / 1e6:,.0f} MB.",
+            on_demo=lambda: self._start(Request()),
+            folder=None
+            if allowed.root is None
+            else FolderCalls(self._enter, lambda: self._submit(self._folder)),
+            uploaded=None if allowed.uploads is None else self._upload,
+            upload_hint=f"Up to {allowed.max_upload / 1e6:,.0f} MB.",
         )
-        limit_uploads(host, places.max_upload, self._refuse)
-        self._panel.show(source)
+        limit_uploads(desk.host, allowed.max_upload, self._refuse)
+        self._panel.show(desk.state.source)
         self._show_recent()
-        self._loader: Runner[Request, Opened] = Runner(
+        self._loader: Work[Request, Opened] = Work(
+            self._panel.work_bar,
+            lambda request: f"Loading {request.name}",
             self._load,
             self._on_loaded,
-            self._on_error,
-            on_cancel=lambda request: self._panel.stopped(f"Cancelled: {request.name}"),
             name="dataset",
         )
-        if root is not None:
+        self.workers = (self._loader,)
+        if allowed.root is not None:
             self._list()
 
-    def restore(self, saved: Saved) -> None:
+    def restore(self, saved: SavedSession) -> None:
         """Open what a saved session had open, with all that it had set."""
-        self._loader.submit(Request(path=saved.dataset, saved=saved))
-
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until nothing is being opened; says whether that came true within [s]."""
-        return self._loader.wait_idle(timeout)
+        self._start(Request(path=saved.dataset, saved=saved))
 
     def close(self) -> None:
         """Stop, and remove what was uploaded."""
-        self._loader.close()
+        super().close()
         if self._uploads is not None:
             shutil.rmtree(self._uploads, ignore_errors=True)
 
@@ -128,27 +88,27 @@ class Opening(Part):
 
     def _open(self, path: str) -> None:
         if not path:
-            self._panel.error("Type the path of a dataset folder first.")
+            self._panel.work_bar.failed("Type the path of a dataset folder first.")
             return
         self._submit(Path(path).expanduser())
 
-    def _cancel(self) -> None:
-        self._loader.cancel()
-
     def _submit(self, path: Path) -> None:
-        self._loader.submit(Request(path=path))
+        self._start(Request(path=path))
+
+    def _start(self, request: Request) -> None:
+        self._loader.start(request)
 
     def _refuse(self, name: str, size: int) -> None:
-        self._panel.error(
-            f"{name}: has {size / 1e6:,.0f} MB; up to {self._places.max_upload / 1e6:,.0f} MB "
+        self._panel.work_bar.failed(
+            f"{name}: has {size / 1e6:,.0f} MB; up to {self._permissions.max_upload / 1e6:,.0f} MB "
             "can be uploaded"
         )
 
     def _upload(self, name: str, content: bytes) -> None:
-        if len(content) > self._places.max_upload:
+        if len(content) > self._permissions.max_upload:
             self._refuse(name, len(content))
             return
-        self._loader.submit(Request(upload=(name, content)))
+        self._start(Request(upload=(name, content)))
 
     def _enter(self, name: str) -> None:
         chosen = self._folder / name.rstrip("/") if name else self._folder.parent
@@ -159,16 +119,16 @@ class Opening(Part):
         self._list()
 
     def _list(self) -> None:
-        root = self._places.root
+        root = self._permissions.root
         assert root is not None
         try:
             found = list_folder(root, self._folder)
         except InputError as error:
             self._folder = Path()
-            self._panel.error(str(error))
+            self._panel.work_bar.failed(str(error))
             return
         up = () if found.folder == Path() else (UP,)
-        note = f"{found.num_hidden:,} more are not listed: type the path" * bool(found.num_hidden)
+        note = f"{found.num_hidden:,} more are not listed; type the path" * bool(found.num_hidden)
         self._panel.show_folder(
             Choices(
                 str(root / found.folder),
@@ -179,24 +139,20 @@ class Opening(Part):
         )
 
     def _show_recent(self) -> None:
-        if self._places.config is not None:
-            self._panel.show_recent(recent_datasets(self._places.config))
+        if self._permissions.config is not None:
+            self._panel.show_recent(recent_datasets(self._permissions.config))
 
     # What the loader does.
 
     def _load(self, request: Request, progress: Progress) -> Opened:
-        def report(fraction: float) -> None:
-            progress(fraction)
-            self._panel.loading(request.name, fraction)
-
-        report(0.0)
+        progress(0.0)
         notes: tuple[str, ...] = ()
-        loading: Progress = report
+        loading = progress
         if request.upload is not None:
-            source, notes = self._unpacked(*request.upload, part(report, 0.0, 0.5))
-            loading = part(report, 0.5, 1.0)
-        elif request.path is not None and self._places.root is not None:
-            source = check_inside(self._places.root, request.path)
+            source, notes = self._unpacked(*request.upload, part(progress, 0.0, 0.5))
+            loading = part(progress, 0.5, 1.0)
+        elif request.path is not None and self._permissions.root is not None:
+            source = check_inside(self._permissions.root, request.path)
         else:
             source = request.path or demo_path()
         try:
@@ -215,9 +171,9 @@ class Opening(Part):
     ) -> tuple[Path, tuple[str, ...]]:
         """Put what was uploaded where it can be loaded from."""
         if self._uploads is None:
-            assert self._places.uploads is not None
-            self._uploads = Path(tempfile.mkdtemp(dir=self._places.uploads))
-        most = MOST_GROWTH * self._places.max_upload
+            assert self._permissions.uploads is not None
+            self._uploads = Path(tempfile.mkdtemp(dir=self._permissions.uploads))
+        most = MOST_GROWTH * self._permissions.max_upload
         if name.lower().endswith(".zip"):
             folder = Path(tempfile.mkdtemp(dir=self._uploads)) / (Path(name).stem or "dataset")
             return unpack(name, content, folder, most, progress)
@@ -225,7 +181,7 @@ class Opening(Part):
         folder.mkdir(exist_ok=True)
         cloud = folder / name
         if cloud.exists():
-            raise InputError(f"{name}: was uploaded before; rename one of the two")
+            raise InputError(f"{name}: was uploaded before; rename one of them")
         cloud.write_bytes(content)
         try:
             check_cloud(cloud, most)
@@ -235,7 +191,7 @@ class Opening(Part):
         return folder, ()
 
     def _forget(self, request: Request, source: Path) -> None:
-        """Remove what was uploaded and cannot be loaded."""
+        """Remove an upload that cannot be loaded."""
         if request.upload is None:
             return
         cloud = source / request.upload[0]
@@ -253,16 +209,12 @@ class Opening(Part):
 
     def _on_loaded(self, request: Request, opened: Opened, seconds: float) -> None:
         del seconds
-        self._on_opened(opened)
+        self._desk.open(opened)
         self._panel.show(opened.source)
-        if request.path is not None and self._places.config is not None:
+        if request.path is not None and self._permissions.config is not None:
             path = str(Path(opened.source).absolute())
-            self._panel.show_recent(remember_dataset(self._places.config, path))
+            self._panel.show_recent(remember_dataset(self._permissions.config, path))
         if self._uploads is not None:  # what is no longer open
             for old in self._uploads.iterdir():
                 if not Path(opened.source).is_relative_to(old):
                     shutil.rmtree(old, ignore_errors=True)
-
-    def _on_error(self, request: Request, error: Exception) -> None:
-        del request
-        self._panel.error(self._message_of(error))

@@ -1,4 +1,4 @@
-"""A zipped dataset from a browser -> a folder: nothing outside of it, nothing huge, nothing odd."""
+"""Unpack a zipped dataset from a browser into a folder, safely: nothing outside, nothing huge."""
 
 import io
 import shutil
@@ -36,15 +36,15 @@ def unpack(
         line that counts what was left out, if anything was.
 
     Raises:
-        InputError: If it is no whole zip archive, is encrypted, names a file outside of its own
-            folder or a link, or holds too much.
+        InputError: If it is not a complete zip archive, is encrypted, names a link or a file
+            outside of its own folder, or holds too much.
     """
     folder.mkdir(parents=True)
     try:
         return _unpacked(name, content, folder, most_bytes, progress)
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError) as error:
         shutil.rmtree(folder, ignore_errors=True)
-        raise InputError(f"{name}: is no whole zip archive: {error}") from error
+        raise InputError(f"{name}: is not a complete zip archive: {error}") from error
     except OSError as error:
         shutil.rmtree(folder, ignore_errors=True)
         raise InputError(f"{name}: cannot be unpacked: {error.strerror or error}") from error
@@ -87,7 +87,7 @@ def _unpacked(
     if not wanted:
         raise InputError(f"{name}: holds no clouds ({' '.join(READERS)})")
     files = "file was" if left_out == 1 else "files were"
-    notes = (f"{name}: {left_out} {files} left out: no part of a dataset",) if left_out else ()
+    notes = (f"{name}: {left_out} {files} left out: not part of a dataset",) if left_out else ()
     return _dataset_in(folder), notes
 
 
@@ -99,7 +99,7 @@ def _place(name: str, member: zipfile.ZipInfo) -> PurePosixPath:
     """
     place = PurePosixPath(member.filename.replace("\\", "/"))
     if place.is_absolute() or ".." in place.parts or ":" in member.filename or not place.parts:
-        raise InputError(f"{name}: names a place outside of its folder: {member.filename!r}")
+        raise InputError(f"{name}: names a path outside of its folder: {member.filename!r}")
     if stat.S_ISLNK(member.external_attr >> 16):
         raise InputError(f"{name}: {member.filename!r} is a link; pack the files themselves")
     if member.flag_bits & 1:
@@ -108,7 +108,7 @@ def _place(name: str, member: zipfile.ZipInfo) -> PurePosixPath:
 
 
 def _is_hidden(place: PurePosixPath) -> bool:
-    """Say whether it is the system's, not the user's: .DS_Store, __MACOSX/…."""
+    """Say whether the system made the file, not the user (.DS_Store, __MACOSX/…)."""
     return any(part.startswith((".", "__MACOSX")) for part in place.parts)
 
 
@@ -141,11 +141,11 @@ def check_cloud(path: Path, most_bytes: int) -> None:
         try:
             _check_arrays(path.name, path, most_bytes)
         except zipfile.BadZipFile as error:
-            raise InputError(f"{path.name}: is not a whole NPZ file: {error}") from error
+            raise InputError(f"{path.name}: is not a complete NPZ file: {error}") from error
 
 
 def _dataset_in(folder: Path) -> Path:
-    """Go down as long as there is nothing but one folder, which is not the submaps themselves."""
+    """Enter folders as long as they hold one folder only, which is not the submaps themselves."""
     while True:
         entries = list(folder.iterdir())
         if len(entries) != 1 or not entries[0].is_dir() or entries[0].name == "submaps":

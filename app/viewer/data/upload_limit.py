@@ -1,7 +1,7 @@
-"""Uploads that are too large end before they fill the memory.
+"""Stops uploads that are too large before they fill the memory.
 
-viser gathers whatever a page sends, and tells of it when it is whole. What is used here is not of
-its public interface; its version is pinned to the minor.
+viser gathers whatever a page sends, and reports it when it is complete. What is used here is not
+part of its public interface, so its version is pinned to the minor.
 """
 
 from collections.abc import Callable
@@ -13,24 +13,24 @@ from app.viewer.host import Host
 
 
 def limit_uploads(host: Host, most_bytes: int, on_refused: Callable[[str, int], None]) -> None:
-    """Forget what a page uploads as soon as it is known to be too large.
+    """Drop an upload as soon as it is known to be too large.
 
     Args:
         host: Whose upload buttons are meant.
         most_bytes: Largest file.
-        on_refused: Given the name of the file and its size as the page told it.
+        on_refused: Given the name of the file and its size as the page gave it.
     """
     gui: Any = host.gui
     uploads: dict[str, Any] = gui._current_file_upload_states
 
     def refuse(transfer: str, source: str | None) -> None:
-        told = uploads.pop(transfer)
-        size = told["total_bytes"]
+        upload = uploads.pop(transfer)
+        size = upload["total_bytes"]
         # So that the page takes its notice of a running upload away.
         gui._websock_interface.queue_message(
             messages.FileTransferPartAck(source, transfer, size, size)
         )
-        on_refused(told["filename"], size)
+        on_refused(upload["filename"], size)
 
     def started(client_id: int, message: messages.FileTransferStartUpload) -> None:
         del client_id
@@ -39,8 +39,8 @@ def limit_uploads(host: Host, most_bytes: int, on_refused: Callable[[str, int], 
 
     def arrived(client_id: int, message: messages.FileTransferPart) -> None:
         del client_id
-        told = uploads.get(message.transfer_uuid)
-        if told is not None and told["transferred_bytes"] > most_bytes:  # more than it said
+        upload = uploads.get(message.transfer_uuid)
+        if upload is not None and upload["transferred_bytes"] > most_bytes:  # more than it said
             refuse(message.transfer_uuid, message.source_component_uuid)
 
     gui._websock_interface.register_handler(messages.FileTransferStartUpload, started)

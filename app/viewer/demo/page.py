@@ -43,7 +43,7 @@ def save_page(
     dark: bool = False,
     progress: Progress = silent,
 ) -> bytes:
-    """Build a scene and write it down as a page.
+    """Build a scene and save it as an HTML page.
 
     Args:
         compose: Fills the scene of a fresh server.
@@ -52,7 +52,7 @@ def save_page(
         dark: Light writing on a dark ground.
         progress: Called once a picture of what moves; may raise Cancelled.
     """
-    # viser tells of a server that starts and stops; nobody asked.
+    # viser prints when a server starts and stops; that is of no interest here.
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
@@ -75,7 +75,7 @@ def save_page(
 
 
 def with_title(page: str, title: str, caption: str, legend: str, *, dark: bool) -> str:
-    """Lay a headline and a legend over a page of viser's.
+    """Add a headline and a legend to a page that viser wrote.
 
     Raises:
         ValueError: If the page is not what viser writes.

@@ -11,7 +11,7 @@ FRAMES_A_SECOND = 24
 
 @dataclass(frozen=True, eq=False)
 class Animation:
-    """A picture for every moment.
+    """A function that draws any moment of a motion.
 
     Attributes:
         seconds: How long it takes.
@@ -51,7 +51,7 @@ def frames(animation: Animation) -> Iterator[float]:
 
 
 def ease(share: float) -> float:
-    """Start and end softly.
+    """Ease in and out.
 
     >>> ease(0.0), ease(0.5), ease(1.0)
     (0.0, 0.5, 1.0)

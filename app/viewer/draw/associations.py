@@ -27,7 +27,7 @@ class Dots:
 def on_surface(
     gradient_map: GradientMap, positions: Float[Array, "n 2"], lift: float = 0.0
 ) -> Float[Array, "n 3"]:
-    """Give positions [m] the height of the nearest cell, and a little more: not to sink in."""
+    """Give positions [m] the height of the nearest cell, plus a lift [m] out of the ground."""
     grid = gradient_map.grid
     rows, columns = grid.shape
     pixels = np.rint(grid.to_pixel(positions)).astype(np.intp)
@@ -85,7 +85,7 @@ def _arcs(
 def arcs(
     start: Float[Array, "n 3"], end: Float[Array, "n 3"], pieces: int, rise: float
 ) -> Float[NDArray[np.float32], "k 2 3"]:
-    """Span arches in straight pieces, so many an arch, one arch after the other.
+    """Span arches between points, each in the same number of straight pieces.
 
     Args:
         start: Where each stands [m].
@@ -101,7 +101,7 @@ def arcs(
 
 
 def keypoint_dots(result: PairResult, *, of_query: bool, lift: float) -> Dots:
-    """Mark all keypoints of one map: inlier, outlier, or without partner.
+    """Mark all keypoints of one map: inlier, outlier, or without an association.
 
     Args:
         result: The pair.
@@ -115,7 +115,7 @@ def keypoint_dots(result: PairResult, *, of_query: bool, lift: float) -> Dots:
 
 
 def keypoint_colors(result: PairResult, *, of_query: bool) -> UInt8[NDArray[np.uint8], "k 3"]:
-    """Give the colour of each keypoint of one map: inlier, outlier, or without partner."""
+    """Give the colour of each keypoint of one map: inlier, outlier, or without an association."""
     features = result.query_features if of_query else result.database_features
     colors = np.full((len(features), 3), UNMATCHED, dtype=np.uint8)
     indices = result.matches.pairs[:, 0 if of_query else 1]
@@ -132,7 +132,7 @@ def inlier_color(result: PairResult) -> Rgb:
 
 
 def residuals(result: PairResult) -> Float[Array, "m"] | None:
-    """Say how far each association misses under the motion found [m]; None without a motion."""
+    """Give the residual of each association under the motion found [m]; None without a motion."""
     motion = result.registration.T_database_query
     if motion is None:
         return None
@@ -141,7 +141,7 @@ def residuals(result: PairResult) -> Float[Array, "m"] | None:
 
 
 def step_match(result: PairResult, number: int, step: int, *, inliers: bool, outliers: bool) -> int:
-    """Give the number, from 1, of the next association of the kinds asked for, round the end.
+    """Give the number, from 1, of the next association of the wanted kinds, cyclically.
 
     Where there is none of these kinds, as of inliers where nothing fits, any will do.
 

@@ -30,7 +30,7 @@ def top(oblique: Camera) -> Camera:
 
 
 def blend(start: Camera, end: Camera, share: float) -> Camera:
-    """Go a share of the way from one view to another, round what is looked at.
+    """Interpolate between two views, moving round the point that is looked at.
 
     The distance from it goes evenly and the direction turns, so that the camera does not dive
     through the ground on its way.
@@ -48,7 +48,7 @@ def blend(start: Camera, end: Camera, share: float) -> Camera:
 
 
 def follow(path: Float[Array, "n 3"], share: float) -> Camera:
-    """Fly behind and above somebody who goes along a path.
+    """Follow a path from behind and above.
 
     Args:
         path: Where it leads [m], of two or more places.
@@ -64,7 +64,7 @@ def follow(path: Float[Array, "n 3"], share: float) -> Camera:
 
 
 def orbit(camera: Camera, share: float) -> Camera:
-    """Go round what a view looks at.
+    """Orbit the point that a view looks at.
 
     Args:
         camera: Where the round begins and ends.

@@ -109,7 +109,7 @@ def shade(colors: Colors, brightness: Float[NDArray[np.floating], "n"]) -> Color
 
 
 def faint(color: Rgb) -> Rgb:
-    """Take most of the colour out, for what steps back on a light and on a dark page alike."""
+    """Fade a colour for what steps back, on a light and on a dark page alike."""
     red, green, blue = (
         int(0.3 * channel + 0.7 * grey) for channel, grey in zip(color, BACK, strict=True)
     )
@@ -127,7 +127,7 @@ def css(color: Rgb) -> str:
 
 
 def for_lines(color: Rgb) -> Rgb:
-    """Turn a wanted sRGB colour into the one that a line must be given to show it.
+    """Give the colour that a line must be given so that the browser shows the wanted sRGB colour.
 
     The browser decodes a line's colour to linear light and then tone-maps it like a film (three's
     ACESFilmicToneMapping), which washes it out; this goes that way backwards. Point clouds

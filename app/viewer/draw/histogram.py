@@ -32,7 +32,7 @@ class Histogram:
 
     @property
     def num_trusted(self) -> int:
-        """All cells that the mask lets pass."""
+        """Number of trusted cells."""
         return int(self.trusted.sum())
 
 
@@ -66,7 +66,7 @@ def count_values(
 def histogram_svg(
     histogram: Histogram, scale: Scale, thresholds: tuple[tuple[float, Rgb | None], ...] = ()
 ) -> str:
-    """Draw the bars in the legend's colours, what is masked in grey upon them.
+    """Draw the bars in the colours of the legend, with masked cells in grey on top.
 
     Args:
         histogram: What to draw.

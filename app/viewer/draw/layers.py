@@ -15,7 +15,7 @@ MAX_SAMPLES = 20_000
 
 @dataclass(frozen=True)
 class LayerStyle:
-    """How a layer is named and coloured unless the user chooses."""
+    """Name, unit and default colours of a layer."""
 
     label: str
     unit: str
@@ -38,7 +38,7 @@ STYLES: dict[Layer, LayerStyle] = {
     ),
 }
 NO_RANGE = (0.0, 1.0)
-"""Ends of a layer that nothing has a value of."""
+"""Ends of the colours where no cell has a value."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from gpgrad_core.types import Submap
 LinePoints: TypeAlias = Float[NDArray[np.float32], "n 2 3"]
 
 
-class Cloud:
+class PointsNode:
     """One point cloud node, made when first needed and then changed in place."""
 
     def __init__(self, host: Host, name: str, *, shape: str = "square") -> None:
@@ -71,12 +71,12 @@ class Cloud:
         self._handle.visible = True
 
     def hide(self) -> None:
-        """Take it out of sight."""
+        """Hide it."""
         if self._handle is not None:
             self._handle.visible = False
 
 
-class Segments:
+class LinesNode:
     """One node of line segments, made when first needed and then changed in place."""
 
     def __init__(self, host: Host, name: str, color: Rgb, thickness: float) -> None:
@@ -122,7 +122,7 @@ class Segments:
             self._handle.thickness = thickness
 
     def hide(self) -> None:
-        """Take it out of sight."""
+        """Hide it."""
         if self._handle is not None:
             self._handle.visible = False
 
@@ -150,17 +150,17 @@ class SubmapNode:
         self._role = role
         root = f"{parent}/{role}"
         self._frame = host.scene.add_frame(root, show_axes=False)
-        self.surface = Cloud(host, f"{root}/surface")
-        self.cloud = Cloud(host, f"{root}/cloud", shape="circle")
-        self.keypoints = Cloud(host, f"{root}/keypoints", shape="circle")
-        self.outline = Segments(host, f"{root}/outline", color, thickness=2.0)
+        self.surface = PointsNode(host, f"{root}/surface")
+        self.cloud = PointsNode(host, f"{root}/cloud", shape="circle")
+        self.keypoints = PointsNode(host, f"{root}/keypoints", shape="circle")
+        self.outline = LinesNode(host, f"{root}/outline", color, thickness=2.0)
         self._label = host.scene.add_label(
             f"{root}/label", role, anchor="bottom-left" if outer == "left" else "bottom-right"
         )
 
     @property
     def visible(self) -> bool:
-        """Whether it is seen, with all that hangs on it."""
+        """Whether it is seen, with everything below it."""
         return self._frame.visible
 
     @visible.setter
@@ -173,7 +173,7 @@ class SubmapNode:
         self._frame.wxyz = placement.wxyz
 
     def name(self, submap: Submap, extent: Extent) -> None:
-        """Write beside it which submap this is and how large, and draw its outline."""
+        """Write its name and size beside it, and draw its outline."""
         width, depth, _ = extent.size
         self._label.text = f"{self._role} {submap.id} · {width:.1f} m x {depth:.1f} m"
         # On the edge that a camera looking along y sees as the far one, at the outer corner, so

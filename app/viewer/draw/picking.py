@@ -1,4 +1,4 @@
-"""Where a line of sight meets a surface: what a click in the picture means on the ground."""
+"""Where a line of sight meets a surface, so that a click finds a place on the ground."""
 
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -29,7 +29,7 @@ class Ray:
     direction: Float[Array, "3"]  # of any length but zero
 
     def into(self, placement: Placement) -> "Ray":
-        """See the same line from a submap's frame that stands there."""
+        """Transform the line into the frame of a submap that stands there."""
         T_scene_submap = SE2(placement.x, placement.y, placement.yaw)
         T_submap_scene = T_scene_submap.inverse()
         xy = T_submap_scene.apply(self.origin[None, :2])[0]

@@ -91,7 +91,7 @@ def height_offset(
     T_database_query: SE2,
     max_std_ratio: float,
 ) -> float:
-    """Measure how much higher the database's frame has the ground that both maps share [m].
+    """Measure how far the shared ground lies higher in the database than in the query [m].
 
     The registration is planar; each submap has its own zero of height. The median over the
     common trusted cells is not moved by a few wrong ones. Zero if nothing is shared.
@@ -118,7 +118,7 @@ def height_offset(
 def z_offset_of(
     registration: Registration, maps: tuple[GradientMap, GradientMap], max_std_ratio: float
 ) -> float:
-    """Say what is to be added to the query's heights to lie on the database [m].
+    """Give the height to add to the query so that it lies on the database [m].
 
     The registration's own, where the alignment held; else, as where there is little in common,
     the median difference.
@@ -170,7 +170,7 @@ def place(
 def glide(
     query: Extent, database: Extent, T_database_query: SE2, dz: float, share: float
 ) -> tuple[Placement, Placement]:
-    """Place (query, database) on the way from beside each other to registered.
+    """Place (query, database) between side by side and registered.
 
     The query goes over the ground, not through it, and comes down on its place.
 

@@ -1,4 +1,4 @@
-"""Gradient map -> coloured surfels: one little square a cell, which the browser updates fast.
+"""Gradient map -> coloured surfels: one small square per cell, which browsers update fast.
 
 A mesh would need its faces rebuilt whenever the variance mask moves; surfels only become fewer.
 """
@@ -30,7 +30,7 @@ class Surfels:
 
 
 def stride_for(num_cells: int, max_surfels: int) -> int:
-    """Say how many rows and columns to step by, to draw at most so many surfels."""
+    """Give the step in rows and columns that draws at most so many surfels."""
     return max(1, int(np.ceil(np.sqrt(num_cells / max_surfels))))
 
 

@@ -1,4 +1,4 @@
-"""The pair as a flat picture: gradient images, keypoints and associations, as OpenCV draws them.
+"""The pair as a flat picture: gradient images, keypoints and associations, drawn by OpenCV.
 
 It is drawn from the same state and result as the scene. Side by side, the query's image stands
 above the database's; registered, both lie on each other in the database's frame.
@@ -14,9 +14,9 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from app.viewer.draw.associations import inlier_color, keypoint_colors
 from app.viewer.draw.colors import CHOSEN, DATABASE, OUTLIER, QUERY, Rgb, colorize
+from app.viewer.draw.comparison import height_difference, pixel_motion, resample
 from app.viewer.draw.layers import Scale, shared_scale
 from app.viewer.draw.placement import z_offset_of
-from app.viewer.pair.comparison import height_difference, pixel_motion, resample
 from app.viewer.state import ViewState
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.pipeline import PairResult

@@ -3,13 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
-from typing import Any
 
 import numpy as np
-import viser
 from jaxtyping import UInt8
 
 from app.viewer.host import Host
+from app.viewer.widgets.actions import on_choice, on_option
 from app.viewer.widgets.html import BAD, FAINT, paragraph, table
 from gpgrad_core.arrays import NDArray
 
@@ -17,7 +16,7 @@ PREVIOUS, NEXT, NONE = "previous", "next", "none"
 JPEG_QUALITY = 85
 NO_PICTURE = np.zeros((2, 2, 3), dtype=np.uint8)
 """Stands in, unseen, until the first is drawn."""
-NO_MATCH = "Choose an association by its number or with the keys N and P; both pictures show it."
+NO_MATCH = "Choose an association by its number, or with the keys N and P. Both pictures show it."
 
 
 @dataclass(frozen=True)
@@ -72,10 +71,14 @@ class MatchesPanel:
         """
         gui = host.gui
         self._number = gui.add_number(
-            "Match", 0, min=0, step=1, hint="Number of an association, from 1; 0 points at none."
+            "Association",
+            0,
+            min=0,
+            step=1,
+            hint="Number of an association, from 1; 0 chooses none.",
         )
         self._steps = gui.add_button_group(
-            "Step match",
+            "Step association",
             (PREVIOUS, NEXT, NONE),
             hint="Steps through the associations whose lines are shown (keys P and N).",
         )
@@ -86,18 +89,11 @@ class MatchesPanel:
         )
         self._key = gui.add_html("")
 
-        @self._number.on_update
-        async def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id is not None:
-                on_match(int(event.target.value))
-
-        @self._steps.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            asked = event.target.value
-            if asked == NONE:
-                on_match(0)
-            else:
-                on_step(1 if asked == NEXT else -1)
+        on_choice(self._number, lambda number: on_match(int(number)))
+        on_option(
+            self._steps,
+            lambda label: on_match(0) if label == NONE else on_step(1 if label == NEXT else -1),
+        )
 
     def show_match(self, number: int, figures: MatchFigures | None) -> None:
         """Show the figures of an association, or with None that none is pointed at."""
@@ -123,18 +119,20 @@ class MatchesPanel:
 def match_html(number: int, figures: MatchFigures) -> str:
     """Write the figures of one association."""
     kind = "inlier" if figures.inlier else "outlier"
-    rows = [("descriptor distance", f"{figures.distance:.3f} ({figures.rank}. closest)")]
+    rows = [("descriptor distance", f"{figures.distance:.3f} (rank {figures.rank})")]
     if figures.residual is None:
-        rows.append(("residual", "no motion was found"))
+        rows.append(("residual", "unknown: no motion was found"))
     else:
-        rows.append(("residual", f"{figures.residual:.3f} m ({figures.allowed:g} m allowed)"))
+        rows.append(
+            ("residual", f"{figures.residual:.3f} m (at most {figures.allowed:g} m for an inlier)")
+        )
     rows += [
         ("in the query", _position(figures.query_xy)),
         ("in the database", _position(figures.database_xy)),
     ]
     return (
         f'<div data-testid="match" style="padding:.1em .75em .3em">'
-        f'<div style="font-size:.85em;font-weight:600">Match {number} of {figures.count:,}: '
+        f'<div style="font-size:.85em;font-weight:600">Association {number} of {figures.count:,}: '
         f"{kind}</div>{table(tuple(rows))}</div>"
     )
 

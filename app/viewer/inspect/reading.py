@@ -3,12 +3,11 @@
 from collections.abc import Callable
 from html import escape
 
-import viser
-
 from app.viewer.host import Host
+from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.html import BUSY, FAINT, paragraph, table
 
-HOW = "Hold Shift and click a surface to read its values there."
+HOW = "Hold Shift and click a surface to read its values."
 
 
 class ReadingPanel:
@@ -23,13 +22,10 @@ class ReadingPanel:
         """
         self._card = host.gui.add_html(paragraph(HOW, FAINT))
         self._clear = host.gui.add_button(
-            "Clear the reading", visible=False, hint="Takes the mark off the surface."
+            "Clear the reading", visible=False, hint="Removes the mark from the surface."
         )
 
-        @self._clear.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            on_clear()
+        on_press(self._clear, on_clear)
 
     def show(self, title: str, rows: tuple[tuple[str, str], ...], *, trusted: bool) -> None:
         """Show the values of a place.
@@ -43,7 +39,7 @@ class ReadingPanel:
             ""
             if trusted
             else f'<div style="color:{BUSY};font-size:.8em">The variance mask rejects this place: '
-            "there are no points near it.</div>"
+            "there are no points near.</div>"
         )
         self._card.content = (
             f'<div data-testid="reading" style="padding:.1em .75em .3em">'
@@ -54,7 +50,7 @@ class ReadingPanel:
 
     def nothing_there(self) -> None:
         """Say that a click met no surface."""
-        self._card.content = paragraph(f"No surface there. {HOW}", f"color:{BUSY}")
+        self._card.content = paragraph(f"There is no surface. {HOW}", f"color:{BUSY}")
         self._clear.visible = False
 
     def clear(self) -> None:

@@ -4,50 +4,53 @@ import threading
 from collections.abc import Callable
 
 import numpy as np
+import viser
 
 from app.viewer.draw.associations import inlier_color, residuals, step_match
 from app.viewer.draw.colors import DATABASE, OUTLIER, QUERY, UNMATCHED, css
+from app.viewer.draw.picking import Ray
 from app.viewer.draw.placement import z_offset_of
-from app.viewer.feature import Part
-from app.viewer.host import Host
+from app.viewer.draw.readout import Reading, other_place, read, reading_of, significant_digits
+from app.viewer.feature import Desk, Feature
 from app.viewer.inspect.flat_picture import MASKED, Image, draw_pane
 from app.viewer.inspect.panel import Key, MatchesPanel, MatchFigures
 from app.viewer.inspect.reading import ReadingPanel
-from app.viewer.pair.readout import Reading, other_place, read, reading_of, significant_digits
 from app.viewer.runner import Runner
-from app.viewer.state import Role, ViewState
+from app.viewer.state import Probe, Role, ViewState
+from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.run.progress import Progress
 
-_Job = tuple[ViewState, PairResult]
+_ShownPair = tuple[ViewState, PairResult]
 
 
-class Inspection(Part):
+class InspectTab(Feature):
     """Shows what the session points at; the picture is drawn by a worker of its own."""
 
-    def __init__(
-        self, host: Host, *, on_match: Callable[[int], None], on_clear: Callable[[], None]
-    ) -> None:
+    def __init__(self, desk: Desk, pick: Callable[[Ray], Probe | None]) -> None:
         """Make the panels in the current container.
 
         Args:
-            host: Whose GUI they join.
-            on_match: Given the number of the association to point at; 0 for none.
-            on_clear: Called when no place is to be read any more.
+            desk: Of the session.
+            pick: Finds the place of a surface that a line of sight meets first.
         """
-        self._host = host
-        self._on_match = on_match
+        self._desk = desk
+        self._pick = pick
         self._lock = threading.Lock()
-        self._shown: _Job | None = None
-        self._reading = ReadingPanel(host, on_clear)
-        self._matches = MatchesPanel(host, on_match=on_match, on_step=self.step)
+        self._shown: _ShownPair | None = None
+        self._reading = ReadingPanel(desk.host, lambda: desk.change(probe=None))
+        self._matches = MatchesPanel(
+            desk.host, on_match=lambda number: desk.change(match=number), on_step=self.step
+        )
         # Drawn after the scene, and only the newest: the flat picture must cost the 3D nothing.
-        self._painter: Runner[_Job, Image] = Runner(
+        self._painter: Runner[_ShownPair, Image] = Runner(
             _draw,
             self._on_drawn,
-            lambda job, error: self._matches.failed(str(error)),  # noqa: ARG005
-            name="pane",
+            lambda _, error: self._matches.failed(message_of(error)),
+            name="flat picture",
         )
+        self.workers = (self._painter,)
+        desk.host.scene.on_click(modifier="shift")(self.clicked)
 
     def show(self, state: ViewState, result: PairResult) -> None:
         """Follow what was found and what is pointed at."""
@@ -66,33 +69,30 @@ class Inspection(Part):
             return
         state, result = shown
         options = state.options
-        self._on_match(
-            step_match(
-                result,
-                state.match,
-                step,
-                inliers=options.inlier_lines,
-                outliers=options.outlier_lines,
-            )
+        number = step_match(
+            result,
+            state.match,
+            step,
+            inliers=options.inlier_lines,
+            outliers=options.outlier_lines,
         )
+        self._desk.change(match=number)
 
-    def missed(self) -> None:
-        """Say that a click met no surface."""
-        self._reading.nothing_there()
+    def clicked(self, event: viser.SceneClickEvent) -> None:
+        """Read the place of a surface that was clicked on; from one of viser's threads."""
+        ray = Ray(np.array(event.ray_origin), np.array(event.ray_direction))
+        probe = self._pick(ray)
+        if probe is None:
+            self._reading.nothing_there()
+        else:
+            self._desk.change(probe=probe)
 
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until the picture is drawn; says whether that came true within the timeout [s]."""
-        return self._painter.wait_idle(timeout)
-
-    def close(self) -> None:
-        """Stop."""
-        self._painter.close()
-
-    def _on_drawn(self, job: _Job, image: Image, seconds: float) -> None:
+    def _on_drawn(self, job: _ShownPair, image: Image, seconds: float) -> None:
         del seconds
-        with self._host.atomic():
+        host = self._desk.host
+        with host.atomic():
             self._matches.show_picture(image, title_of(*job), key_of(*job))
-        self._host.flush()
+        host.flush()
 
     def _show_reading(self, state: ViewState, result: PairResult) -> None:
         probe = state.probe
@@ -105,7 +105,7 @@ class Inspection(Part):
         self._reading.show(f"{probe.role} {submap}", rows, trusted=reading.trusted)
 
 
-def _draw(job: _Job, progress: Progress) -> Image:
+def _draw(job: _ShownPair, progress: Progress) -> Image:
     del progress  # it takes less than the runner's patience
     return draw_pane(*job)
 
@@ -134,7 +134,7 @@ def _other_rows(
     ratio = state.params.features.max_std_ratio
     there = read(result.database_map if of_query else result.query_map, x, y, ratio)
     if there is None or not (there.trusted and reading.trusted):
-        return (("query minus database", "only one of them saw this place"),)
+        return (("query minus database", "unknown: only one of them saw this place"),)
     maps = result.query_map, result.database_map
     offset = z_offset_of(result.registration, maps, ratio)
     query, database = (reading, there) if of_query else (there, reading)
@@ -171,18 +171,18 @@ def title_of(state: ViewState, result: PairResult) -> str:
     registered = state.options.layout == "registered"
     if not registered or result.registration.T_database_query is None:
         return (
-            f"Gradient seen from above, light where it is steep: query {state.query_id}, "
+            f"The gradient from above, light where the ground is steep: query {state.query_id}, "
             f"and below it database {state.database_id}."
         )
     if state.options.layer == "difference":
-        return "Height of the query above the database, in the legend's colours."
+        return "The height of the query above the database, in the colours of the legend."
     match state.options.compare:
         case "query" | "database" as role:
-            return f"Gradient of the {role}, in the database's frame."
+            return f"The gradient of the {role}, in the database's frame."
         case "swipe":
-            return "Gradient: the database left of the line, the query right of it."
+            return "The gradient of the database left of the line, and of the query right of it."
         case "both" | "blink":
-            return "Gradients of both laid onto each other: where they are alike, they look grey."
+            return "The gradients of both, laid onto each other. Where they agree, they look grey."
 
 
 def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
@@ -193,11 +193,11 @@ def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
     overlaid = registered and options.compare in ("both", "blink")
     key: list[Key] = []
     if registered and options.layer == "difference":
-        key.append(Key("rgb(38,38,42)", "not trusted in both"))
+        key.append(Key("rgb(38,38,42)", "masked in one of the two maps"))
     elif overlaid:
         key += [Key(css(QUERY), "the query alone"), Key(css(DATABASE), "the database alone")]
     else:
-        key.append(Key(css(MASKED), "masked: no points near"))
+        key.append(Key(css(MASKED), "masked: no points nearby"))
     hidden = "" if options.inlier_lines else " (lines are off)"
     key.append(Key(css(inlier_color(result)), f"{inliers:,} inliers{hidden}"))
     hidden = "" if options.outlier_lines else " (lines are off)"
@@ -211,5 +211,5 @@ def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
                 strict=True,
             )
         )
-        key.append(Key(css(UNMATCHED), f"{alone:,} keypoints without partner"))
+        key.append(Key(css(UNMATCHED), f"{alone:,} keypoints without an association"))
     return tuple(key)

@@ -2,15 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from html import escape
-from typing import Any
 
 from app.viewer.host import Host
-from app.viewer.widgets.html import BAD, BUSY, FAINT, paragraph, table
+from app.viewer.widgets.actions import on_choice, on_press
+from app.viewer.widgets.html import BAD, BUSY, FAINT, message_line, paragraph, table
 
 INTRODUCTION = (
     "Did the search miss a closure, or find a wrong motion? Drag the query to where it belongs, "
-    "refine it by the ground, and give it to the pose graph."
+    "refine its pose, and hand it to the pose graph."
 )
 
 
@@ -46,41 +45,31 @@ class NudgePanel:
         self._active = gui.add_checkbox(
             "Move the query",
             initial_value=False,
-            hint="Lays it onto the database and puts handles on it: arrows shift it, the arc "
+            hint="Lays the query onto the database and shows handles: arrows shift it, the arc "
             "turns it.",
         )
         self._refine = gui.add_button(
             "Refine",
             disabled=True,
-            hint="Aligns the two surfaces from where the query was put; it should be within a few "
-            "length-scales.",
+            hint="Aligns the two surfaces, starting from the pose that you set. It should be "
+            "right to within a few length-scales.",
         )
         self._back = gui.add_button(
-            "Put it back", disabled=True, hint="Back to the motion that was found."
+            "Reset position", disabled=True, hint="Goes back to the motion that the search found."
         )
         self._use = gui.add_button(
             "Use in the pose graph",
             disabled=True,
-            hint="Accepts the pair by hand, with the refined motion; see Explore, Pose graph.",
+            hint="Accepts the pair by hand, with the refined motion. See the tab Pose graph in "
+            "Explore.",
         )
         self._figures = gui.add_html("")
         self._message = gui.add_html("")
 
-        @self._active.on_update
-        async def _(event: Any) -> None:
-            if event.client_id is not None:
-                calls.on_active(event.target.value)
-
-        for button, call in (
-            (self._refine, calls.on_refine),
-            (self._back, calls.on_back),
-            (self._use, calls.on_use),
-        ):
-
-            @button.on_click
-            async def _(event: Any, call: Callable[[], None] = call) -> None:
-                del event
-                call()
+        on_choice(self._active, calls.on_active)
+        on_press(self._refine, calls.on_refine)
+        on_press(self._back, calls.on_back)
+        on_press(self._use, calls.on_use)
 
     def set_active(self, active: bool) -> None:
         """Show whether the query can be moved; nothing is called."""
@@ -103,9 +92,4 @@ class NudgePanel:
 
     def say(self, message: str, *, bad: bool = False) -> None:
         """Say what happens or went wrong; nothing if empty."""
-        self._message.content = (
-            f'<div data-testid="nudge-message" role="status" style="padding:.1em .75em;'
-            f'font-size:.8em;color:{BAD if bad else BUSY}">{escape(message)}</div>'
-            if message
-            else ""
-        )
+        self._message.content = message_line("nudge-message", message, BAD if bad else BUSY)

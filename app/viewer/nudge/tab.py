@@ -1,7 +1,6 @@
 """Nudging: wires a gizmo on the query to the scene, and the refinement to the pose graph."""
 
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import atan2, degrees
 
@@ -9,12 +8,12 @@ import numpy as np
 import viser
 
 from app.viewer.draw.placement import Extent, Placement, height_offset, place
-from app.viewer.feature import Part
-from app.viewer.host import Host
+from app.viewer.feature import Desk, Feature
 from app.viewer.nudge.panel import NudgeCalls, NudgePanel
-from app.viewer.pair.scene import PAIR, PairScene
+from app.viewer.pair import PAIR, PairScene
 from app.viewer.runner import Runner
-from app.viewer.state import ViewState
+from app.viewer.state import ViewState, registered, same_pair
+from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.registration import refine
 from gpgrad_core.run.progress import Progress
@@ -26,40 +25,25 @@ GIZMO_SHARE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class _Refinement:
     state: ViewState
     result: PairResult
     start: SE2
 
 
-class Nudge(Part):
+class NudgeTab(Feature):
     """Lets a person put the query where it belongs."""
 
-    def __init__(
-        self,
-        host: Host,
-        scene: PairScene,
-        *,
-        on_registered: Callable[[], None],
-        on_layout: Callable[[], None],
-        on_motion: Callable[[str, str, Registration], None],
-        message_of: Callable[[Exception], str],
-    ) -> None:
+    def __init__(self, desk: Desk, scene: PairScene) -> None:
         """Make the panel in the current container.
 
         Args:
-            host: Whose GUI and scene it joins.
+            desk: Of the session.
             scene: Of the pair.
-            on_registered: Called when the pair is to be shown registered.
-            on_layout: Called when it is to be shown again as the session says.
-            on_motion: Given query, database and the registration for the pose graph.
-            message_of: Says what went wrong in one line.
         """
-        self._host = host
+        self._desk = desk
+        self._host = desk.host
         self._scene = scene
-        self._on_registered = on_registered
-        self._on_layout = on_layout
-        self._on_motion = on_motion
         self._lock = threading.Lock()
         self._active = False
         self._shown: tuple[ViewState, PairResult] | None = None
@@ -67,7 +51,7 @@ class Nudge(Part):
         self._refined: Registration | None = None
         self._gizmo: viser.TransformControlsHandle | None = None
         self._panel = NudgePanel(
-            host,
+            desk.host,
             NudgeCalls(
                 on_active=self._set_active,
                 on_refine=self._refine,
@@ -75,17 +59,18 @@ class Nudge(Part):
                 on_use=self._use,
             ),
         )
-        self._refiner: Runner[_Job, Registration] = Runner(
+        self._refiner: Runner[_Refinement, Registration] = Runner(
             self._align,
             self._on_refined,
-            lambda job, error: self._panel.say(message_of(error), bad=True),  # noqa: ARG005
+            lambda _, error: self._panel.say(message_of(error), bad=True),
             name="refine",
         )
+        self.workers = (self._refiner,)
 
     def follow(self, state: ViewState) -> None:
         """Follow the session: another pair is not the one that was being moved."""
         shown = self._shown
-        if self._active and shown is not None and not _same_pair(shown[0], state):
+        if self._active and shown is not None and not same_pair(shown[0], state):
             self._drop()
 
     def show(self, state: ViewState, result: PairResult) -> None:
@@ -97,22 +82,15 @@ class Nudge(Part):
             else:
                 self._begin(state, result)
 
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until nothing runs; says whether that came true within the timeout [s]."""
-        return self._refiner.wait_idle(timeout)
-
-    def close(self) -> None:
-        """Stop."""
-        self._refiner.close()
-
     def _set_active(self, active: bool) -> None:
         self._active = active
         self._panel.set_active(active)
         if active:
-            self._on_registered()  # `show` follows
+            # `show` follows.
+            self._desk.change(options=registered(self._desk.state.options))
         else:
             self._drop()
-            self._on_layout()
+            self._desk.change()  # draws the pair where it belongs again
 
     def _drop(self) -> None:
         """Take the handles off."""
@@ -194,9 +172,9 @@ class Nudge(Part):
     def _refine(self) -> None:
         if self._shown is not None and self._active:
             self._panel.say("Refining …")
-            self._refiner.submit(_Job(*self._shown, self._motion))
+            self._refiner.submit(_Refinement(*self._shown, self._motion))
 
-    def _align(self, job: _Job, progress: Progress) -> Registration:
+    def _align(self, job: _Refinement, progress: Progress) -> Registration:
         result = job.result
         progress(0.0)
         return refine(
@@ -207,12 +185,14 @@ class Nudge(Part):
             job.state.params.registration,
         )
 
-    def _on_refined(self, job: _Job, registration: Registration, seconds: float) -> None:
+    def _on_refined(self, job: _Refinement, registration: Registration, seconds: float) -> None:
         motion = registration.T_database_query
         if not self._active or self._shown is None or self._shown[1] is not job.result:
             return  # another pair is shown
         if motion is None or registration.covariance is None:
-            self._panel.say("Too little ground in common there: move it nearer.", bad=True)
+            self._panel.say(
+                "The two submaps share too little ground there. Move the query closer.", bad=True
+            )
             return
         self._refined = registration
         self._put(motion, with_gizmo=True)
@@ -224,14 +204,8 @@ class Nudge(Part):
     def _use(self) -> None:
         if self._refined is not None and self._shown is not None:
             state = self._shown[0]
-            self._on_motion(state.query_id, state.database_id, self._refined)
-            self._panel.say("Accepted by hand: it is in Explore, Pose graph.")
-
-
-def _same_pair(first: ViewState, second: ViewState) -> bool:
-    return first.dataset is second.dataset and (
-        (first.query_id, first.database_id) == (second.query_id, second.database_id)
-    )
+            self._desk.use_motion(state.query_id, state.database_id, self._refined)
+            self._panel.say("Accepted by hand: see the tab Pose graph in Explore.")
 
 
 def _onto_each_other(state: ViewState) -> SE2:

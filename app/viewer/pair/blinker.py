@@ -1,4 +1,4 @@
-"""Two submaps shown in turn: the eye finds what differs where nothing moves but that."""
+"""Shows two submaps in turn, so that the eye finds the differences."""
 
 import threading
 
@@ -10,7 +10,7 @@ PERIOD = 0.8
 
 
 class Blinker:
-    """Hides and shows the query and the database in turn, from a thread of its own.
+    """Shows the query and the database in turn, from a thread of its own.
 
     A blink is one message of a few bytes; the surfaces stay in the browser.
     """
@@ -33,7 +33,7 @@ class Blinker:
         return self._thread is not None
 
     def run(self, *, on: bool) -> None:
-        """Begin or end; what it already does goes on. Both are seen when it ends."""
+        """Begin or end; both are visible when it ends."""
         if on == self.on:
             return
         if not on:

@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from app.viewer.draw.colors import DATABASE, QUERY, Rgb
+from app.viewer.draw.comparison import Cells, Values, compared_cells, height_difference
 from app.viewer.draw.histogram import Histogram, count_values, histogram_svg, summary
 from app.viewer.draw.layers import Scale, layer_values, shared_scale
 from app.viewer.draw.picking import Hit, Ray, first_hit
 from app.viewer.draw.placement import Placement
-from app.viewer.pair.comparison import Cells, Values, compared_cells, height_difference
 from app.viewer.state import Layer, Probe, Role, ViewState
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import GradientMap, Registration

@@ -5,10 +5,10 @@ from jaxtyping import Float, UInt8
 
 from app.viewer.draw.associations import match_arc, residuals
 from app.viewer.draw.colors import CHOSEN, PROBE, Rgb
-from app.viewer.draw.nodes import Cloud, Segments
+from app.viewer.draw.nodes import LinesNode, PointsNode
 from app.viewer.draw.placement import Placement
+from app.viewer.draw.readout import Reading, label_text
 from app.viewer.host import Host
-from app.viewer.pair.readout import Reading, label_text
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.pipeline import PairResult
 
@@ -21,12 +21,12 @@ class Marks:
 
     def __init__(self, host: Host, root: str) -> None:
         """Prepare the nodes under a root node; nothing is shown."""
-        self._line = Segments(host, f"{root}/match/line", CHOSEN, thickness=5.0)
-        self._ends = Cloud(host, f"{root}/match/ends", shape="circle")
+        self._line = LinesNode(host, f"{root}/match/line", CHOSEN, thickness=5.0)
+        self._ends = PointsNode(host, f"{root}/match/ends", shape="circle")
         self._match_label = host.scene.add_label(
             f"{root}/match/label", "", anchor="bottom-center", visible=False
         )
-        self._point = Cloud(host, f"{root}/probe/point", shape="diamond")
+        self._point = PointsNode(host, f"{root}/probe/point", shape="diamond")
         self._point_label = host.scene.add_label(
             f"{root}/probe/label", "", anchor="bottom-left", visible=False
         )
@@ -57,7 +57,7 @@ class Marks:
         ends = np.stack([arc[0, 0], arc[-1, 1]])
         self._ends.show(place, lambda: (ends, _painted(CHOSEN, 2), END_SIZE * size))
         missed = residuals(result)
-        text = f"match {number}"
+        text = f"association {number}"
         if missed is not None:
             kind = "inlier" if result.registration.inliers[number - 1] else "outlier"
             text += f": {kind}, residual {missed[number - 1]:.3f} m"

@@ -1,12 +1,12 @@
-"""What is drawn: layer, colours and their legend, layout, matches."""
+"""What is drawn: layer, colours and their legend, layout, associations."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from html import escape
 from typing import Any
 
 import viser
 
+from app.viewer.draw.layers import Scale
 from app.viewer.host import Host
 from app.viewer.state import (
     COLOR_MAPS,
@@ -18,7 +18,8 @@ from app.viewer.state import (
     Layer,
     ViewOptions,
 )
-from app.viewer.widgets.html import FAINT
+from app.viewer.widgets.actions import on_choice, on_press
+from app.viewer.widgets.legend import legend_html
 
 LAYER_NAMES: dict[Layer, str] = {
     "elevation": "elevation",
@@ -66,18 +67,18 @@ class ViewPanel:
                 "Layout",
                 LAYOUTS,
                 initial_value=options.layout,
-                hint="Each submap by itself, or the query laid onto the database "
-                "by the registration.",
+                hint="Each submap by itself, or the query laid onto the database as the "
+                "registration says.",
             ),
         )
         self._bind_choice(
             "compare",
             gui.add_dropdown(
                 "Compare",
-                tuple(COMPARE_NAMES[way] for way in COMPARE),
+                tuple(COMPARE_NAMES[compare] for compare in COMPARE),
                 initial_value=COMPARE_NAMES[options.compare],
-                hint="Registered submaps: both at once, one alone, database left and query right "
-                "of a line, or one after the other.",
+                hint="How to compare registered submaps: both at once, one alone, the database "
+                "left and the query right of a line, or one after the other.",
             ),
             COMPARE_NAMES,
         )
@@ -89,7 +90,7 @@ class ViewPanel:
                 1.0,
                 0.01,
                 options.swipe,
-                hint="Where the line stands: the database is left of it, the query right.",
+                hint="Position of the line: the database is left of it, the query right.",
             ),
         )
         self._bind_choice(
@@ -98,8 +99,8 @@ class ViewPanel:
                 "Layer",
                 tuple(LAYER_NAMES[layer] for layer in LAYERS),
                 initial_value=LAYER_NAMES[options.layer],
-                hint="What colours the surfaces. Height difference: query minus database under "
-                "the motion found; grey where only one of them saw the ground.",
+                hint="What the colours show. The height difference is query minus database after "
+                "registration; it is grey where only one of them saw the ground.",
             ),
             LAYER_NAMES,
         )
@@ -109,7 +110,7 @@ class ViewPanel:
                 "Colours",
                 COLOR_MAPS,
                 initial_value=options.color_map,
-                hint="Colour map of the layer; automatic chooses one that suits it.",
+                hint="Colour map of the layer. Automatic chooses one that suits it.",
             ),
         )
         self._legend = gui.add_html("")
@@ -126,7 +127,7 @@ class ViewPanel:
             gui.add_checkbox(
                 "Point clouds",
                 options.clouds,
-                hint="The measured points: blue of the query, orange of the database.",
+                hint="The measured points of the query (blue) and of the database (orange).",
             ),
         )
         self._bind(
@@ -134,8 +135,8 @@ class ViewPanel:
             gui.add_checkbox(
                 "Keypoints",
                 options.keypoints,
-                hint="Green: inlier (yellow if the pair is refused). "
-                "Red: association that does not fit. Grey: no partner.",
+                hint="Inliers are green (yellow if the pair is refused), outliers are red, and "
+                "keypoints without an association are grey.",
             ),
         )
         self._bind(
@@ -143,7 +144,7 @@ class ViewPanel:
             gui.add_checkbox(
                 "Inlier lines",
                 options.inlier_lines,
-                hint="Green: associations that agree with the registration.",
+                hint="Associations that agree with the registration (green).",
             ),
         )
         self._bind(
@@ -151,10 +152,10 @@ class ViewPanel:
             gui.add_checkbox(
                 "Outlier lines",
                 options.outlier_lines,
-                hint="Red: associations that do not agree with it.",
+                hint="Associations that do not agree with it (red).",
             ),
         )
-        camera = gui.add_button("Show both submaps", hint="Brings the camera back.")
+        camera = gui.add_button("Show both submaps", hint="Moves the camera back to both submaps.")
         with gui.add_folder("More view options", expand_by_default=False):
             self._bind(
                 "untrusted",
@@ -162,7 +163,7 @@ class ViewPanel:
                     "Masked cells",
                     UNTRUSTED,
                     initial_value=options.untrusted,
-                    hint="Cells that the variance mask rejects.",
+                    hint="What to do with cells that the variance mask rejects.",
                 ),
             )
             self._bind(
@@ -170,8 +171,8 @@ class ViewPanel:
                 gui.add_checkbox(
                     "Hillshade",
                     options.hillshade,
-                    hint="Light the elevation from the upper left; "
-                    "without it the colours are exactly the legend's.",
+                    hint="Lights the elevation from the upper left. Without it the colours are "
+                    "exactly those of the legend.",
                 ),
             )
             self._bind(
@@ -182,20 +183,17 @@ class ViewPanel:
                     0.2,
                     0.005,
                     options.point_size,
-                    hint="Of the point clouds.",
+                    hint="Size of a point of the point clouds.",
                 ),
             )
             self._bind(
                 "dark",
-                gui.add_checkbox("Dark", options.dark, hint="Light words on a dark page."),
+                gui.add_checkbox("Dark", options.dark, hint="Light text on a dark page."),
             )
 
         self._show_what_applies()
 
-        @camera.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            on_reset_camera()
+        on_press(camera, on_reset_camera)
 
     @property
     def options(self) -> ViewOptions:
@@ -209,35 +207,15 @@ class ViewPanel:
             handle.value = shown(getattr(options, name))
         self._show_what_applies()
 
-    def show_legend(
-        self,
-        bar: str,
-        label: str,
-        unit: str,
-        *,
-        low: float,
-        high: float,
-        histogram: str = "",
-        note: str = "",
-    ) -> None:
-        """Show what the colours mean.
+    def show_legend(self, scale: Scale | None, histogram: str = "", note: str = "") -> None:
+        """Show what the colours mean; None shows none, for there is nothing coloured.
 
         Args:
-            bar: Address of the picture of the colour map.
-            label: Name of the layer.
-            unit: Of its values.
-            low: Value at the left end.
-            high: Value at the right end.
+            scale: Of the colours.
             histogram: Picture of how often each value occurs, as HTML.
             note: A line about it.
         """
-        self._legend.content = legend_html(
-            bar, label, unit, low=low, high=high, histogram=histogram, note=note
-        )
-
-    def hide_legend(self) -> None:
-        """Show none: there is nothing coloured."""
-        self._legend.content = ""
+        self._legend.content = legend_html(scale, histogram=histogram, note=note)
 
     def _bind(
         self,
@@ -248,13 +226,12 @@ class ViewPanel:
     ) -> None:
         self._inputs[name] = handle, shown
 
-        @handle.on_update
-        async def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id is None:
-                return
-            self._options = replace(self._options, **{name: convert(event.target.value)})
+        def change(value: Any) -> None:
+            self._options = replace(self._options, **{name: convert(value)})
             self._show_what_applies()
             self._on_change(self._options)
+
+        on_choice(handle, change)
 
     def _bind_choice(
         self, name: str, handle: viser.GuiInputHandle[str], names: Mapping[Any, str]
@@ -267,34 +244,3 @@ class ViewPanel:
         registered = self._options.layout == "registered"
         self._inputs["compare"][0].visible = registered
         self._inputs["swipe"][0].visible = registered and self._options.compare == "swipe"
-
-
-def legend_html(
-    bar: str,
-    label: str,
-    unit: str,
-    *,
-    low: float,
-    high: float,
-    histogram: str = "",
-    note: str = "",
-) -> str:
-    """Write the legend: name and unit, histogram, bar, values at its ends and middle, note."""
-    exponent = _exponent(high - low)
-    digits = max(0, min(4, (2 if exponent >= 0 else 1) - exponent))
-    low_text, middle, high_text = (f"{value:.{digits}f}" for value in (low, (low + high) / 2, high))
-    below = f'<div style="{FAINT};line-height:1.35">{escape(note)}</div>' if note else ""
-    return (
-        f'<div data-testid="legend" style="padding:.1em .75em .3em;font-size:.8em">'
-        f"<b>{escape(label)}</b> [{escape(unit)}]{histogram}"
-        f'<img src="{bar}" alt="colour bar" style="width:100%;height:12px;display:block;'
-        f'border-radius:2px;margin:.15em 0">'
-        f'<div style="display:flex;justify-content:space-between;'
-        f'font-variant-numeric:tabular-nums"><span>{low_text}</span><span>{middle}</span>'
-        f"<span>{high_text}</span></div>{below}</div>"
-    )
-
-
-def _exponent(span: float) -> int:
-    """Power of ten of a span; of an empty one, that of a millimetre."""
-    return int(f"{max(abs(span), 1e-3):e}".partition("e")[2])

@@ -9,11 +9,10 @@ import numpy as np
 import viser
 from jaxtyping import Float, UInt8
 
-from app.viewer.draw.associations import inlier_color, keypoint_dots, match_lines, outline
 from app.viewer.draw.cameras import set_start, set_view, top
-from app.viewer.draw.colors import DATABASE, INLIER, OUTLIER, QUERY, Rgb, faint
+from app.viewer.draw.colors import DATABASE, QUERY
 from app.viewer.draw.layers import Scale
-from app.viewer.draw.nodes import LinePoints, Segments, SubmapNode
+from app.viewer.draw.nodes import SubmapNode
 from app.viewer.draw.picking import Ray
 from app.viewer.draw.placement import (
     Camera,
@@ -26,39 +25,31 @@ from app.viewer.draw.placement import (
 )
 from app.viewer.draw.surfels import make_surfels, stride_for
 from app.viewer.host import Host, pages
+from app.viewer.pair.annotations import Annotations
+from app.viewer.pair.association_nodes import AssociationNodes
 from app.viewer.pair.blinker import Blinker
 from app.viewer.pair.ground import ROLES, Difference, Ground, shown_roles
-from app.viewer.pair.marks import Marks
-from app.viewer.pair.readout import reading_of
-from app.viewer.state import Probe, ViewState
+from app.viewer.state import Probe, ViewState, same_pair
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.pipeline import PairResult
-from gpgrad_core.types import Dataset, GradientMap, Registration, Submap
+from gpgrad_core.types import GradientMap, Registration, Submap
 
 PAIR = "/pair"
 """Above all nodes of the pair, so that they come and go together."""
-BAR: Rgb = (120, 120, 120)  # seen on a light and on a dark page
 MAX_SURFELS = 200_000
 """Of one surface; a finer map is drawn at every second cell, or third, …"""
 MAX_CLOUD_POINTS = 200_000
-OUTDATED = "Out of date: "
-SCALE_BAR_SHARE = 0.4
-"""Longest length of the scale bar, as a share of the database's width."""
-INLIER_WIDTH, OUTLIER_WIDTH = 1.2, 1.0
-"""Of lines [pixels]."""
-SWIPE_RISE = 0.05
-"""How far the swipe's frame stands out above and below, as a share of the depth."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What a picture turned out to be, for the read-outs.
+    """What the picture shows, for the read-outs.
 
     Attributes:
         scale: Of the layer's colours; None while no surface is shown.
         registered: Whether the query was laid onto the database.
         num_surfels: Cells drawn.
-        num_points: Cloud points drawn.
+        num_points: PointsNode points drawn.
         ground: The maps as they are drawn.
     """
 
@@ -70,25 +61,7 @@ class Shown:
 
 
 @dataclass(frozen=True, eq=False)
-class _Registered:
-    """The registration last found, and for which pair."""
-
-    dataset: Dataset
-    query_id: str
-    database_id: str
-    registration: Registration
-
-    def is_of(self, state: ViewState) -> bool:
-        """Say whether a state shows that pair."""
-        return (
-            self.dataset is state.dataset
-            and self.query_id == state.query_id
-            and self.database_id == state.database_id
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class _Stage:
+class _Layout:
     """Where the submaps stand."""
 
     boxes: tuple[Extent, Extent]  # of (query, database)
@@ -122,17 +95,11 @@ class PairScene:
         self._root = scene.add_frame(PAIR, show_axes=False)
         self._query = SubmapNode(host, PAIR, "query", QUERY, "right")
         self._database = SubmapNode(host, PAIR, "database", DATABASE, "left")
-        self._outlier_lines = Segments(host, f"{PAIR}/matches/outliers", OUTLIER, OUTLIER_WIDTH)
-        self._inlier_lines = Segments(host, f"{PAIR}/matches/inliers", INLIER, INLIER_WIDTH)
-        self._bar = Segments(host, f"{PAIR}/scale/bar", BAR, thickness=4.0)
-        self._bar_label = scene.add_label(f"{PAIR}/scale/label", "", anchor="top-center")
-        self._verdict = scene.add_label(
-            f"{PAIR}/verdict", "", anchor="top-center", font_screen_scale=1.3
-        )
-        self._swipe = Segments(host, f"{PAIR}/swipe", BAR, thickness=2.0)
-        self._marks = Marks(host, PAIR)
+        self._annotations = Annotations(host, PAIR)
+        self._associations = AssociationNodes(host, PAIR, (self._query, self._database))
         self._blinker = Blinker(host, (self._query, self._database))
-        self._registered: _Registered | None = None
+        # The registration last found, and the state whose pair it is of.
+        self._registered: tuple[ViewState, Registration] | None = None
         self._lock = threading.Lock()  # two workers draw: the pair's, and the one that plays
         self._last: PairResult | None = None
         self._ground: Ground | None = None
@@ -140,7 +107,7 @@ class PairScene:
 
     @property
     def visible(self) -> bool:
-        """Whether the pair is to be seen; what is shown meanwhile is there when it is again."""
+        """Whether the pair is visible; hidden, it is drawn all the same."""
         return self._root.visible
 
     @visible.setter
@@ -150,18 +117,16 @@ class PairScene:
     def show(self, state: ViewState, result: PairResult) -> Shown:
         """Show a pair as the state asks; one consistent change in the browser."""
         registration = result.registration
-        self._registered = _Registered(
-            state.dataset, state.query_id, state.database_id, registration
-        )
+        self._registered = state, registration
         maps = result.query_map, result.database_map
         self._blinker.run(on=_is_registered(state, registration) and _blinks(state))
         with self._lock, self._host.atomic():
             self._last = result
-            shown, stage = self._show_submaps(state, maps, registration)
-            self._show_keypoints(shown.ground, result)
-            self._show_lines(state, result, stage.at_query, stage.at_database)
-            self._show_verdict(result, stage.corners)
-            self._show_marks(state, result, stage.at_query, stage.at_database)
+            shown, layout = self._show_submaps(state, maps, registration)
+            self._associations.show_keypoints(shown.ground, result)
+            self._associations.show_lines(state, result, layout.at_query, layout.at_database)
+            self._annotations.show_verdict(result, layout.corners)
+            self._associations.show_marks(state, result, layout.at_query, layout.at_database)
         self._host.flush()
         return shown
 
@@ -171,15 +136,14 @@ class PairScene:
         The motion last found for the pair goes on; so do its keypoints and lines, for a moment.
         Of another pair they go out of sight.
         """
-        known = self._registered
-        same_pair = self.knows_motion(state)
-        registration = known.registration if known and same_pair else None
+        registration = self._known_registration(state)
         self._blinker.run(on=_is_registered(state, registration) and _blinks(state))
         with self._lock, self._host.atomic():
             self._last = None
             shown, _ = self._show_submaps(state, maps, registration)
-            if not same_pair:
-                self._hide_associations()
+            if registration is None:
+                self._associations.hide()
+                self._annotations.hide_verdict()
         self._host.flush()
         return shown
 
@@ -223,15 +187,19 @@ class PairScene:
                 with self._host.atomic():
                     self._query.move(at_query)
                     self._database.move(at_database)
-                    self._show_lines(state, result, at_query, at_database)
-                    self._show_marks(state, result, at_query, at_database)
+                    self._associations.show_lines(state, result, at_query, at_database)
+                    self._associations.show_marks(state, result, at_query, at_database)
             self._host.flush()
 
         return put
 
     def knows_motion(self, state: ViewState) -> bool:
         """Say whether the pair of a state is the one last shown with its registration."""
-        return self._registered is not None and self._registered.is_of(state)
+        return self._known_registration(state) is not None
+
+    def _known_registration(self, state: ViewState) -> Registration | None:
+        known = self._registered
+        return known[1] if known is not None and same_pair(known[0], state) else None
 
     def pick(self, ray: Ray) -> Probe | None:
         """Find the place of a surface that a line of sight meets first, if it meets one."""
@@ -246,7 +214,7 @@ class PairScene:
         state: ViewState,
         maps: tuple[GradientMap, GradientMap],
         registration: Registration | None,
-    ) -> tuple[Shown, "_Stage"]:
+    ) -> tuple[Shown, "_Layout"]:
         options, ratio = state.options, state.params.features.max_std_ratio
         motion = None if registration is None else registration.T_database_query
         registered = _is_registered(state, registration)
@@ -259,13 +227,13 @@ class PairScene:
             difference = Difference.between(maps, registration, dz, ratio, self._difference)
             self._difference = difference
         boxes = Extent.of(state.query), Extent.of(state.database)
-        stage = _Stage(boxes, *place(*boxes, options.layout, motion, dz))
+        layout = _Layout(boxes, *place(*boxes, options.layout, motion, dz))
         lift = dz if registered and options.layer == "elevation" else 0.0
-        swipe_at = stage.swipe_at(options.swipe) if options.compare == "swipe" else None
+        swipe_at = layout.swipe_at(options.swipe) if options.compare == "swipe" else None
         ground = self._ground = Ground.of(
             state,
             maps,
-            (stage.at_query, stage.at_database),
+            (layout.at_query, layout.at_database),
             (lift, 0.0),
             difference,
             swipe_at if registered else None,
@@ -279,8 +247,8 @@ class PairScene:
                 node.visible = not registered or ROLES[index] in shown_roles(state)
             self._show_cloud(node, submap, state)
             self._show_surface(node, ground, index)
-        self._show_bar(boxes[1], stage.at_database)
-        self._show_swipe(ground, stage.corners)
+        self._annotations.show_bar(boxes[1], layout.at_database)
+        self._annotations.show_swipe(ground.swipe_at, layout.corners)
         shown = Shown(
             ground.scale if options.surfaces else None,
             registered,
@@ -288,20 +256,11 @@ class PairScene:
             sum(node.cloud.num_points for node in nodes) if options.clouds else 0,
             ground,
         )
-        return shown, stage
+        return shown, layout
 
     def outdate(self) -> None:
         """Say in the picture that it is not what was asked for; the next one takes that back."""
-        if self._verdict.text and not self._verdict.text.startswith(OUTDATED):
-            self._verdict.text = OUTDATED + self._verdict.text
-
-    def _hide_associations(self) -> None:
-        for node in (self._query.keypoints, self._database.keypoints):
-            node.hide()
-        for segments in (self._inlier_lines, self._outlier_lines):
-            segments.hide()
-        self._marks.hide()
-        self._verdict.text = ""
+        self._annotations.outdate()
 
     def camera(self, state: ViewState) -> Camera:
         """Give the view that shows both submaps of a state side by side."""
@@ -384,104 +343,6 @@ class PairScene:
 
         node.cloud.show((submap, options.point_size), make)
 
-    def _show_keypoints(self, ground: Ground, result: PairResult) -> None:
-        size = _mark_size(ground.state)
-        for index, node in enumerate((self._query, self._database)):
-            if not ground.state.options.keypoints:
-                node.keypoints.hide()
-                continue
-            of_query, placement = index == 0, ground.placements[index]
-
-            def make(of_query: bool = of_query, index: int = index) -> tuple[Any, Any, float]:
-                dots = keypoint_dots(result, of_query=of_query, lift=size / 2)
-                kept = ground.sees(index, dots.points)
-                return dots.points[kept], dots.colors[kept], size
-
-            node.keypoints.show(
-                (
-                    result.query_features if of_query else result.database_features,
-                    result.query_map if of_query else result.database_map,
-                    result.matches,
-                    result.registration,
-                    result.closure.accepted,
-                    size,
-                    None if ground.swipe_at is None else (ground.swipe_at, placement),
-                ),
-                make,
-            )
-
-    def _show_lines(
-        self, state: ViewState, result: PairResult, at_query: Placement, at_database: Placement
-    ) -> None:
-        options, lift = state.options, _mark_size(state) / 2
-        pointed = 1 <= state.match <= len(result.matches)
-        for segments, inliers, wanted, color, thickness in (
-            (self._inlier_lines, True, options.inlier_lines, inlier_color(result), INLIER_WIDTH),
-            (self._outlier_lines, False, options.outlier_lines, OUTLIER, OUTLIER_WIDTH),
-        ):
-            # Beside one that is pointed at, all others step back.
-            segments.restyle(faint(color) if pointed else color, thickness / (2 if pointed else 1))
-            if not wanted:
-                segments.hide()
-                continue
-
-            def lines(inliers: bool = inliers) -> LinePoints:
-                return match_lines(result, at_query, at_database, inliers=inliers, lift=lift)
-
-            segments.show(
-                (
-                    result.matches,
-                    result.registration,
-                    result.query_map,
-                    result.database_map,
-                    at_query,
-                    at_database,
-                    lift,
-                ),
-                lines,
-            )
-
-    def _show_marks(
-        self, state: ViewState, result: PairResult, at_query: Placement, at_database: Placement
-    ) -> None:
-        size = _mark_size(state)
-        self._marks.show_match(result, state.match, at_query, at_database, size)
-        reading = reading_of(state, (result.query_map, result.database_map))
-        of_query = state.probe is not None and state.probe.role == "query"
-        self._marks.show_reading(reading, at_query if of_query else at_database, size)
-
-    def _show_swipe(self, ground: Ground, corners: Float[NDArray[np.float64], "k 3"]) -> None:
-        """Frame the upright plane at which one surface ends and the other begins."""
-        if ground.swipe_at is None:
-            self._swipe.hide()
-            return
-        x = ground.swipe_at
-        (_, y0, z0), (_, y1, z1) = corners.min(axis=0), corners.max(axis=0)
-        rise = SWIPE_RISE * (y1 - y0)
-        frame = [(x, y0, z0 - rise), (x, y1, z0 - rise), (x, y1, z1 + rise), (x, y0, z1 + rise)]
-        self._swipe.show((*frame,), lambda: outline(np.array(frame)))
-
-    def _show_verdict(self, result: PairResult, corners: Float[NDArray[np.float64], "k 3"]) -> None:
-        verdict = "Loop closure" if result.closure.accepted else "No loop closure"
-        self._verdict.text = f"{verdict} · {result.registration.num_inliers} inliers"
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        x, y, z = (low[0] + high[0]) / 2, low[1] - 0.08 * (high[1] - low[1]), corners[:, 2].mean()
-        self._verdict.position = (float(x), float(y), float(z))
-
-    def _show_bar(self, box: Extent, placement: Placement) -> None:
-        length = round_length(SCALE_BAR_SHARE * float(box.size[0]))
-        corner = np.array([[box.low[0], box.low[1], box.center[2]]])
-        start = placement.apply(corner)[0] - np.array([0.0, 0.04 * box.size[1], 0.0])
-        end = start + np.array([length, 0.0, 0.0])
-
-        def make() -> LinePoints:
-            return np.stack([start, end])[None].astype(np.float32)
-
-        self._bar.show((length, *start), make)
-        self._bar_label.text = f"{length:g} m"
-        middle = (start + end) / 2
-        self._bar_label.position = (float(middle[0]), float(middle[1]), float(middle[2]))
-
 
 def _is_registered(state: ViewState, registration: Registration | None) -> bool:
     """Say whether the query is to be laid onto the database, and can be."""
@@ -491,18 +352,3 @@ def _is_registered(state: ViewState, registration: Registration | None) -> bool:
 
 def _blinks(state: ViewState) -> bool:
     return state.options.compare == "blink"
-
-
-def _mark_size(state: ViewState) -> float:
-    """Give the size of a keypoint's mark [m]: small beside the submap, but seen."""
-    return float(np.clip(0.006 * Extent.of(state.database).size[:2].max(), 0.02, 5.0))
-
-
-def round_length(longest: float) -> float:
-    """Give the longest of 1, 2, 5, 10, … [m] that is not longer.
-
-    >>> round_length(4.7), round_length(0.3)
-    (2.0, 0.2)
-    """
-    power = 10.0 ** np.floor(np.log10(longest))
-    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= longest))

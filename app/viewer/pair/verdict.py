@@ -23,7 +23,7 @@ class VerdictCard:
         self._handle.content = self._card
 
     def outdate(self, why: str = "") -> None:
-        """Fade the card: it is not about what is shown or set.
+        """Fade the card, because it is not about the present picture.
 
         Args:
             why: Written above it; empty while a new one is coming.
@@ -40,9 +40,9 @@ def verdict_html(state: ViewState, result: PairResult) -> str:
     needed, lowest = state.params.closure.min_inliers, state.params.closure.min_score
     motion = registration.T_database_query
     rows = [
-        ("inliers", f"{registration.num_inliers}" + (f" of {needed} needed" if needed else "")),
+        ("inliers", f"{registration.num_inliers}" + (f" (threshold {needed})" if needed else "")),
         ("associations", f"{len(result.matches):,}"),
-        ("score", f"{registration.score:.2f}" + (f" of {lowest:g} needed" if lowest else "")),
+        ("score", f"{registration.score:.1f}" + (f" (threshold {lowest:g})" if lowest else "")),
     ]
     if motion is not None:
         rows += [

@@ -1,54 +1,36 @@
-"""The Fit button: wires its panel to a runner, and the result to the sliders."""
+"""The Fit button: wires its panel to a worker, and the result to the session."""
 
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 
-from app.viewer.feature import Part
-from app.viewer.host import Host
+from app.viewer.feature import Desk, Feature
 from app.viewer.params.fit_panel import FitPanel
-from app.viewer.runner import Runner
 from app.viewer.state import ViewState
+from app.viewer.work import Work
 from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.gradient_map import MapParams, TerrainParams
 from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.run.progress import Progress
 
 
-class Fit(Part):
+class FitTool(Feature):
     """Fits the terrain's parameters to the two submaps that are shown."""
 
-    def __init__(
-        self,
-        host: Host,
-        state: ViewState,
-        turns: threading.Semaphore,
-        *,
-        on_fitted: Callable[[dict[str, float]], None],
-        message_of: Callable[[Exception], str],
-    ) -> None:
-        """Make the panel in the current container.
-
-        Args:
-            host: Whose GUI it joins.
-            state: The session as it is.
-            turns: Of what takes long.
-            on_fitted: Given the new values of map parameters, by name.
-            message_of: Says what went wrong in one line.
-        """
-        self._host = host
+    def __init__(self, desk: Desk) -> None:
+        """Make the panel in the current container."""
+        self._desk = desk
         self._lock = threading.Lock()
-        self._state = state
-        self._on_fitted = on_fitted
-        self._panel = FitPanel(host, on_fit=self._start, on_cancel=self._cancel)
-        self._fitter: Runner[ViewState, FitResult] = Runner(
-            self._fit,
+        self._state = desk.state
+        self._panel = FitPanel(desk.host, lambda: self._fitter.start(self._state))
+        self._fitter: Work[ViewState, FitResult] = Work(
+            self._panel.work_bar,
+            lambda _: "Fitting",
+            _fit,
             self._on_result,
-            lambda state, error: self._panel.stopped(message_of(error), bad=True),  # noqa: ARG005
-            on_cancel=lambda state: self._panel.stopped("Cancelled."),  # noqa: ARG005
-            turns=turns,
+            slots=desk.capacity.long,
             name="fit",
         )
+        self.workers = (self._fitter,)
 
     def follow(self, state: ViewState) -> None:
         """Follow the session; a fit to submaps that are no longer shown is stopped."""
@@ -56,31 +38,7 @@ class Fit(Part):
             before, self._state = self._state, state
         if not _same_submaps(before, state):
             self._fitter.cancel()
-            self._panel.stopped()
-
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until nothing runs; says whether that came true within the timeout [s]."""
-        return self._fitter.wait_idle(timeout)
-
-    def close(self) -> None:
-        """Stop."""
-        self._fitter.close()
-
-    def _start(self) -> None:
-        self._panel.running(0.0)
-        self._fitter.submit(self._state)
-
-    def _cancel(self) -> None:
-        self._fitter.cancel()
-
-    def _fit(self, state: ViewState, progress: Progress) -> FitResult:
-        def report(fraction: float) -> None:
-            progress(fraction)
-            self._panel.running(fraction)
-
-        # One submap shown twice counts once.
-        submaps = tuple({submap.id: submap for submap in (state.query, state.database)}.values())
-        return fit_parameters(submaps, state.params.map.terrain, progress=report)
+            self._panel.work_bar.idle()
 
     def _on_result(self, state: ViewState, result: FitResult, seconds: float) -> None:
         if not _same_submaps(state, self._state):
@@ -88,12 +46,19 @@ class Fit(Part):
         start = state.params.map.terrain
         found = {name: _value(result.params, name) for name in fitted_names(start)}
         self._panel.show(_headline(result, seconds), _rows(start, found, result))
-        self._on_fitted(found)
-        self._host.flush()
+        params = self._desk.state.params
+        self._desk.change(params=replace(params, map=with_fitted(params.map, found)))
+        self._desk.host.flush()
+
+
+def _fit(state: ViewState, progress: Progress) -> FitResult:
+    # One submap shown twice counts once.
+    submaps = tuple({submap.id: submap for submap in (state.query, state.database)}.values())
+    return fit_parameters(submaps, state.params.map.terrain, progress=progress)
 
 
 def with_fitted(params: MapParams, found: dict[str, float]) -> MapParams:
-    """Copy the parameters of the map with the fitted values in place."""
+    """Replace parameters of the map by fitted values."""
     return replace(params, **found)
 
 
@@ -126,4 +91,4 @@ def _rows(
         old = "automatic" if before is None else f"{before:g}"
         rows.append((name.replace("_", " "), f"{old} → {value:g} {unit}".rstrip()))
     likelihood = f"{result.log_likelihood_before:.3f} → {result.log_likelihood_after:.3f}"
-    return (*rows, ("log likelihood a point", likelihood))
+    return (*rows, ("log likelihood per point", likelihood))

@@ -11,7 +11,7 @@ LONGEST = 200
 
 @dataclass(frozen=True)
 class History(Generic[T]):
-    """Values in the order in which they were settled on; the functions give a changed copy."""
+    """The values that were settled on, in order; the functions return a changed copy."""
 
     present: T
     past: tuple[T, ...] = ()  # the newest last

@@ -6,6 +6,7 @@ from typing import Any, Generic, TypeVar
 import viser
 
 from app.viewer.host import Host
+from app.viewer.widgets.actions import on_choice, on_press
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path, with_unit
@@ -90,17 +91,18 @@ class ParamsPanel(Generic[P]):
 
     def _add_defaults(self, title: str, members: list[Field]) -> None:
         button = self._host.gui.add_button(
-            f"{title} defaults", hint="Back to the marks, for the parameters of this folder."
+            f"{title} defaults",
+            hint="Resets the parameters of this folder to their defaults (the marks).",
         )
 
-        @button.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
+        def reset() -> None:
             value = self._value
             for setting in members:
                 value = with_path(value, setting.path, get_path(self._default, setting.path))
             self.set(value)
             self._on_change(value)
+
+        on_press(button, reset)
 
     def _add(self, setting: Field, name: str | None) -> None:
         gui, path = self._host.gui, setting.path
@@ -120,12 +122,7 @@ class ParamsPanel(Generic[P]):
             handle = self._add_slider(setting, label, current)
         self._inputs[path] = handle
 
-        # Asynchronous, so that the server runs it in order in its event loop; plain functions
-        # would go to a pool of threads and could overtake each other.
-        @handle.on_update
-        async def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id is not None:  # else it is our own `set`
-                self._change(setting, event.target.value)
+        on_choice(handle, lambda value: self._change(setting, value))
 
     def _add_slider(
         self, setting: Field, label: str, current: float | None
@@ -159,13 +156,12 @@ class ParamsPanel(Generic[P]):
         )
         self._automatic[setting.path] = box
 
-        @box.on_update
-        async def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id is None:
-                return
+        def choose(automatic: bool) -> None:
             slider: Any = self._inputs[setting.path]
-            slider.disabled = event.target.value
-            self._change(setting, None if event.target.value else slider.value)
+            slider.disabled = automatic
+            self._change(setting, None if automatic else slider.value)
+
+        on_choice(box, choose)
 
     def _change(self, setting: Field, raw: object) -> None:
         value = raw

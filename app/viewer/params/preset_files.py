@@ -33,26 +33,26 @@ def _with(**groups: Mapping[str, object]) -> PipelineParams:
 BUILT_IN: tuple[Preset, ...] = (
     Preset(
         "default",
-        "Stereo clouds of a rover, a point every few centimetres. No false closure and nearly all "
-        "true ones on a Mars yard, a volcano and the Moon.",
+        "For stereo clouds of a rover with a point every few centimetres. It finds nearly all "
+        "true closures, and no false one, on a Mars yard, a volcano and the Moon.",
         PipelineParams(),
     ),
     Preset(
         "paper",
-        "The numbers of Le Gentil et al. 2020: 5,000 points, length-scale √0.1 m, SURF, five "
-        "inliers. Their Algorithm 1 itself is `gpgrad detect --method paper`.",
+        "The numbers of Le Gentil et al. 2020: 5,000 points, a length-scale of √0.1 m, SURF and "
+        "five inliers. For their Algorithm 1 itself run gpgrad detect --method paper.",
         paper_params(PipelineParams()),
     ),
     Preset(
         "rough ground",
-        "Rocks and ripples of a few decimetres, seen densely: a shorter length-scale keeps them, "
-        "and each point's noise is measured by its neighbours.",
+        "For rocks and ripples of a few decimetres in dense clouds. A shorter length-scale keeps "
+        "them, and the neighbours of each point measure its noise.",
         _with(map={"length_scale": 0.2, "noise_model": "measured"}),
     ),
     Preset(
         "smooth ground",
-        "Swells of half a metre and more, and noisy points: a longer length-scale averages over "
-        "more of them, and each point's noise is measured by its neighbours.",
+        "For swells of half a metre and more in noisy clouds. A longer length-scale averages over "
+        "more points, and the neighbours of each point measure its noise.",
         _with(map={"length_scale": 0.45, "noise_model": "measured"}),
     ),
 )
@@ -71,7 +71,7 @@ def own_presets(folder: Path) -> tuple[tuple[Preset, ...], tuple[str, ...]]:
     notes: list[str] = []
     for path in sorted(folder.glob("*.toml")):
         if not NAME.fullmatch(path.stem):
-            notes.append(f"{path.name}: is no name of a preset")
+            notes.append(f"{path.name}: cannot be the name of a preset")
             continue
         try:
             params = read_parameters(path, PipelineParams())
@@ -115,7 +115,7 @@ def delete_preset(folder: Path, name: str) -> None:
     try:
         _path(folder, name).unlink()
     except OSError as error:
-        raise InputError(f"{name}: is none of your own presets") from error
+        raise InputError(f"{name}: is not one of your own presets") from error
 
 
 def preset_text(name: str, params: PipelineParams) -> str:

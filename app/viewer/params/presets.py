@@ -1,15 +1,12 @@
 """Presets in the viewer: wires their panel to the files they are kept in."""
 
-import re
 import threading
 import tomllib
-from collections.abc import Callable
-from pathlib import Path
 
 import viser
 
-from app.viewer.feature import Part
-from app.viewer.host import Host
+from app.viewer.downloads import safe_name, send_file
+from app.viewer.feature import Desk, Feature
 from app.viewer.params.preset_files import (
     BUILT_IN,
     Preset,
@@ -28,39 +25,25 @@ LARGEST = 100_000
 """Bytes of a file of parameters; any real one has a hundredth."""
 
 
-class Presets(Part):
+class PresetsTool(Feature):
     """Offers sets of parameters, and keeps the user's own."""
 
-    def __init__(
-        self,
-        host: Host,
-        state: ViewState,
-        folder: Path | None,
-        *,
-        on_params: Callable[[PipelineParams], None],
-    ) -> None:
-        """Make the panel in the current container.
-
-        Args:
-            host: Whose GUI it joins.
-            state: The session as it is.
-            folder: Where the user's own presets are kept; None keeps none.
-            on_params: Given the parameters to go to.
-        """
-        self._folder = folder
-        self._on_params = on_params
+    def __init__(self, desk: Desk) -> None:
+        """Make the panel in the current container."""
+        self._desk = desk
+        self._folder = desk.permissions.presets
         self._lock = threading.Lock()
-        self._state = state
+        self._state = desk.state
         self._shown: Preset | None = None
         self._own: tuple[Preset, ...] = ()
         self._panel = PresetPanel(
-            host,
-            can_save=folder is not None,
+            desk.host,
+            can_save=self._folder is not None,
             on_choose=self._choose,
             on_save=self._save,
             on_delete=self._delete,
             on_download=self._download,
-            on_upload=self._upload,
+            on_file=self._upload,
         )
         for note in self._read():
             self._panel.tell(note, bad=True)
@@ -93,7 +76,7 @@ class Presets(Part):
     def _choose(self, name: str) -> None:
         found = [preset for preset in (*BUILT_IN, *self._own) if preset.name == name]
         if found:
-            self._on_params(found[0].params)
+            self._desk.change(params=found[0].params)
 
     def _save(self, name: str) -> None:
         with self._lock:
@@ -124,9 +107,8 @@ class Presets(Part):
 
     def _download(self, name: str, client: viser.ClientHandle) -> None:
         name = name or (self._shown.name if self._shown else "parameters")
-        file = re.sub(r"[^\w.+-]+", "_", name).strip("._") or "parameters"
         text = preset_text(name.replace("\n", " "), self._state.params)
-        client.send_file_download(f"{file}.toml", text.encode(), save_immediately=True)
+        send_file(client, f"{safe_name(name, 'parameters')}.toml", text.encode())
 
     def _upload(self, name: str, content: bytes) -> None:
         try:
@@ -135,12 +117,12 @@ class Presets(Part):
             self._panel.tell(str(error), bad=True)
             return
         self._panel.tell(f"Parameters of {name}")
-        self._on_params(params)
+        self._desk.change(params=params)
 
     def _parsed(self, name: str, content: bytes) -> PipelineParams:
         """Read an uploaded file as ``--params`` would: over what the dataset prefers."""
         if len(content) > LARGEST:
-            raise InputError(f"{name}: is too large for a file of parameters")
+            raise InputError(f"{name}: is too large for a parameter file")
         try:
             tables = tomllib.loads(content.decode("utf-8"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

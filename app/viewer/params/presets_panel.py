@@ -1,14 +1,14 @@
-"""Presets: choose one, see what it is for, keep the present parameters as another."""
+"""Presets: choose one, see what it is for, or save the present parameters as a new one."""
 
 from collections.abc import Callable
-from typing import Any
 
 import viser
 
 from app.viewer.host import Host
+from app.viewer.widgets.actions import on_choice, on_press, on_press_by, on_upload
 from app.viewer.widgets.html import BAD, FAINT, GOOD, paragraph
 
-CUSTOM: str = "none of these"
+CUSTOM: str = "custom"
 
 
 class PresetPanel:
@@ -23,7 +23,7 @@ class PresetPanel:
         on_save: Callable[[str], None],
         on_delete: Callable[[], None],
         on_download: Callable[[str, viser.ClientHandle], None],
-        on_upload: Callable[[str, bytes], None],
+        on_file: Callable[[str, bytes], None],
     ) -> None:
         """Make the widgets in the current container.
 
@@ -34,52 +34,34 @@ class PresetPanel:
             on_save: Given the name to keep the present parameters under.
             on_delete: Called to delete the preset that is shown.
             on_download: Given a name and the page that wants the present parameters as a file.
-            on_upload: Given the name and the content of a file.
+            on_file: Given the name and the content of a file.
         """
         gui = host.gui
         self._list: viser.GuiDropdownHandle[str] = gui.add_dropdown(
-            "Preset", (CUSTOM,), initial_value=CUSTOM, hint="Sets every parameter."
+            "Preset", (CUSTOM,), initial_value=CUSTOM, hint="A preset sets all parameters."
         )
         self._purpose = gui.add_html("")
-        with gui.add_folder("Keep parameters", expand_by_default=False):
-            self._name = gui.add_text("Name", "", hint="Letters, digits, spaces and . + - ( ).")
+        with gui.add_folder("Save as preset", expand_by_default=False):
+            self._name = gui.add_text("Name", "", hint="Use letters, digits, spaces and . + - ( ).")
             save = gui.add_button(
                 "Save preset",
                 visible=can_save,
-                hint="Keeps the present parameters in the list, for the next time too.",
+                hint="Saves the present parameters in the list, for later sessions too.",
             )
             self._delete = gui.add_button("Delete preset", visible=False, color="red")
-            download = gui.add_button(
-                "Download parameters", hint="As a TOML file, which --params reads."
-            )
+            download = gui.add_button("Download parameters", hint="Saves a TOML file for --params.")
             upload = gui.add_upload_button(
-                "Upload parameters", mime_type=".toml", hint="A TOML file, as --params reads it."
+                "Upload parameters",
+                mime_type=".toml",
+                hint="Loads a TOML file like those for --params.",
             )
         self._message = gui.add_html("")
 
-        @self._list.on_update
-        async def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id is not None and event.target.value != CUSTOM:
-                on_choose(event.target.value)
-
-        @save.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            on_save(self._name.value.strip())
-
-        @self._delete.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            on_delete()
-
-        @download.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            if event.client is not None:
-                on_download(self._name.value.strip(), event.client)
-
-        @upload.on_upload
-        async def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
-            on_upload(event.target.value.name, event.target.value.content)
+        on_choice(self._list, lambda name: None if name == CUSTOM else on_choose(name))
+        on_press(save, lambda: on_save(self._name.value.strip()))
+        on_press(self._delete, on_delete)
+        on_press_by(download, lambda page: on_download(self._name.value.strip(), page))
+        on_upload(upload, on_file)
 
     def offer(self, names: tuple[str, ...]) -> None:
         """Fill the list."""

@@ -2,13 +2,12 @@
 
 import threading
 from collections.abc import Callable
+from functools import partial
 
-import viser
-
-from app.viewer.feature import Part
-from app.viewer.host import Host
+from app.viewer.feature import Desk, Feature
 from app.viewer.params.history import History
 from app.viewer.state import ViewState
+from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset
@@ -17,65 +16,40 @@ SETTLED_AFTER = 0.7
 """Parameters that have not moved for so long are worth coming back to [s]: a drag is one step."""
 
 
-class Undo(Part):
-    """Remembers the parameters that sliders came to rest at."""
+class UndoTool(Feature):
+    """Remembers the parameters at which the sliders came to rest."""
 
     def __init__(
-        self,
-        host: Host,
-        state: ViewState,
-        commands: Commands,
-        *,
-        on_params: Callable[[PipelineParams], None],
-        settled_after: float = SETTLED_AFTER,
+        self, desk: Desk, commands: Commands, *, settled_after: float = SETTLED_AFTER
     ) -> None:
         """Make the buttons in the current container.
 
         Args:
-            host: Whose GUI they join.
-            state: The session as it is.
+            desk: Of the session.
             commands: Where their keys join.
-            on_params: Given the parameters to go to.
             settled_after: See `SETTLED_AFTER` [s].
         """
-        self._on_params = on_params
+        self._desk = desk
         self._settled_after = settled_after
         self._lock = threading.Lock()
-        self._history = History(state.params)
-        self._dataset: Dataset = state.dataset
-        self._latest = state.params
+        self._history = History(desk.state.params)
+        self._dataset: Dataset = desk.state.dataset
+        self._latest = desk.state.params
         self._timer: threading.Timer | None = None
-        gui = host.gui
+        gui = desk.host.gui
         self._undo = gui.add_button(
-            "Undo", disabled=True, hint="Back to the parameters before (Ctrl+Z)."
+            "Undo", disabled=True, hint="Goes back to the parameters before (Ctrl+Z)."
         )
         self._redo = gui.add_button(
-            "Redo", disabled=True, hint="Takes back an undo (Ctrl+Shift+Z).", visible=False
+            "Redo", disabled=True, hint="Takes the undo back (Ctrl+Shift+Z).", visible=False
         )
-        commands.add(
-            "Parameters",
-            "Undo",
-            lambda client: self._go(History.undo),  # noqa: ARG005
-            key="Z",
-            modifier="cmd/ctrl",
-        )
-        commands.add(
-            "Parameters",
-            "Redo",
-            lambda client: self._go(History.redo),  # noqa: ARG005
-            key="Z",
-            modifier="cmd/ctrl+shift",
-        )
-
-        @self._undo.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            self._go(History.undo)
-
-        @self._redo.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            self._go(History.redo)
+        for button, label, move, modifier in (
+            (self._undo, "Undo", History[PipelineParams].undo, "cmd/ctrl"),
+            (self._redo, "Redo", History[PipelineParams].redo, "cmd/ctrl+shift"),
+        ):
+            act = partial(self._go, move)
+            on_press(button, act)
+            commands.add("Parameters", label, act, key="Z", modifier=modifier)
 
     def follow(self, state: ViewState) -> None:
         """Follow the parameters; those of another dataset have a history of their own."""
@@ -114,7 +88,7 @@ class Undo(Part):
             self._history = move(self._history.push(self._latest))
             params = self._latest = self._history.present
             self._show()
-        self._on_params(params)
+        self._desk.change(params=params)
 
     def _show(self) -> None:
         moved = self._latest != self._history.present

@@ -27,7 +27,7 @@ class Decisions:
 
     @property
     def trusted(self) -> tuple[Pair, ...]:
-        """Pairs that a person vouches for."""
+        """Pairs that a person accepted by hand."""
         return tuple(pair for pair, accepted in self.verdicts.items() if accepted)
 
 

@@ -1,44 +1,27 @@
-"""The pose graph: wires closures, decisions by hand and the optimiser to the world."""
+"""The Pose graph tab: wires closures, decisions by hand and the optimiser to the world."""
 
-import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import viser
 
-from app.viewer.all_pairs.judging import Judged
-from app.viewer.capacity import Turns
-from app.viewer.draw.colors import legend_uri
-from app.viewer.feature import Part
-from app.viewer.host import Host
-from app.viewer.pair.panel import legend_html
+from app.viewer.closure_files import write_closure_file
+from app.viewer.downloads import Downloads
+from app.viewer.draw.layers import Scale
+from app.viewer.feature import Desk, Feature
 from app.viewer.pose_graph.decisions import Decisions, Pair, decide, with_motion, with_verdict
-from app.viewer.pose_graph.panel import (
-    Format,
-    Listed,
-    PoseGraphCalls,
-    PoseGraphPanel,
-    Verdict,
-)
-from app.viewer.runner import Runner
+from app.viewer.pose_graph.panel import Format, PoseGraphCalls, PoseGraphPanel, Verdict
 from app.viewer.state import ViewState
-from app.viewer.world.lines import SCORE_MAP, Loop
-from app.viewer.world.tab import Correction, Explore
-from gpgrad_core.datasets.folder import index_of
-from gpgrad_core.datasets.poses import write_poses
-from gpgrad_core.outputs import report_closures, write_closures
-from gpgrad_core.pipeline import DetectionResult
+from app.viewer.widgets.legend import legend_html
+from app.viewer.work import Work
+from app.viewer.world import SCORE_MAP, Correction, Loop, WorldTab
+from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.run.progress import Progress
-from gpgrad_core.se2 import Pose
-from gpgrad_core.slam import (
-    OptimisedGraph,
-    build_pose_graph,
-    optimise_pose_graph,
-    write_graph,
-)
+from gpgrad_core.slam import OptimisedGraph, build_pose_graph, optimise_pose_graph
 from gpgrad_core.slam.truth import trajectory_error, true_poses
 from gpgrad_core.types import Dataset, LoopClosure, Registration
 
@@ -50,8 +33,8 @@ FILES: dict[Format, str] = {
 ACCEPTABLE: dict[Verdict, bool | None] = {"accept": True, "refuse": False, "as found": None}
 NOT_FOUND = (
     "No closures yet.",
-    "Find closures compares all pairs with the parameters as they are; the thresholds on the right "
-    "then decide which are accepted.",
+    "Find closures compares all pairs with the present parameters. The thresholds on the right "
+    "then decide which pairs are accepted.",
 )
 
 
@@ -74,64 +57,31 @@ class _Task:
         return accepted, sorted(self.trusted)
 
 
-@dataclass(frozen=True, eq=False)
-class _Order:
-    """A file that a page wants."""
-
-    client: viser.ClientHandle
-    kind: Format
-    task: _Task
-    state: ViewState
-    graph: OptimisedGraph | None
-
-
-class PoseGraph(Part):
+class PoseGraphTab(Feature):
     """Gathers the accepted closures, optimises when asked, and tells the world."""
 
-    def __init__(
-        self,
-        host: Host,
-        state: ViewState,
-        turns: Turns,
-        explore: Explore,
-        *,
-        on_find: Callable[[], None],
-        on_cancel_find: Callable[[], None],
-        on_tune: Callable[[str, str], None],
-        message_of: Callable[[Exception], str],
-    ) -> None:
+    def __init__(self, desk: Desk, world: WorldTab) -> None:
         """Make the panel in the current container.
 
         Args:
-            host: Whose GUI it joins.
-            state: The session as it is.
-            turns: Held while the graph is optimised.
-            explore: The world that shows it.
-            on_find: Called when all pairs are to be compared.
-            on_cancel_find: Called when they no longer are.
-            on_tune: Given the query and the database to tune.
-            message_of: Says what went wrong in one line.
+            desk: Of the session.
+            world: Shows the loops and the corrected poses.
         """
-        self._host = host
-        self._explore = explore
-        self._on_tune = on_tune
-        self._on_cancel_find = on_cancel_find
+        self._desk = desk
+        self._world = world
         self._lock = threading.Lock()
-        self._state = state
+        self._state = desk.state
         self._found: tuple[LoopClosure, ...] = ()
         self._history: list[Decisions] = [Decisions()]
         self._chosen: Pair | None = None
         self._graph: OptimisedGraph | None = None
         self._solved: object = None  # what it was optimised from
         self._panel = PoseGraphPanel(
-            host,
+            desk.host,
             PoseGraphCalls(
-                on_find=on_find,
-                on_cancel=self._cancel,
+                on_find=desk.compare_pairs,
                 on_optimise=self._optimise,
-                on_shown=lambda loops, refused: explore.set_loops_shown(
-                    loops=loops, refused=refused
-                ),
+                on_shown=lambda loops, refused: world.set_loops_shown(loops=loops, refused=refused),
                 on_choose=self._choose,
                 on_verdict=self._decide,
                 on_undo=self._undo,
@@ -139,27 +89,19 @@ class PoseGraph(Part):
                 on_export=self._order,
             ),
         )
-
-        def failed(job: object, error: Exception) -> None:
-            del job
-            self._panel.stopped(message_of(error), bad=True)
-
-        def cancelled(job: object) -> None:
-            del job
-            self._panel.stopped("Cancelled.")
-
-        self._solver: Runner[_Task, OptimisedGraph] = Runner(
-            self._solve,
+        self._bar = self._panel.work_bar
+        self._bar.on_cancel(desk.stop_comparing)
+        self._solver: Work[_Task, OptimisedGraph] = Work(
+            self._bar,
+            lambda _: "Optimising",
+            _solve,
             self._on_solved,
-            failed,
-            on_cancel=cancelled,
-            turns=turns.long,
+            slots=desk.capacity.long,
             name="pose graph",
         )
-        self._writer: Runner[_Order, bytes] = Runner(
-            _write, self._hand_over, failed, name="pose graph's files"
-        )
-        self._panel.show(NOT_FOUND, (), chosen=None, can_undo=False)
+        self._downloads = Downloads(self._bar, "pose graph's files", desk.capacity.long)
+        self.workers = (self._solver, self._downloads)
+        self._panel.show(NOT_FOUND, {}, chosen=None, can_undo=False)
 
     def follow(self, state: ViewState) -> None:
         """Follow the session; another dataset has other closures."""
@@ -172,26 +114,27 @@ class PoseGraph(Part):
         self._solver.cancel()
         self._panel.show_result(())
         self._panel.show_legend("")
-        self._panel.show(NOT_FOUND, (), chosen=None, can_undo=False)
+        self._panel.show(NOT_FOUND, {}, chosen=None, can_undo=False)
 
-    def judged(self, judged: Judged) -> None:
+    def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
         """Take all pairs as the thresholds judge them."""
         with self._lock:
-            if judged.survey.dataset is not self._state.dataset:
+            if dataset is not self._state.dataset:
                 return
-            self._found = judged.closures
+            self._found = closures
         self._show()
 
-    def finding(self, fraction: float | None, message: str) -> None:
-        """Take how far the comparison of all pairs is; None once nothing runs."""
+    def comparing(self, fraction: float | None, message: str) -> None:
+        """Show how far the comparison of all pairs is, here too."""
         if fraction is None:
-            self._panel.stopped(message)
+            self._bar.done(message)
         else:
-            self._panel.running("Comparing all pairs", fraction)
+            self._bar.running("Comparing all pairs", fraction)
 
-    def take_motion(self, query: str, database: str, registration: Registration) -> None:
+    def use_motion(self, query_id: str, database_id: str, registration: Registration) -> None:
         """Take a registration set by hand, and accept it."""
-        self._remember(lambda decisions: with_motion(decisions, (query, database), registration))
+        pair = query_id, database_id
+        self._remember(lambda decisions: with_motion(decisions, pair, registration))
 
     @property
     def closures(self) -> tuple[LoopClosure, ...]:
@@ -204,20 +147,7 @@ class PoseGraph(Part):
         """The graph as last optimised."""
         return self._graph
 
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until nothing runs; says whether that came true within the timeout [s]."""
-        return self._solver.wait_idle(timeout) and self._writer.wait_idle(timeout)
-
-    def close(self) -> None:
-        """Stop."""
-        self._solver.close()
-        self._writer.close()
-
     # What the widgets ask for.
-
-    def _cancel(self) -> None:
-        self._on_cancel_find()
-        self._solver.cancel()
 
     def _choose(self, pair: Pair | None) -> None:
         with self._lock:
@@ -227,9 +157,9 @@ class PoseGraph(Part):
     def _decide(self, verdict: Verdict) -> None:
         pair = self._chosen
         if pair is None:
-            self._panel.stopped("Choose a closure first.", bad=True)
+            self._bar.failed("Choose a closure first.")
             return
-        self._panel.stopped()
+        self._bar.idle()
         self._remember(lambda decisions: with_verdict(decisions, pair, ACCEPTABLE[verdict]))
 
     def _remember(self, change: Callable[[Decisions], Decisions]) -> None:
@@ -245,56 +175,40 @@ class PoseGraph(Part):
 
     def _tune(self) -> None:
         if self._chosen is not None:
-            self._on_tune(*self._chosen)
+            self._desk.tune(*self._chosen)
 
     def _optimise(self) -> None:
         task = self._task()
         if not any(closure.accepted for closure in task.closures):
-            self._panel.stopped(
-                "No closure is accepted: find closures, lower the thresholds, or accept one by "
-                "hand.",
-                bad=True,
+            self._bar.failed(
+                "No closure is accepted. Find closures, lower the thresholds, or accept one by "
+                "hand."
             )
             return
-        self._panel.running("Optimising", 0.0)
-        self._solver.submit(task)
+        self._solver.start(task)
 
-    def _order(self, client: viser.ClientHandle, kind: Format) -> None:
+    def _order(self, page: viser.ClientHandle, kind: Format) -> None:
         task = self._task()
         graph = self._graph if task.key == self._solved else None
         if kind == "closures" and not self.closures:
-            self._panel.stopped("Find closures first.", bad=True)
+            self._bar.failed("Find closures first.")
             return
         if kind == "TUM" and graph is None:
-            self._panel.stopped("Optimise first: these closures have corrected nothing.", bad=True)
+            self._bar.failed("Optimise first: there are no corrected poses of these closures yet.")
             return
-        self._writer.submit(_Order(client, kind, task, self._state, graph))
+        write = partial(_write, task, self._state.params, graph)
+        self._downloads.order(page, FILES[kind], write)
 
     # What the workers do.
-
-    def _solve(self, task: _Task, progress: Progress) -> OptimisedGraph:
-        def report(fraction: float) -> None:
-            progress(fraction)
-            self._panel.running("Optimising", fraction)
-
-        graph = build_pose_graph(task.dataset, task.closures, trusted=task.trusted)
-        return optimise_pose_graph(graph, progress=report)
 
     def _on_solved(self, task: _Task, graph: OptimisedGraph, seconds: float) -> None:
         with self._lock:
             if task.dataset is not self._state.dataset:
                 return  # another was opened in the very last moment
             self._graph, self._solved = graph, task.key
-        self._panel.stopped()
         self._panel.show_result(result_rows(task.dataset, graph, seconds))
         self._show(relax=True)
-        self._host.flush()
-
-    def _hand_over(self, order: _Order, content: bytes, seconds: float) -> None:
-        del seconds
-        name = FILES[order.kind]
-        order.client.send_file_download(name, content, save_immediately=True)
-        self._panel.stopped(f"{name}: {len(content):,} bytes.")
+        self._desk.host.flush()
 
     # What is shown.
 
@@ -312,13 +226,12 @@ class PoseGraph(Part):
         outdated = graph is not None and self._task().key != self._solved
         ordered = sorted(closures, key=lambda one: (not one.accepted, -one.registration.score))
         chi_squares = _chi_squares(graph)
-        listed = tuple(
-            Listed(one.query_id, one.database_id, _label(one, chi_squares)) for one in ordered
-        )
+        listed = {_label(one, chi_squares): (one.query_id, one.database_id) for one in ordered}
         summary = _summary(closures, decisions, outdated=outdated)
-        with self._host.atomic():
+        with self._desk.host.atomic():
             self._panel.show(summary, listed, chosen=chosen, can_undo=can_undo)
-            self._panel.show_legend(_legend(_highest(closures)) if closures else "")
+            scale = Scale("Loop closures", "score", SCORE_MAP, 0.0, _highest(closures))
+            self._panel.show_legend(legend_html(scale if closures else None))
         self._tell_world(relax=relax)
 
     def _tell_world(self, *, relax: bool = False) -> None:
@@ -338,7 +251,7 @@ class PoseGraph(Part):
             if one.registration.T_database_query is not None
         )
         correction = Correction(graph, loops, _highest(closures), chosen)
-        self._explore.correct(correction, relax=relax)
+        self._world.correct(correction, relax=relax)
 
 
 def result_rows(
@@ -352,41 +265,33 @@ def result_rows(
         float(np.linalg.norm(pose.translation - before[name].translation))
         for name, pose in graph.poses.items()
     ]
-    rows.append(("farthest moved", f"{max(moved):.2f} m"))
+    rows.append(("largest correction", f"{max(moved):.2f} m"))
     true = true_poses(dataset)
     if len(true) >= 2:
         first, last = (trajectory_error(true, poses) for poses in (before, graph.poses))
         rows += [
             ("error (ATE)", f"{first.absolute:.3f} m → {last.absolute:.3f} m"),
-            ("of one step", f"{first.relative:.3f} m → {last.relative:.3f} m"),
+            ("error per step (RPE)", f"{first.relative:.3f} m → {last.relative:.3f} m"),
         ]
     rows.append(("solved in", f"{seconds:.2f} s"))
     return tuple(rows)
 
 
-def _write(order: _Order, progress: Progress) -> bytes:
+def _solve(task: _Task, progress: Progress) -> OptimisedGraph:
+    graph = build_pose_graph(task.dataset, task.closures, trusted=task.trusted)
+    return optimise_pose_graph(graph, progress=progress)
+
+
+def _write(
+    task: _Task,
+    params: PipelineParams,
+    graph: OptimisedGraph | None,
+    path: Path,
+    progress: Progress,
+) -> None:
     del progress
-    dataset, task = order.task.dataset, order.task
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / FILES[order.kind]
-        if order.kind == "closures":
-            result = DetectionResult(task.closures, {"total": 0.0})
-            write_closures(path, report_closures(dataset, result, order.state.params))
-        elif order.kind == "g2o":
-            graph = build_pose_graph(dataset, task.closures, trusted=task.trusted)
-            write_graph(path, graph, None if order.graph is None else order.graph.poses)
-        elif order.graph is not None:
-            write_poses(path, _numbered(order.graph.poses))
-        return path.read_bytes()
-
-
-def _numbered(poses: dict[str, Pose]) -> dict[int, Pose]:
-    """Number poses as the dataset's files do, or in order where names have no number."""
-    numbers = [index_of(name) for name in poses]
-    known = [number for number in numbers if number is not None]
-    if len(set(known)) == len(numbers):
-        return dict(zip(known, poses.values(), strict=True))
-    return dict(enumerate(poses.values()))
+    result = DetectionResult(task.closures, {"total": 0.0})
+    write_closure_file(path, task.dataset, result, params, trusted=task.trusted, solved=graph)
 
 
 def _highest(closures: tuple[LoopClosure, ...]) -> float:
@@ -423,8 +328,3 @@ def _summary(
     if outdated:
         lines.append("The closures have changed since: optimise again.")
     return tuple(lines)
-
-
-def _legend(highest: float) -> str:
-    bar = legend_uri(SCORE_MAP)
-    return legend_html(bar, "Loop closures", "score", low=0.0, high=highest)

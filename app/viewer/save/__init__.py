@@ -1,1 +1,1 @@
-"""Save: the command and the session file that find again what is shown, and exports."""
+"""Save: the command that gives the same result, the session file, and exports."""

@@ -1,4 +1,4 @@
-"""The command that finds again what is shown."""
+"""The command that gives the result that is shown."""
 
 import shlex
 from pathlib import Path
@@ -10,7 +10,7 @@ from gpgrad_core.pipeline import PipelineParams
 
 
 def detect_command(state: ViewState) -> str:
-    """Write the ``gpgrad detect`` line that gives the numbers shown, digit for digit.
+    """Write the ``gpgrad detect`` command that gives exactly the numbers shown.
 
     Only what differs from what the dataset takes by itself is named. The pair is named too: the
     other way round it would be another registration, and all other pairs would take their time.
@@ -25,7 +25,7 @@ def detect_command(state: ViewState) -> str:
 
 
 def flags(params: PipelineParams, base: PipelineParams) -> list[str]:
-    """List the flags that turn a base into params, by the names that the command line has."""
+    """List the command-line flags that turn a base into params."""
     found: list[str] = []
     for setting in parameters_of(type(params)):
         value = get_path(params, setting.path)

@@ -1,4 +1,4 @@
-"""The command that finds again what is shown, and the session as a file."""
+"""The command that gives the same result, and the session as a file."""
 
 from collections.abc import Callable
 from html import escape
@@ -6,6 +6,7 @@ from html import escape
 import viser
 
 from app.viewer.host import Host
+from app.viewer.widgets.actions import on_press_by, on_upload
 from app.viewer.widgets.html import BAD, FAINT, paragraph
 
 # The button's own script: a page may write to the clipboard only while it is being clicked, and
@@ -26,37 +27,29 @@ class SavingPanel:
         host: Host,
         *,
         on_save: Callable[[viser.ClientHandle], None],
-        on_restore: Callable[[str, bytes, viser.ClientHandle], None],
+        on_restore: Callable[[str, bytes], None],
     ) -> None:
         """Make the widgets in the current container; callbacks must only hand on.
 
         Args:
             host: Whose GUI they join.
             on_save: Given the page that wants the session as a file.
-            on_restore: Given the name and content of a file, and the page that it came from.
+            on_restore: Given the name and the content of a file.
         """
         gui = host.gui
         self._command = gui.add_html("")
         save = gui.add_button(
             "Save session",
-            hint="Dataset, pair, parameters, view and camera as a file for "
-            "`gpgrad view --state FILE`.",
+            hint="Saves dataset, pair, parameters, view and camera as a file for gpgrad view "
+            "--state FILE.",
         )
         restore = gui.add_upload_button(
-            "Restore session", mime_type=".toml", hint="From a file that was saved so."
+            "Restore session", mime_type=".toml", hint="Opens a file from 'Save session'."
         )
         self._message = gui.add_html("")
 
-        @save.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            if event.client is not None:
-                on_save(event.client)
-
-        @restore.on_upload
-        async def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
-            if event.client is not None:
-                file = event.target.value
-                on_restore(file.name, file.content, event.client)
+        on_press_by(save, on_save)
+        on_upload(restore, on_restore)
 
     def show_command(self, command: str) -> None:
         """Show the command; empty where there is none, as for one submap beside itself."""
@@ -73,8 +66,11 @@ class SavingPanel:
 def command_html(command: str) -> str:
     """Write the box with the command, and the button that copies it."""
     if not command:
-        return paragraph("No command: a submap beside itself is no pair.", FAINT)
-    intro = paragraph("This finds the same inliers, score and motion (all pairs without --pair):")
+        return paragraph("There is no command for a submap beside itself: it is not a pair.", FAINT)
+    intro = paragraph(
+        "This command finds the same inliers, score and motion. Without --pair it compares all "
+        "pairs."
+    )
     return (
         f'{intro}<div style="padding:.2em .75em .4em">'
         f'<textarea data-testid="command" readonly rows="5" aria-label="Command" style="width:100%;'

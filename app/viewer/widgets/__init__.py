@@ -1,1 +1,1 @@
-"""What the panels share: small HTML, the status line, commands, modes, presence."""
+"""What the panels share: actions, small HTML, legend, lists, status line, work bar, commands."""

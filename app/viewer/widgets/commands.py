@@ -3,13 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
-from typing import Any, TypeAlias
+from typing import Any
 
 import viser
 
 from app.viewer.host import Host
-
-Act: TypeAlias = Callable[[viser.ClientHandle], None]
+from app.viewer.widgets.actions import on_press
 
 CAMERA_KEYS = frozenset("WASDQE") | {"arrowup", "arrowdown", "arrowleft", "arrowright"}
 """With these the browser flies the camera; a command on one of them would do both."""
@@ -17,7 +16,7 @@ CAMERA_KEYS = frozenset("WASDQE") | {"arrowup", "arrowdown", "arrowleft", "arrow
 FLYING = (
     ("Drag", "turn the view"),
     ("Right drag", "move the view"),
-    ("Wheel", "nearer or farther"),
+    ("Wheel", "zoom"),
     ("W A S D Q E, arrows", "fly"),
     ("Shift + click", "read the values of a surface"),
 )
@@ -34,7 +33,7 @@ class Command:
 
     @property
     def keys(self) -> str:
-        """The keys as people write them; empty if it has none."""
+        """The keys as text; empty if it has none."""
         if self.key is None:
             return ""
         parts = [*(self.modifier or "").split("+"), self.key]
@@ -43,7 +42,7 @@ class Command:
 
 
 class Commands:
-    """All commands of a session, added by whoever has one."""
+    """All commands of a session."""
 
     def __init__(self, host: Host) -> None:
         """Begin with the command that shows the others.
@@ -53,10 +52,10 @@ class Commands:
         """
         self._host = host
         self._commands: list[Command] = []
-        self.add(
+        self.add_for_page(
             "Help",
             "Show all keys and commands",
-            lambda client: show_help(client, self.commands),
+            lambda page: show_help(page, self.commands),
             key="H",
         )
 
@@ -69,7 +68,19 @@ class Commands:
         self,
         group: str,
         label: str,
-        act: Act,
+        act: Callable[[], None],
+        *,
+        key: Any = None,
+        modifier: Any = None,
+    ) -> None:
+        """Add a command that does the same whichever page asks; see `add_for_page`."""
+        self.add_for_page(group, label, lambda _: act(), key=key, modifier=modifier)
+
+    def add_for_page(
+        self,
+        group: str,
+        label: str,
+        act: Callable[[viser.ClientHandle], None],
         *,
         key: Any = None,
         modifier: Any = None,
@@ -101,20 +112,17 @@ class Commands:
 
 
 def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None:
-    """Open a page that lists all commands, on the page that asks only."""
+    """List all commands in a dialog on the page that asks."""
     modal = client.gui.add_modal("Keys and commands")
     with modal:
         client.gui.add_html(help_html(commands))
         close = client.gui.add_button("Close")
 
-    @close.on_click
-    async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-        del event
-        modal.close()
+    on_press(close, modal.close)
 
 
 def help_html(commands: tuple[Command, ...]) -> str:
-    """Write the list, a table a group."""
+    """Write the list, with a table per group."""
     groups: dict[str, list[tuple[str, str]]] = {"Picture": list(FLYING)}
     for command in commands:
         groups.setdefault(command.group, []).append((command.keys, command.label))
@@ -125,8 +133,9 @@ def help_html(commands: tuple[Command, ...]) -> str:
     )
     return (
         '<div data-testid="help" style="padding:0 .75em;columns:2 16em">'
-        '<p style="font-size:.85em;margin-top:0;column-span:all">Ctrl/Cmd + K finds a command by '
-        "its name. Keys work while no box is being typed in: click the picture first.</p>"
+        '<p style="font-size:.85em;margin-top:0;column-span:all">Press Ctrl/Cmd + K to find a '
+        "command by its name. Keys work while you do not type in a box: click the picture "
+        "first.</p>"
         f"{tables}</div>"
     )
 

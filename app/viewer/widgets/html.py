@@ -35,3 +35,16 @@ def table(rows: tuple[tuple[str, str], ...]) -> str:
         for name, value in rows
     )
     return f'<table style="border-collapse:collapse;font-size:.85em">{cells}</table>'
+
+
+def message_line(test_id: str, message: str, color: str) -> str:
+    """Write what happens or came of something as a small line; empty for an empty message."""
+    return box(test_id, escape(message), f"font-size:.8em;color:{color}") if message else ""
+
+
+def box(test_id: str, content: str, style: str = "") -> str:
+    """Put HTML that is safe between the margins of a panel, where screen readers hear of it."""
+    return (
+        f'<div data-testid="{test_id}" role="status" style="padding:.1em .75em;'
+        f'overflow-wrap:anywhere;{style}">{content}</div>'
+    )

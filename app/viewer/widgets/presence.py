@@ -1,11 +1,11 @@
-"""How many people look at the same session."""
+"""How many pages share the session."""
 
 from app.viewer.host import Host
 from app.viewer.widgets.html import FAINT, paragraph
 
 
 class PresenceLine:
-    """A line that is empty while one is alone."""
+    """A line that is empty while one page is open."""
 
     def __init__(self, host: Host) -> None:
         """Make it in the current container."""
@@ -16,5 +16,5 @@ class PresenceLine:
         if count < 2:
             self._handle.content = ""
             return
-        said = f"{count} pages are open on this session: all see and change the same."
+        said = f"{count} pages share this session: all see and change the same."
         self._handle.content = f'<div data-testid="presence">{paragraph(said, FAINT)}</div>'

@@ -1,12 +1,11 @@
-"""One line that says whether the picture is what the sliders say, and a place for errors."""
+"""The status line: whether the picture is up to date, and what went wrong."""
 
 import threading
 from collections.abc import Callable, Mapping
 from html import escape
 
-import viser
-
 from app.viewer.host import Host
+from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.html import BAD, BUSY, GOOD
 
 WORTH_TELLING = 0.0005
@@ -29,10 +28,7 @@ class StatusLine:
         self._bar = host.gui.add_progress_bar(0.0, visible=False, animated=True)
         self._cancel = host.gui.add_button("Cancel computing", visible=False, color="red")
 
-        @self._cancel.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            on_cancel()
+        on_press(self._cancel, on_cancel)
 
     def computing(self, what: str = "Computing …") -> None:
         """Say that the picture is about to change."""
@@ -41,7 +37,7 @@ class StatusLine:
         self._handle.content = status_html(what, BUSY)
 
     def progress(self, fraction: float) -> None:
-        """Show how far it is, and a way to stop it: it takes longer than one likes to wait.
+        """Show how far it is and a button to cancel it, because it takes long.
 
         Where nothing is being computed any more, nothing is shown.
         """
@@ -51,7 +47,7 @@ class StatusLine:
                 self._bar.visible = self._cancel.visible = True
 
     def preview(self, seconds: float, *, coarse: bool) -> None:
-        """Say that surfaces came, and that what is found on them is being made.
+        """Say that surfaces are shown, and that the rest is being computed.
 
         Args:
             seconds: From the beginning of the computation to the picture.
@@ -79,14 +75,14 @@ class StatusLine:
         )
 
     def stale(self, seconds: float) -> None:
-        """Say that a picture came, and that a newer one is being made."""
+        """Say that a picture is shown, and that a newer one is being computed."""
         self._rest()
         self._handle.content = status_html(
-            f"Computing … (shown: a moment ago, {1000 * seconds:.0f} ms)", BUSY
+            f"Computing … (shown: the picture before, {1000 * seconds:.0f} ms)", BUSY
         )
 
     def cancelled(self) -> None:
-        """Say that the picture is not what the sliders say, because the user wanted it so."""
+        """Say that the picture is out of date because the user cancelled it."""
         self._rest()
         self._handle.content = status_html(
             "Cancelled: move a slider to compute again.", BAD, title="The picture is out of date"
@@ -104,13 +100,13 @@ class StatusLine:
 
 
 def stages_text(stages: Mapping[str, float] | None) -> str:
-    """Write the milliseconds of each stage; those that nothing was computed in are left out.
+    """Write the milliseconds of each stage; stages that computed nothing are left out.
 
     >>> stages_text({"map": 0.12, "matching": 0.0001, "drawing": 0.008})
     'map 120 · drawing 8 ms'
     """
-    told = {stage: s for stage, s in (stages or {}).items() if s >= WORTH_TELLING}
-    return " · ".join(f"{stage} {1000 * s:.0f}" for stage, s in told.items()) + " ms" * bool(told)
+    shown = {stage: s for stage, s in (stages or {}).items() if s >= WORTH_TELLING}
+    return " · ".join(f"{stage} {1000 * s:.0f}" for stage, s in shown.items()) + " ms" * bool(shown)
 
 
 def status_html(text: str, color: str, title: str = "", below: str = "") -> str:

@@ -1,4 +1,4 @@
-"""Poses -> lines: the way of the robot, and the loops that join places along it."""
+"""Lines of the world: the trajectory of the robot, and the loops that join places on it."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ class Loop:
         return self.query, self.database
 
 
-def way(poses: Mapping[str, Pose], lift: float) -> LinePoints:
+def trajectory_lines(poses: Mapping[str, Pose], lift: float) -> LinePoints:
     """Join the submaps' origins in order.
 
     Args:

@@ -8,18 +8,18 @@ from typing import Any
 import viser
 
 from app.viewer.host import Host
-from app.viewer.widgets.html import BAD, BUSY, FAINT, paragraph, table
+from app.viewer.widgets.actions import on_choice, on_option, on_press_by, on_step
+from app.viewer.widgets.html import FAINT, paragraph, table
+from app.viewer.widgets.work_bar import WorkBar
 from app.viewer.world.submaps import WORLD_COLORS, PoseSource, WorldOptions
 
 NOTHING: str = "none"
-COLOR_HINT = (
-    "submap: each its own colour. elevation: height in the world. deviation, gradient: of the "
-    "Gaussian-process maps, which are made when first asked for."
-)
+COLOR_HINT = "submap: each has its own colour. elevation: height in the world. deviation and "
+"gradient: of the Gaussian-process maps, which are made on first use."
 
 
 @dataclass(frozen=True)
-class ExploreCalls:
+class WorldCalls:
     """What the panel calls; all must be quick.
 
     Attributes:
@@ -27,24 +27,22 @@ class ExploreCalls:
         on_select: Given the id of the submap chosen, or None.
         on_step: Given 1 for the next submap, -1 for the previous.
         on_role: Given "query" or "database": the chosen submap is to be that, in Tune.
-        on_look: Called when the camera is to go to the chosen submap.
-        on_all: Called when the camera is to show all.
-        on_cancel: Called when maps that are being made are no longer wanted.
+        on_look: Given the page whose camera is to go to the chosen submap.
+        on_all: Given the page whose camera is to show all.
     """
 
     on_options: Callable[[WorldOptions], None]
     on_select: Callable[[str | None], None]
     on_step: Callable[[int], None]
     on_role: Callable[[str], None]
-    on_look: Callable[[viser.ClientHandle | None], None]
-    on_all: Callable[[viser.ClientHandle | None], None]
-    on_cancel: Callable[[], None]
+    on_look: Callable[[viser.ClientHandle], None]
+    on_all: Callable[[viser.ClientHandle], None]
 
 
-class ExplorePanel:
+class WorldPanel:
     """Widgets of the world and of one submap in it."""
 
-    def __init__(self, host: Host, options: WorldOptions, calls: ExploreCalls) -> None:
+    def __init__(self, host: Host, options: WorldOptions, calls: WorldCalls) -> None:
         """Make the widgets in the current container.
 
         Args:
@@ -60,76 +58,55 @@ class ExplorePanel:
             "Poses",
             (options.poses,),
             initial_value=options.poses,
-            hint="Where the submaps stand: as odometry has them, as the pose graph corrects them, "
-            "or where they truly are.",
+            hint="Which poses the submaps have: from odometry, corrected by the pose graph, or "
+            "true.",
         )
         self._color: viser.GuiDropdownHandle[Any] = gui.add_dropdown(
             "Colour by", WORLD_COLORS, initial_value=options.color, hint=COLOR_HINT
         )
         self._legend = gui.add_html("")
-        self._message = gui.add_html("")
-        self._bar = gui.add_progress_bar(0.0, visible=False, animated=True)
-        self._cancel = gui.add_button("Cancel maps", visible=False, color="red")
-        names = gui.add_checkbox("Names", options.names, hint="Write each submap's id above it.")
-        ways = gui.add_checkbox(
+        self.work_bar = WorkBar(host, "Cancel maps", "world")
+        names = gui.add_checkbox(
+            "Names", options.names, hint="Writes the id of each submap above it."
+        )
+        trajectories = gui.add_checkbox(
             "Trajectories",
             options.trajectories,
-            hint="Orange: odometry. Blue: corrected. Grey: true.",
+            hint="Orange is odometry, blue is corrected, grey is true.",
         )
-        every = gui.add_button("Show all submaps", hint="Brings the camera back.")
+        every = gui.add_button("Show all submaps", hint="Moves the camera back to all submaps.")
         self._chosen: viser.GuiDropdownHandle[str] = gui.add_dropdown(
             "Submap",
             (NOTHING,),
             initial_value=NOTHING,
-            hint="Or click one in the scene.",
+            hint="You can also click a submap in the scene.",
         )
         self._steps = gui.add_button_group(
-            "Step submap", ("previous", "next"), hint="Step along the way."
+            "Step submap", ("previous", "next"), hint="Go to the previous or the next submap."
         )
         self._figures = gui.add_html("")
         self._look = gui.add_button(
-            "Look at it", visible=False, hint="Brings the camera to this submap."
+            "Look at it", visible=False, hint="Moves the camera to this submap."
         )
         self._roles = gui.add_button_group(
             "Tune it as",
             ("query", "database"),
             visible=False,
-            hint="Opens Tune with this submap and the other one that is set there.",
+            hint="Opens this submap in Tune, as the query or the database.",
         )
         for name, handle in (
             ("poses", self._poses),
             ("color", self._color),
             ("names", names),
-            ("trajectories", ways),
+            ("trajectories", trajectories),
         ):
             self._bind(name, handle)
 
-        @every.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            calls.on_all(event.client)
-
-        @self._look.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            calls.on_look(event.client)
-
-        @self._cancel.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            del event
-            calls.on_cancel()
-
-        @self._chosen.on_update
-        async def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id is not None:
-                chosen = event.target.value
-                calls.on_select(None if chosen == NOTHING else chosen)
-
-        @self._steps.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            calls.on_step(1 if event.target.value == "next" else -1)
-
-        @self._roles.on_click
-        async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            calls.on_role(event.target.value)
+        on_press_by(every, calls.on_all)
+        on_press_by(self._look, calls.on_look)
+        on_choice(self._chosen, lambda name: calls.on_select(None if name == NOTHING else name))
+        on_step(self._steps, calls.on_step)
+        on_option(self._roles, calls.on_role)
 
     @property
     def options(self) -> WorldOptions:
@@ -172,28 +149,9 @@ class ExplorePanel:
         """Show what the colours mean, as HTML that is safe."""
         self._legend.content = legend
 
-    def running(self, fraction: float) -> None:
-        """Show how far the maps are."""
-        self._cancel.visible = self._bar.visible = True
-        self._bar.value = 100 * min(max(fraction, 0.0), 1.0)
-        self._message.content = _line(f"Making the maps … {100 * fraction:.0f} %", BUSY)
-
-    def stopped(self, message: str = "", *, bad: bool = False) -> None:
-        """Show that nothing runs, and why if there is something to say."""
-        self._cancel.visible = self._bar.visible = False
-        self._message.content = _line(message, BAD if bad else BUSY) if message else ""
-
     def _bind(self, name: str, handle: viser.GuiInputHandle[Any]) -> None:
-        @handle.on_update
-        async def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id is None:
-                return
-            self._options = replace(self._options, **{name: event.target.value})
+        def change(value: object) -> None:
+            self._options = replace(self._options, **{name: value})
             self._calls.on_options(self._options)
 
-
-def _line(text: str, color: str) -> str:
-    return (
-        f'<div data-testid="world-message" role="status" style="padding:.1em .75em;'
-        f'font-size:.8em;color:{color}">{escape(text)}</div>'
-    )
+        on_choice(handle, change)

@@ -1,4 +1,4 @@
-"""The scene of the world: every submap at its pose, the robot's ways, and the loops between them.
+"""The scene of the world: every submap at its pose, trajectories, and loops.
 
 A submap is a frame with a surface beneath it, so that moving it sends a pose and nothing else.
 """
@@ -15,7 +15,7 @@ from jaxtyping import Float
 from app.viewer.draw.associations import outline
 from app.viewer.draw.colors import Rgb, for_lines
 from app.viewer.draw.layers import Scale
-from app.viewer.draw.nodes import Cloud, Segments
+from app.viewer.draw.nodes import LinesNode, PointsNode
 from app.viewer.draw.placement import Camera, Extent, Placement, frame_camera
 from app.viewer.draw.surfels import Surfels
 from app.viewer.host import Host
@@ -26,10 +26,10 @@ from app.viewer.world.lines import (
     arch_colors,
     arches,
     drawable,
-    way,
+    trajectory_lines,
 )
 from app.viewer.world.submaps import PoseSource, WorldOptions
-from app.viewer.world.surfaces import Sight, make_patch, pick, submap_color, world_scale
+from app.viewer.world.surfaces import Surface, make_patch, pick, submap_color, world_scale
 from gpgrad_core.arrays import Array
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset
@@ -39,7 +39,7 @@ SELECTED: Rgb = (235, 40, 140)
 MAX_NAMES = 60
 """Of more submaps, only every second is named, or every third, …"""
 LIFT = 0.08
-"""How far ways and loops stand above the ground, in widths of a submap."""
+"""How far trajectories and loops stand above the ground, in widths of a submap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +48,9 @@ class World:
 
     Attributes:
         dataset: Whose submaps.
-        sights: A surface of each, by id.
+        surfaces: A surface of each, by id.
         poses: ``T_world_submap`` of each that stands somewhere, by id.
-        ways: Poses along each way to draw, by where they come from.
+        trajectories: Poses along each trajectory to draw, by where they come from.
         options: How it is drawn.
         loops: Pairs to join.
         selected: Id of the submap to outline.
@@ -59,9 +59,9 @@ class World:
     """
 
     dataset: Dataset
-    sights: Mapping[str, Sight]
+    surfaces: Mapping[str, Surface]
     poses: Mapping[str, Pose]
-    ways: Mapping[PoseSource, Mapping[str, Pose]]
+    trajectories: Mapping[PoseSource, Mapping[str, Pose]]
     options: WorldOptions = field(default_factory=WorldOptions)
     loops: tuple[Loop, ...] = ()
     selected: str | None = None
@@ -77,14 +77,14 @@ class WorldScene:
         self._host = host
         self._root = host.scene.add_frame(WORLD, show_axes=False, visible=visible)
         self._nodes: list[_Node] = []
-        self._ways: dict[PoseSource, Segments] = {
-            source: Segments(host, f"{WORLD}/ways/{source}", color, thickness=3.0)
+        self._trajectories: dict[PoseSource, LinesNode] = {
+            source: LinesNode(host, f"{WORLD}/trajectories/{source}", color, thickness=3.0)
             for source, color in TRAJECTORY_COLORS.items()
         }
         self._loops = _Loops(host, f"{WORLD}/loops")
-        self._refused = Segments(host, f"{WORLD}/refused", REFUSED_LOOP, thickness=1.5)
-        self._marked = Segments(host, f"{WORLD}/marked", SELECTED, thickness=6.0)
-        self._outline = Segments(host, f"{WORLD}/selected", SELECTED, thickness=4.0)
+        self._refused = LinesNode(host, f"{WORLD}/refused", REFUSED_LOOP, thickness=1.5)
+        self._marked = LinesNode(host, f"{WORLD}/marked", SELECTED, thickness=6.0)
+        self._outline = LinesNode(host, f"{WORLD}/selected", SELECTED, thickness=4.0)
         self._origin = np.zeros(3)
         self._shown: World | None = None
         self._lift = 0.0
@@ -132,20 +132,22 @@ class WorldScene:
         return move
 
     def _show(self, world: World, at: Mapping[str, Pose]) -> Scale | None:
-        sights = {name: sight for name, sight in world.sights.items() if name in world.poses}
+        surfaces = {
+            name: surface for name, surface in world.surfaces.items() if name in world.poses
+        }
         before = self._shown
         with self._host.atomic():
             if before is None or before.dataset is not world.dataset:
                 self._origin = _middle(world.poses)
                 self._lift = LIFT * _width(world.dataset)
-            scale = world_scale(sights, dict(world.poses), world.options.color)
+            scale = world_scale(surfaces, dict(world.poses), world.options.color)
             self._fit_nodes(len(world.dataset.submaps))
             for place, submap in enumerate(world.dataset.submaps):
-                node, sight = self._nodes[place], sights.get(submap.id)
-                if sight is None:
+                node, surface = self._nodes[place], surfaces.get(submap.id)
+                if surface is None:
                     node.hide()
                     continue
-                node.show(submap.id, sight, world, scale, place)
+                node.show(submap.id, surface, world, scale, place)
             self._shown = world
             self._place(at)
         self._host.flush()
@@ -182,7 +184,7 @@ class WorldScene:
         return frame_camera(((Extent.of(submap), self._placement(self._shown.poses[name])),))
 
     def path(self) -> Float[Array, "n 3"]:
-        """Give the way along the submaps as the scene has it [m]."""
+        """Give the trajectory along the submaps in the scene [m]."""
         if self._shown is None:
             return np.zeros((0, 3))
         points = [pose.translation - self._origin for pose in self._shown.poses.values()]
@@ -195,7 +197,7 @@ class WorldScene:
             self._nodes.append(_Node(self._host, f"{WORLD}/submaps/{len(self._nodes)}"))
 
     def _place(self, poses: Mapping[str, Pose]) -> None:
-        """Move frames to poses, and draw the ways and loops that end there."""
+        """Move the frames to poses, and draw trajectories and loops between them."""
         world = self._shown
         assert world is not None
         for node in self._nodes:
@@ -203,23 +205,23 @@ class WorldScene:
             if pose is not None:
                 node.move(pose.translation - self._origin, pose)
         local = {name: self._local(pose) for name, pose in poses.items()}
-        self._place_ways(world, local)
+        self._place_trajectories(world, local)
         self._place_loops(world, local)
         self._place_outline(world, local)
 
-    def _place_ways(self, world: World, local: Mapping[str, Pose]) -> None:
-        for source, segments in self._ways.items():
-            known = world.ways.get(source)
+    def _place_trajectories(self, world: World, local: Mapping[str, Pose]) -> None:
+        for source, segments in self._trajectories.items():
+            known = world.trajectories.get(source)
             if known is None or not world.options.trajectories:
                 segments.hide()
                 continue
-            # The way that the submaps stand on goes along when they move.
+            # The trajectory that the submaps stand on moves along with them.
             along = (
                 local
                 if source == world.options.poses
                 else {name: self._local(pose) for name, pose in known.items()}
             )
-            points = way(along, self._lift)
+            points = trajectory_lines(along, self._lift)
             segments.show((points.tobytes(),), lambda points=points: points)
 
     def _place_loops(self, world: World, local: Mapping[str, Pose]) -> None:
@@ -268,23 +270,25 @@ class _Node:
         self.name = ""
         self.surfels: Surfels | None = None
         self._frame = host.scene.add_frame(root, show_axes=False)
-        self.surface = Cloud(host, f"{root}/surface")
+        self.surface = PointsNode(host, f"{root}/surface")
         self._label = host.scene.add_label(f"{root}/name", "", anchor="bottom-center")
 
-    def show(self, name: str, sight: Sight, world: World, scale: Scale | None, place: int) -> None:
+    def show(
+        self, name: str, surface: Surface, world: World, scale: Scale | None, place: int
+    ) -> None:
         """Show a submap, unless it is shown just so."""
-        count, color, pose = len(world.sights), world.options.color, world.poses[name]
+        count, color, pose = len(world.surfaces), world.options.color, world.poses[name]
         self.name = name
         self._frame.visible = True
 
         def make() -> tuple[Any, Any, float]:
-            made = make_patch(sight, pose, color, scale, submap_color(place), count)
+            made = make_patch(surface, pose, color, scale, submap_color(place), count)
             self.surfels = made
             return made.positions, made.colors, made.size
 
         height = float(pose.translation[2]) if color == "elevation" else 0.0
         look = (color, scale, place, count, pose.planar.yaw, height)
-        self.surface.show((sight.gradient_map, sight.max_std_ratio, *look), make)
+        self.surface.show((surface.gradient_map, surface.max_std_ratio, *look), make)
         every = -(-len(world.dataset.submaps) // MAX_NAMES)
         named = world.options.names and (place % every == 0 or name == world.selected)
         self._label.visible = named
@@ -301,12 +305,12 @@ class _Node:
         self._frame.wxyz = np.array([w, x, y, z])
 
     def hide(self) -> None:
-        """Take it out of sight."""
+        """Hide it."""
         self._frame.visible = False
         self.name, self.surfels = "", None
 
     def remove(self) -> None:
-        """Take it out of the scene, and free what the pages hold of it."""
+        """Remove it from the scene and from the pages."""
         self._frame.remove()
 
 

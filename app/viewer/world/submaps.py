@@ -1,4 +1,4 @@
-"""The whole dataset in one frame: where its submaps stand, and what there is to say of each."""
+"""The whole dataset in one frame: the poses and the statistics of its submaps."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class WorldOptions:
         poses: Which poses the submaps stand at.
         color: What colours them.
         names: Write its id above each submap.
-        trajectories: Draw the ways of the robot, by each source of poses there is.
+        trajectories: Draw the trajectory of each source of poses.
         loops: Draw the accepted loop closures.
         refused: Draw the pairs that were refused too.
     """
@@ -44,7 +44,7 @@ class WorldOptions:
 def pose_sources(
     dataset: Dataset, corrected: Mapping[str, Pose] | None = None
 ) -> tuple[PoseSource, ...]:
-    """List where poses can come from, the robot's own first; "in rows" where there are none."""
+    """List where poses can come from, odometry first; "in rows" where there are none."""
     found: list[PoseSource] = []
     if any(submap.pose_odometry for submap in dataset.submaps):
         found.append("odometry")
@@ -73,7 +73,7 @@ def poses_of(
 
 
 def _in_rows(dataset: Dataset) -> dict[str, Pose]:
-    """Lay submaps without poses out in a square, to be looked at beside each other."""
+    """Lay submaps without poses out in rows."""
     middles = [
         (submap.points.min(axis=0) + submap.points.max(axis=0)) / 2 for submap in dataset.submaps
     ]
@@ -90,7 +90,7 @@ def _in_rows(dataset: Dataset) -> dict[str, Pose]:
 
 @dataclass(frozen=True)
 class Statistics:
-    """What there is to say of one submap.
+    """Statistics of one submap.
 
     Attributes:
         num_points: Of the cloud.

@@ -1,4 +1,4 @@
-"""All submaps at once: a light surface of each, told apart or compared by its colour.
+"""All submaps at once: a light surface of each, coloured by submap or by value.
 
 Two kinds of surface serve. A smoothed grid takes a hundredth of a second a submap, and shows
 shape and height; deviation and gradient need the Gaussian process, whose maps the pipeline makes
@@ -48,15 +48,15 @@ NEEDS_INFERENCE: tuple[WorldColor, ...] = ("deviation", "gradient")
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class Surface:
     """One submap as the world shows it: a map and which of its cells are to be trusted."""
 
     gradient_map: GradientMap
     max_std_ratio: float
 
 
-def quick_sight(submap: Submap, params: PipelineParams, memo: Memo, num_submaps: int) -> Sight:
-    """Make the smoothed grid of a submap, as coarse as so many of them ask for.
+def quick_surface(submap: Submap, params: PipelineParams, memo: Memo, num_submaps: int) -> Surface:
+    """Make the smoothed grid of a submap, coarser the more submaps there are.
 
     Raises:
         InputError: If the grid would be too large.
@@ -71,46 +71,55 @@ def quick_sight(submap: Submap, params: PipelineParams, memo: Memo, num_submaps:
         signal_std=None,
     )
     made = memo(smoothed_map, submap, PipelineParams(map=light))
-    return Sight(made, SMOOTHED_RATIO)
+    return Surface(made, SMOOTHED_RATIO)
 
 
-def inferred_sight(
+def inferred_surface(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
-) -> Sight:
-    """Infer a submap's gradient map: the full one if it is at hand, and else a coarse one.
+) -> Surface:
+    """Infer a submap's gradient map: the full one if the memo has it, and else a coarse one.
 
     Raises:
         InputError: If the map cannot be made.
     """
-    return Sight(infer_quick_map(submap, params.map, memo, progress), params.features.max_std_ratio)
+    return Surface(
+        infer_quick_map(submap, params.map, memo, progress), params.features.max_std_ratio
+    )
 
 
 def world_scale(
-    sights: dict[str, Sight], poses: dict[str, Pose], color: WorldColor
+    surfaces: dict[str, Surface], poses: dict[str, Pose], color: WorldColor
 ) -> Scale | None:
     """Choose one range of colours for all submaps; None where each has its own colour.
 
     Args:
-        sights: By id.
+        surfaces: By id.
         poses: Of each; they give the heights.
         color: What colours them.
     """
-    if color == "submap" or not sights:
+    if color == "submap" or not surfaces:
         return None
     layer = LAYER_OF[color]
-    lifts = [float(poses[name].translation[2]) if color == "elevation" else 0.0 for name in sights]
-    ratio = min(sight.max_std_ratio for sight in sights.values())
-    maps = tuple(sight.gradient_map for sight in sights.values())
+    lifts = [
+        float(poses[name].translation[2]) if color == "elevation" else 0.0 for name in surfaces
+    ]
+    ratio = min(surface.max_std_ratio for surface in surfaces.values())
+    maps = tuple(surface.gradient_map for surface in surfaces.values())
     return shared_scale(maps, layer, "automatic", ratio, tuple(lifts))
 
 
 def make_patch(
-    sight: Sight, pose: Pose, color: WorldColor, scale: Scale | None, tint: Rgb, num_submaps: int
+    surface: Surface,
+    pose: Pose,
+    color: WorldColor,
+    scale: Scale | None,
+    tint: Rgb,
+    num_submaps: int,
 ) -> Surfels:
     """Turn one submap into coloured squares in its own frame.
 
     Args:
-        sight: What to draw.
+        surface: What to draw.
         pose: Where it stands: for the light and the height.
         color: What colours it.
         scale: What the colours mean; None for the one colour ``tint``.
@@ -118,19 +127,19 @@ def make_patch(
         num_submaps: That share the cells there may be.
     """
     return make_surfels(
-        sight.gradient_map,
+        surface.gradient_map,
         scale or Scale("", "", "viridis", 0.0, 1.0),
         layer=LAYER_OF[color],
-        max_std_ratio=sight.max_std_ratio,
+        max_std_ratio=surface.max_std_ratio,
         yaw=pose.planar.yaw,
         offset=float(pose.translation[2]) if color == "elevation" else 0.0,
-        stride=stride_for(sight.gradient_map.grid.num_cells, max(1, MAX_CELLS // num_submaps)),
+        stride=stride_for(surface.gradient_map.grid.num_cells, max(1, MAX_CELLS // num_submaps)),
         tint=tint if scale is None else None,
     )
 
 
 def submap_color(place: int) -> Rgb:
-    """Give a submap its own colour, unlike those of its neighbours along the way."""
+    """Give a submap its own colour, unlike those of its neighbours along the trajectory."""
     red, green, blue = colorsys.hls_to_rgb((0.58 + GOLDEN_TURN * place) % 1.0, 0.62, 0.5)
     return round(255 * red), round(255 * green), round(255 * blue)
 

@@ -1,4 +1,4 @@
-"""Explore: wires the panel of the world to a runner, and the runner to the world's scene."""
+"""The World tab: wires its panel to a worker, and the worker to the world's scene."""
 
 import threading
 from collections.abc import Callable, Mapping
@@ -7,19 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import viser
 
-from app.viewer.capacity import Turns
 from app.viewer.draw.animation import Animation, ease, play
 from app.viewer.draw.cameras import set_start, set_view
-from app.viewer.draw.colors import legend_uri
 from app.viewer.draw.layers import Scale
 from app.viewer.draw.placement import Camera
-from app.viewer.feature import Part
-from app.viewer.host import Host, pages
-from app.viewer.pair.panel import legend_html
-from app.viewer.runner import Runner
+from app.viewer.feature import Desk, Feature
+from app.viewer.host import pages
 from app.viewer.state import ViewState
+from app.viewer.widgets.legend import legend_html
+from app.viewer.work import Work
 from app.viewer.world.lines import Loop
-from app.viewer.world.panel import ExploreCalls, ExplorePanel
+from app.viewer.world.panel import WorldCalls, WorldPanel
 from app.viewer.world.scene import World, WorldScene
 from app.viewer.world.submaps import (
     PoseSource,
@@ -29,8 +27,7 @@ from app.viewer.world.submaps import (
     poses_of,
     statistics_rows,
 )
-from app.viewer.world.surfaces import NEEDS_INFERENCE, Sight, inferred_sight, quick_sight
-from gpgrad_core.run.memo import Memo
+from app.viewer.world.surfaces import NEEDS_INFERENCE, Surface, inferred_surface, quick_surface
 from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import OptimisedGraph
@@ -61,80 +58,66 @@ class Correction:
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class _Drawing:
     state: ViewState
     options: WorldOptions
     correction: Correction
     selected: str | None
     relaxing: bool = False  # move from odometry to the corrected poses
 
+    @property
+    def infers(self) -> bool:
+        """Whether it needs maps of the Gaussian process, which take a while."""
+        return self.options.color in NEEDS_INFERENCE
+
 
 @dataclass(frozen=True, eq=False)
-class _Picture:
+class _DrawnWorld:
     world: World
     scale: Scale | None
 
 
-class Explore(Part):
+class WorldTab(Feature):
     """The world in which all submaps lie; drawn only while it is looked at."""
 
-    def __init__(
-        self,
-        host: Host,
-        state: ViewState,
-        memo: Memo,
-        turns: Turns,
-        *,
-        on_tune: Callable[[str, str], None],
-        message_of: Callable[[Exception], str],
-    ) -> None:
-        """Make the panel in the current container.
-
-        Args:
-            host: Whose GUI and scene it joins.
-            state: The session as it is.
-            memo: Shared with the pair that is shown.
-            turns: Held while maps are made.
-            on_tune: Given the query and the database to tune; must be quick.
-            message_of: Says what went wrong in one line.
-        """
-        self._host = host
-        self._memo = memo
-        self._message_of = message_of
-        self._on_tune = on_tune
+    def __init__(self, desk: Desk) -> None:
+        """Make the panel in the current container."""
+        self._desk = desk
+        self._host = desk.host
         self._lock = threading.Lock()
-        self._state = state
-        self._options = WorldOptions(poses=pose_sources(state.dataset)[0])
+        self._state = desk.state
+        self._options = WorldOptions(poses=pose_sources(desk.state.dataset)[0])
         self._correction = Correction()
         self._selected: str | None = None
-        self._picture: _Picture | None = None
+        self._drawn: _DrawnWorld | None = None
         self._framed: object = None  # the dataset that the cameras were brought to
-        self.scene = WorldScene(host)
-        self._panel = ExplorePanel(
-            host,
+        self.scene = WorldScene(desk.host)
+        self._panel = WorldPanel(
+            desk.host,
             self._options,
-            ExploreCalls(
+            WorldCalls(
                 on_options=lambda options: self._change(options=options),
                 on_select=self.select,
                 on_step=self._step,
                 on_role=self._tune,
                 on_look=self._look,
                 on_all=self._show_all,
-                on_cancel=self._cancel,
             ),
         )
         self._offer()
         self._panel.select(None, ())
-        self._runner: Runner[_Job, _Picture] = Runner(
+        self._work: Work[_Drawing, _DrawnWorld] = Work(
+            self._panel.work_bar,
+            lambda job: "Making the maps" if job.infers else "",
             self._draw,
             self._on_result,
-            lambda job, error: self._panel.stopped(message_of(error), bad=True),  # noqa: ARG005
             on_cancel=self._on_cancel,
-            turns=turns.pictures,
+            slots=desk.capacity.pictures,
             name="world",
         )
+        self.workers = (self._work,)
 
-        @host.scene.on_click()
+        @desk.host.scene.on_click()
         def _(event: viser.SceneClickEvent) -> None:
             if self.scene.visible:
                 self._click(event.ray_origin, event.ray_direction)
@@ -202,12 +185,12 @@ class Explore(Part):
     @property
     def world(self) -> World | None:
         """What is shown, or was last."""
-        return None if self._picture is None else self._picture.world
+        return None if self._drawn is None else self._drawn.world
 
     @property
     def scale(self) -> Scale | None:
         """What its colours mean."""
-        return None if self._picture is None else self._picture.scale
+        return None if self._drawn is None else self._drawn.scale
 
     @property
     def graph(self) -> OptimisedGraph | None:
@@ -217,14 +200,6 @@ class Explore(Part):
     def camera(self) -> Camera | None:
         """Give the view that shows all."""
         return self.scene.camera()
-
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until nothing runs; says whether that came true within the timeout [s]."""
-        return self._runner.wait_idle(timeout)
-
-    def close(self) -> None:
-        """Stop."""
-        self._runner.close()
 
     # What the widgets and the mouse ask for; quick.
 
@@ -243,8 +218,8 @@ class Explore(Part):
         if not self.scene.visible:
             return
         with self._lock:
-            job = _Job(self._state, self._options, self._correction, self._selected, relaxing)
-        self._runner.submit(job)
+            job = _Drawing(self._state, self._options, self._correction, self._selected, relaxing)
+        self._work.start(job)
 
     def _step(self, step: int) -> None:
         ids = [submap.id for submap in self._state.dataset.submaps]
@@ -254,15 +229,15 @@ class Explore(Part):
             self.select(ids[0] if step > 0 else ids[-1])
 
     def _tune(self, role: str) -> None:
-        """Tune the chosen submap with the one that has the other role, or a neighbour of it."""
+        """Show the chosen submap in Tune, with the submap that has the other role there."""
         state, chosen = self._state, self._selected
         if chosen is None:
             return
         query, database = state.query_id, state.database_id
         if role == "query":
-            self._on_tune(chosen, database if database != chosen else query)
+            self._desk.tune(chosen, database if database != chosen else query)
         else:
-            self._on_tune(query if query != chosen else database, chosen)
+            self._desk.tune(query if query != chosen else database, chosen)
 
     def _click(
         self, origin: tuple[float, float, float], toward: tuple[float, float, float]
@@ -271,35 +246,28 @@ class Explore(Part):
         if hit is not None:
             self.select(hit)
 
-    def _look(self, client: viser.ClientHandle | None) -> None:
+    def _look(self, page: viser.ClientHandle) -> None:
         if self._selected is not None:
-            self._bring(client, self.scene.camera_at(self._selected))
+            _bring(page, self.scene.camera_at(self._selected))
 
-    def _show_all(self, client: viser.ClientHandle | None) -> None:
-        self._bring(client, self.camera())
-
-    def _bring(self, client: viser.ClientHandle | None, camera: Camera | None) -> None:
-        if client is not None and camera is not None:
-            set_view(client, camera)
-
-    def _cancel(self) -> None:
-        self._runner.cancel()
+    def _show_all(self, page: viser.ClientHandle) -> None:
+        _bring(page, self.camera())
 
     # What the worker does.
 
-    def _draw(self, job: _Job, progress: Progress) -> _Picture:
+    def _draw(self, job: _Drawing, progress: Progress) -> _DrawnWorld:
         dataset, options, correction = job.state.dataset, job.options, job.correction
-        sights = self._sights(job, progress)
-        ways: dict[PoseSource, Mapping[str, Pose]] = {
+        surfaces = self._surfaces(job, progress)
+        trajectories: dict[PoseSource, Mapping[str, Pose]] = {
             source: poses_of(dataset, source, correction.corrected)
             for source in pose_sources(dataset, correction.corrected)
             if source != "in rows"
         }
         world = World(
             dataset,
-            sights,
+            surfaces,
             poses_of(dataset, options.poses, correction.corrected),
-            ways,
+            trajectories,
             options,
             correction.loops,
             job.selected,
@@ -308,31 +276,29 @@ class Explore(Part):
         )
         graph = correction.graph
         if not job.relaxing or graph is None:
-            return _Picture(world, self.scene.show(world))
+            return _DrawnWorld(world, self.scene.show(world))
         scale = self.scene.show(world, at=graph.at(0.0))
-        play(relaxation(graph, self.scene.mover()), progress)
-        return _Picture(world, scale)
+        # The maps are there by now; what moves is no progress, but can be cancelled.
+        play(relaxation(graph, self.scene.mover()), lambda _: progress(1.0))
+        return _DrawnWorld(world, scale)
 
-    def _sights(self, job: _Job, progress: Progress) -> dict[str, Sight]:
+    def _surfaces(self, job: _Drawing, progress: Progress) -> dict[str, Surface]:
         submaps, params = job.state.dataset.submaps, job.state.params
-        inferring = job.options.color in NEEDS_INFERENCE
-        sights: dict[str, Sight] = {}
+        surfaces: dict[str, Surface] = {}
         for place, submap in enumerate(submaps):
-            if inferring:
-                self._panel.running(place / len(submaps))
+            if job.infers:
                 of_one = part(progress, place / len(submaps), (place + 1) / len(submaps))
-                sights[submap.id] = inferred_sight(submap, params, self._memo, of_one)
+                surfaces[submap.id] = inferred_surface(submap, params, self._desk.memo, of_one)
             else:
-                sights[submap.id] = quick_sight(submap, params, self._memo, len(submaps))
+                surfaces[submap.id] = quick_surface(submap, params, self._desk.memo, len(submaps))
                 progress((place + 1) / len(submaps))
-        return sights
+        return surfaces
 
-    def _on_result(self, job: _Job, picture: _Picture, seconds: float) -> None:
-        self._picture = picture
-        self._panel.stopped()
-        self._panel.show_summary(_summary(picture.world, self.scene.num_cells, seconds))
-        self._panel.show_legend(world_legend(picture.scale))
-        if job.selected is not None and job.options.color in NEEDS_INFERENCE:
+    def _on_result(self, job: _Drawing, drawn: _DrawnWorld, seconds: float) -> None:
+        self._drawn = drawn
+        self._panel.show_summary(_summary(drawn.world, self.scene.num_cells, seconds))
+        self._panel.show_legend(legend_html(drawn.scale))
+        if job.selected is not None and job.infers:
             self._panel.select(job.selected, self._figures(job.selected))
         if self._framed is not job.state.dataset:
             self._framed = job.state.dataset
@@ -344,53 +310,42 @@ class Explore(Part):
                     set_view(client, camera)
         self._host.flush()
 
-    def _on_cancel(self, job: _Job) -> None:
-        """Go back to colours that need no maps."""
+    def _on_cancel(self, job: _Drawing) -> None:
+        """Go back to colours that need no inferred maps."""
         del job
         self._change(options=replace(self._options, color="submap"))
-        self._panel.stopped("Cancelled.")
 
     def _figures(self, name: str) -> tuple[tuple[str, str], ...]:
         corrected = (self._correction.corrected or {}).get(name)
         rows = statistics_rows(measure(self._state.dataset.submap(name), corrected))
-        sight = None if self.world is None else self.world.sights.get(name)
-        if sight is None or self._options.color not in NEEDS_INFERENCE:
+        surface = None if self.world is None else self.world.surfaces.get(name)
+        if surface is None or self._options.color not in NEEDS_INFERENCE:
             return rows
-        trusted = sight.gradient_map.trusted(sight.max_std_ratio)
+        trusted = surface.gradient_map.trusted(surface.max_std_ratio)
         if not trusted.any():
             return rows
         return (
             *rows,
-            ("median deviation", f"{np.median(sight.gradient_map.std[trusted]):.4f} m"),
-            ("median gradient", f"{np.median(sight.gradient_map.gradient[trusted]):.3f} m/m"),
+            ("median deviation", f"{np.median(surface.gradient_map.std[trusted]):.4f} m"),
+            ("median gradient", f"{np.median(surface.gradient_map.gradient[trusted]):.3f} m/m"),
         )
 
 
 def relaxation(graph: OptimisedGraph, move: Callable[[Mapping[str, Pose]], None]) -> Animation:
-    """Let the world relax from odometry to the corrected poses, as the solver went."""
+    """Animate the world from odometry to the corrected poses, as the solver went."""
     return Animation(RELAXING_SECONDS, lambda share: move(graph.at(ease(share))), rest=1.5)
 
 
-def world_legend(scale: Scale | None) -> str:
-    """Say what the colours of the world mean, as HTML."""
-    if scale is None:
-        return ""
-    return legend_html(
-        legend_uri(scale.color_map),
-        scale.label,
-        scale.unit,
-        low=scale.low,
-        high=scale.high,
-    )
+def _bring(page: viser.ClientHandle, camera: Camera | None) -> None:
+    if camera is not None:
+        set_view(page, camera)
 
 
 def _summary(world: World, num_cells: int, seconds: float) -> tuple[str, ...]:
     count, shown = len(world.dataset.submaps), len(world.poses)
     lines = [f"{shown} submaps · {num_cells:,} cells · {1000 * seconds:.0f} ms"]
     if world.options.poses == "in rows":
-        lines.append("The dataset has no poses: the submaps lie in rows.")
+        lines.append("The dataset has no poses, so the submaps lie in rows.")
     elif shown < count:
-        lines.append(
-            f"{count - shown} of {count} submaps have no pose of this kind and are not shown."
-        )
+        lines.append(f"{count - shown} of {count} submaps have no such pose and are not shown.")
     return tuple(lines)

@@ -36,7 +36,7 @@ class FakeViewer:
     source: str = ""
     sessions: str = "shared"
     saved: object = None
-    places: object = None
+    permissions: object = None
     url: str = "http://127.0.0.1:8080"
     closed: bool = False
 
@@ -138,4 +138,4 @@ def test_help_tells_the_unit_and_the_range_from_the_bounds(
     with pytest.raises(SystemExit, match="0"):
         parse(Verb, "verb", ["--help"], "Does it.")
     said = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "--width FLOAT How wide. From 0.5 to 20,000 m. (default: 2.0)" in said
+    assert "--width FLOAT How wide. Range: 0.5 to 20,000 m. (default: 2.0)" in said

@@ -2,22 +2,24 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
 import viser
 
-from app.viewer import session as app_session
-from app.viewer.all_pairs.judging import Judged, Survey
-from app.viewer.capacity import Turns
-from app.viewer.data.tab import Opened
+from app.viewer.capacity import Capacity
 from app.viewer.demo import tab as demo_module
-from app.viewer.pose_graph.tab import PoseGraph, result_rows
+from app.viewer.demo.tab import DemoTab
+from app.viewer.feature import Feature
+from app.viewer.nudge.tab import NudgeTab
+from app.viewer.opened import Opened
+from app.viewer.pair import tab as pair_module
+from app.viewer.pose_graph.tab import PoseGraphTab, result_rows
 from app.viewer.session import Session
 from app.viewer.state import ViewState
 from app.viewer.world import tab as explore_module
-from gpgrad_core.pipeline import DetectionResult, PairResult, PipelineParams
+from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration
@@ -80,41 +82,49 @@ def make_true_result(state: ViewState) -> PairResult:
     return make_result(replace(state, dataset=replace(state.dataset, submaps=true)))
 
 
-def judged() -> Judged:
-    survey = Survey(DATASET, PipelineParams(), DetectionResult(CLOSURES, {"total": 1.0}), None)
-    return Judged(survey, CLOSURES, None, ("accepted", "accepted", "refused"))
+def judge(session: Session) -> None:
+    """Let the session know all pairs as judged."""
+    session.desk.judged(DATASET, CLOSURES)
 
 
 @pytest.fixture
 def session(monkeypatch: pytest.MonkeyPatch, server: viser.ViserServer) -> Iterator[Session]:
-    monkeypatch.setattr(app_session, "register_pair", FakePipeline(make_true_result))
+    monkeypatch.setattr(pair_module, "register_pair", FakePipeline(make_true_result))
     for module, name in ((explore_module, "RELAXING_SECONDS"), (demo_module, "GLIDING_SECONDS")):
         monkeypatch.setattr(module, name, 0.2)
-    made = Session(server, Opened(DATASET, PipelineParams(), ""), Memo(), Turns())
+    made = Session(server, Opened(DATASET, PipelineParams(), ""), Memo(), Capacity())
     assert made.wait_idle(20)
     yield made
     made.close()
 
 
 def gui(session: Session) -> Any:
-    return session._host
+    return session.desk.host
 
 
 def node(session: Session, name: str) -> Any:
     return gui(session).scene._handle_from_node_name[name]
 
 
-def go(session: Session, way: str) -> None:
-    user_sets(find(gui(session), "Way"), way)
+def go(session: Session, mode: str) -> None:
+    user_sets(find(gui(session), "Mode"), mode)
     assert session.wait_idle(20)
 
 
-def graph(session: Session) -> PoseGraph:
-    return session._stage.graph
+def graph(session: Session) -> PoseGraphTab:
+    return session.pose_graph
+
+
+F = TypeVar("F", bound=Feature)
+
+
+def feature(session: Session, kind: type[F]) -> F:
+    (found,) = (one for one in session.desk.features if isinstance(one, kind))
+    return found
 
 
 def message(session: Session) -> str:
-    return graph(session)._panel._message.content
+    return graph(session)._panel.work_bar.said
 
 
 def test_the_world_is_drawn_when_it_is_looked_at(session: Session) -> None:
@@ -131,7 +141,7 @@ def test_the_world_is_drawn_when_it_is_looked_at(session: Session) -> None:
 
 def test_a_click_chooses_the_submap_under_it(session: Session) -> None:
     go(session, "Explore")
-    explore = session._stage._explore
+    explore = session.world
     position = np.array(node(session, "/world/submaps/2").position)
     above = tuple(np.add(position, (0.0, 0.0, 20.0)))
     explore._click(above, (0.0, 0.0, -1.0))
@@ -153,7 +163,7 @@ def test_colours_that_need_maps_make_them(session: Session) -> None:
     go(session, "Explore")
     user_sets(find(gui(session), "Colour by"), "deviation")
     assert session.wait_idle(60)
-    explore = session._stage._explore
+    explore = session.world
     assert "Standard deviation" in explore._panel._legend.content
     assert "median deviation" not in explore._panel._figures.content
     explore.select("000")
@@ -165,7 +175,7 @@ def test_the_map_relaxes_by_the_accepted_closures(session: Session) -> None:
     go(session, "Explore")
     user_presses(find(gui(session), "Optimise"))
     assert "No closure is accepted" in message(session)
-    graph(session).judged(judged())
+    judge(session)
     assert session.wait_idle(20)
     assert "2 closures accepted of 3 pairs" in graph(session)._panel._summary.content
     assert node(session, "/world/loops").visible
@@ -184,7 +194,7 @@ def test_the_map_relaxes_by_the_accepted_closures(session: Session) -> None:
 
 def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> None:
     go(session, "Explore")
-    graph(session).judged(judged())
+    judge(session)
     user_presses(find(gui(session), "Optimise"))
     assert session.wait_idle(30)
     listed = find(gui(session), "Loop")
@@ -204,8 +214,8 @@ def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> 
 
 def test_another_dataset_has_another_graph(session: Session) -> None:
     go(session, "Explore")
-    graph(session).judged(judged())
-    session._take_opened(Opened(make_dataset(name="other"), PipelineParams(), ""))
+    judge(session)
+    session.desk.open(Opened(make_dataset(name="other"), PipelineParams(), ""))
     assert session.wait_idle(20)
     assert graph(session).closures == ()
     assert "No closures yet" in graph(session)._panel._summary.content
@@ -219,12 +229,12 @@ def test_a_closure_glides_into_place(session: Session) -> None:
     assert session.state.options.layout == "registered"
     assert find(gui(session), "Layout").value == "registered"
     registered = np.array(node(session, "/pair/query").position)
-    motion = session._stage  # the query ends where it registers
-    assert motion is not None
     database = np.array(node(session, "/pair/database").position)
     np.testing.assert_allclose((registered - database)[:2], [1.0, -0.5], atol=1e-6)
     user_sets(find(gui(session), "Play"), "pose graph")
-    assert "Optimise the pose graph first" in session._stage.parts[2]._panel._message.content  # type: ignore[attr-defined]
+    assert (
+        "Optimise the pose graph in Explore first" in feature(session, DemoTab)._panel.work_bar.said
+    )
 
 
 def test_the_query_is_nudged_and_refined(session: Session) -> None:
@@ -232,9 +242,9 @@ def test_the_query_is_nudged_and_refined(session: Session) -> None:
     assert session.wait_idle(20)
     gizmo = node(session, "/pair/nudge")
     start = np.array(node(session, "/pair/query").position)
-    nudge = next(part for part in session._parts if type(part).__name__ == "Nudge")
+    nudge = feature(session, NudgeTab)
     gizmo.position = tuple(np.add(gizmo.position, (0.15, -0.1, 0.0)))
-    nudge._moved()  # type: ignore[attr-defined]
+    nudge._moved()
     moved = np.array(node(session, "/pair/query").position)
     np.testing.assert_allclose((moved - start)[:2], [0.15, -0.1], atol=1e-6)
     assert find(gui(session), "Use in the pose graph").disabled

@@ -206,7 +206,7 @@ def test_a_job_cancelled_before_the_worker_took_it_is_told_of() -> None:
         lambda job, result, seconds: None,  # noqa: ARG005
         lambda job, error: None,  # noqa: ARG005
         on_cancel=told.append,
-        turns=threading.Semaphore(0),  # its turn never comes
+        slots=threading.Semaphore(0),  # its turn never comes
     )
     for job in range(200):  # at whatever moment the worker is
         runner.submit(job)

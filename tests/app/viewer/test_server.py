@@ -4,20 +4,20 @@ from contextlib import suppress
 
 import pytest
 
-from app.viewer import session as app_session
-from app.viewer.server import Sessions, Viewer
+from app.viewer.pair import tab as pair_module
+from app.viewer.server import Sharing, Viewer
 from tests.app.page import ProtocolPage
 from tests.app.synthetic import FakePipeline, make_dataset, needing
 
-Serve = Callable[[Sessions], Viewer]
+Serve = Callable[[Sharing], Viewer]
 
 
 @pytest.fixture
 def serve(monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
-    monkeypatch.setattr(app_session, "register_pair", FakePipeline())
+    monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
     viewers: list[Viewer] = []
 
-    def start(sessions: Sessions) -> Viewer:
+    def start(sessions: Sharing) -> Viewer:
         viewers.append(Viewer(make_dataset(), needing(8), port=0, sessions=sessions))
         return viewers[-1]
 
@@ -72,20 +72,20 @@ def test_in_a_shared_session_all_see_the_same(serve: Serve, visit: Visit) -> Non
     viewer = serve("shared")
     first, second = visit(viewer), visit(viewer)
     for page in (first, second):
-        page.wait(lambda page=page: "2 pages are open" in page.html(), "the number of pages")
+        page.wait(lambda page=page: "2 pages share" in page.html(), "the number of pages")
     first.set("Minimum inliers", 20)
     for page in (first, second):
-        page.wait(lambda page=page: "of 20 needed" in page.html(), "the verdict")
+        page.wait(lambda page=page: "(threshold 20)" in page.html(), "the verdict")
         page.wait(lambda page=page: "Up to date" in page.html(), "the status")
     second.wait(lambda: second.find("Minimum inliers")["value"] == 20, "the other's slider")
     late = visit(viewer)
-    late.wait(lambda: "of 20 needed" in late.html(), "the present verdict")
+    late.wait(lambda: "(threshold 20)" in late.html(), "the present verdict")
     late.wait(lambda: late.find("Minimum inliers")["value"] == 20, "the present value")
     for page in (first, late):
         page.close()
-    second.wait(lambda: "pages are open" not in second.html(), "to be alone")
+    second.wait(lambda: "pages share this session" not in second.html(), "to be alone")
     second.set("Minimum inliers", 9)
-    second.wait(lambda: "of 9 needed" in second.html(), "the verdict")
+    second.wait(lambda: "(threshold 9)" in second.html(), "the verdict")
     assert len(viewer.sessions) == 1
 
 
@@ -100,7 +100,7 @@ def test_separate_sessions_are_each_for_itself(serve: Serve, visit: Visit) -> No
     assert "No loop closure" not in second.html()
     assert second.find("Minimum inliers")["value"] == 8
     assert set(first.nodes) == set(second.nodes)
-    assert "pages are open" not in first.html()
+    assert "pages share this session" not in first.html()
 
 
 def test_a_separate_session_ends_with_its_page(serve: Serve, visit: Visit) -> None:
@@ -110,6 +110,6 @@ def test_a_separate_session_ends_with_its_page(serve: Serve, visit: Visit) -> No
     first.set("Length-scale", 0.5)
     first.close()  # in the middle
     second.wait(lambda: len(viewer.sessions) == 1, "the other session's end")
-    second.wait(lambda: not gone._runner._thread.is_alive(), "its worker's end")
+    second.wait(lambda: not gone.pair._runner._thread.is_alive(), "its worker's end")
     second.set("Minimum inliers", 20)
     second.wait(lambda: "No loop closure" in second.html(), "the verdict")

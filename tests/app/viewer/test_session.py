@@ -7,12 +7,15 @@ from typing import Any
 import pytest
 import viser
 
-from app.viewer import session as app_session
-from app.viewer.capacity import Turns
-from app.viewer.data.tab import Opened
+from app.viewer.capacity import Capacity
 from app.viewer.draw.surfels import OVERLAP
-from app.viewer.session import MAIN_PARAMETERS, Session, message_of
+from app.viewer.opened import Opened
+from app.viewer.pair import tab as pair_module
+from app.viewer.params.fit import with_fitted
+from app.viewer.params.tab import MAIN_PARAMETERS
+from app.viewer.session import Session
 from app.viewer.state import ViewState
+from app.viewer.work import message_of
 from gpgrad_core.datasets import write_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PairResult, PipelineParams
@@ -27,7 +30,7 @@ START = needing(8)
 @pytest.fixture
 def pipeline(monkeypatch: pytest.MonkeyPatch) -> FakePipeline:
     fake = FakePipeline()
-    monkeypatch.setattr(app_session, "register_pair", fake)
+    monkeypatch.setattr(pair_module, "register_pair", fake)
     return fake
 
 
@@ -36,34 +39,32 @@ def session(
     pipeline: FakePipeline,  # noqa: ARG001
     server: viser.ViserServer,
 ) -> Iterator[Session]:
-    made = Session(server, Opened(make_dataset(), START, ""), Memo(), Turns())
+    made = Session(server, Opened(make_dataset(), START, ""), Memo(), Capacity())
     assert made.wait_idle(20)
     yield made
     made.close()
 
 
 def gui(session: Session) -> viser.ViserServer:
-    assert isinstance(session._host, viser.ViserServer)
-    return session._host
+    assert isinstance(session.desk.host, viser.ViserServer)
+    return session.desk.host
 
 
 def opening_said(session: Session) -> str:
-    return session._opening._panel._message.content
+    return session.data._panel.work_bar.said
 
 
-def said(session: Session, panel: str) -> str:
+def said(panel: object) -> str:
     return "".join(
-        handle.content
-        for handle in vars(getattr(session, panel)).values()
-        if isinstance(handle, viser.GuiHtmlHandle)
+        handle.content for handle in vars(panel).values() if isinstance(handle, viser.GuiHtmlHandle)
     )
 
 
 def test_it_opens_at_a_revisit_with_a_verdict(session: Session) -> None:
     assert (session.state.query_id, session.state.database_id) == ("003", "000")
-    assert "Loop closure" in said(session, "_verdict")
-    assert "Up to date" in said(session, "_status")
-    assert "Elevation" in said(session, "_view_panel")
+    assert "Loop closure" in said(session.pair._verdict)
+    assert "Up to date" in said(session.pair._status.line)
+    assert "Elevation" in said(session.pair._view)
 
 
 @pytest.mark.parametrize(
@@ -91,10 +92,10 @@ def test_minimum_inliers_turns_the_verdict_and_reset_turns_it_back(
 ) -> None:
     user_sets(find(gui(session), "Minimum inliers"), 20)
     assert session.wait_idle(20)
-    assert "No loop closure" in said(session, "_verdict")
+    assert "No loop closure" in said(session.pair._verdict)
     user_presses(find(gui(session), "Reset parameters"))
     assert session.wait_idle(20)
-    assert "No loop closure" not in said(session, "_verdict")
+    assert "No loop closure" not in said(session.pair._verdict)
     assert find(gui(session), "Minimum inliers").value == START.closure.min_inliers
     assert pipeline.calls[-1] == START
 
@@ -108,10 +109,10 @@ def test_many_events_end_on_the_last_and_do_not_echo(
         user_sets(slider, value)
     assert session.wait_idle(20)
     assert pipeline.calls[-1] == needing(23)
-    assert "of 23 needed" in said(session, "_verdict")
+    assert "(threshold 23)" in said(session.pair._verdict)
     calls = len(pipeline.calls)
     assert calls - before <= 191
-    assert not session._runner._waiting
+    assert not session.pair._runner._waiting
 
 
 def test_a_gp_slider_shows_coarse_surfaces_first(session: Session, pipeline: FakePipeline) -> None:
@@ -119,7 +120,8 @@ def test_a_gp_slider_shows_coarse_surfaces_first(session: Session, pipeline: Fak
 
     def make(state: ViewState) -> PairResult:
         surface: Any = gui(session).scene._handle_from_node_name["/pair/query/surface"]
-        before.append((said(session, "_status"), said(session, "_verdict"), surface.point_size))
+        status, card = said(session.pair._status.line), said(session.pair._verdict)
+        before.append((status, card, surface.point_size))
         return make_result(state)
 
     pipeline.make = make
@@ -129,8 +131,8 @@ def test_a_gp_slider_shows_coarse_surfaces_first(session: Session, pipeline: Fak
     assert "Coarse picture" in status
     assert "opacity:.4" in card  # the last verdict is faded
     assert size == pytest.approx(OVERLAP * COARSER * START.map.resolution)
-    assert "Up to date" in said(session, "_status")
-    assert "opacity:.4" not in said(session, "_verdict")
+    assert "Up to date" in said(session.pair._status.line)
+    assert "opacity:.4" not in said(session.pair._verdict)
 
 
 def test_sliders_of_later_stages_need_no_coarse_surfaces(
@@ -139,7 +141,7 @@ def test_sliders_of_later_stages_need_no_coarse_surfaces(
     before: list[str] = []
 
     def make(state: ViewState) -> PairResult:
-        before.append(said(session, "_status"))
+        before.append(said(session.pair._status.line))
         return make_result(state)
 
     pipeline.make = make
@@ -157,7 +159,7 @@ def test_what_takes_long_is_announced_though_it_reports_nothing(
 
     def make(state: ViewState) -> PairResult:
         end = time.monotonic() + 20
-        while "Computing" not in said(session, "_status") and time.monotonic() < end:
+        while "Computing" not in said(session.pair._status.line) and time.monotonic() < end:
             time.sleep(0.02)
         announced.append(time.monotonic() < end)
         return make_result(state)
@@ -166,7 +168,7 @@ def test_what_takes_long_is_announced_though_it_reports_nothing(
     user_sets(find(gui(session), "Minimum inliers"), 20)
     assert session.wait_idle(30)
     assert announced == [True]
-    assert "Up to date" in said(session, "_status")
+    assert "Up to date" in said(session.pair._status.line)
 
 
 def test_an_error_is_told_and_the_next_slider_works(
@@ -175,13 +177,13 @@ def test_an_error_is_told_and_the_next_slider_works(
     pipeline.error = InputError("003 spans 10,000 m x 10,000 m: raise the resolution")
     user_sets(find(gui(session), "Length-scale"), 0.5)
     assert session.wait_idle(20)
-    assert "raise the resolution" in said(session, "_status")
-    assert "out of date" in said(session, "_status")
-    assert "Loop closure" in said(session, "_verdict")  # the last good one stays
+    assert "raise the resolution" in said(session.pair._status.line)
+    assert "out of date" in said(session.pair._status.line)
+    assert "Loop closure" in said(session.pair._verdict)  # the last good one stays
     pipeline.error = None
     user_sets(find(gui(session), "Length-scale"), 0.6)
     assert session.wait_idle(20)
-    assert "Up to date" in said(session, "_status")
+    assert "Up to date" in said(session.pair._status.line)
 
 
 def test_an_unexpected_error_is_told_and_logged(
@@ -190,7 +192,7 @@ def test_an_unexpected_error_is_told_and_logged(
     pipeline.error = ZeroDivisionError("division by zero")
     user_sets(find(gui(session), "Noise"), 0.1)
     assert session.wait_idle(20)
-    assert "Unexpected ZeroDivisionError: division by zero" in said(session, "_status")
+    assert "Unexpected ZeroDivisionError: division by zero" in said(session.pair._status.line)
     assert "unexpected error" in caplog.text
     assert message_of(InputError("plain words")) == "plain words"
 
@@ -207,7 +209,7 @@ def test_another_dataset_is_opened(session: Session, tmp_path: Path) -> None:
     assert find(gui(session), "Query").options == ("000", "001", "002")
     default = PipelineParams().closure.min_inliers  # the other dataset prefers none
     assert find(gui(session), "Minimum inliers").value == default
-    assert "Up to date" in said(session, "_status")
+    assert "Up to date" in said(session.pair._status.line)
 
 
 def test_a_missing_folder_is_told_and_the_rest_works(session: Session, tmp_path: Path) -> None:
@@ -219,7 +221,7 @@ def test_a_missing_folder_is_told_and_the_rest_works(session: Session, tmp_path:
     assert session.state.dataset.name == "hills"
     user_sets(find(gui(session), "Minimum inliers"), 20)
     assert session.wait_idle(20)
-    assert "No loop closure" in said(session, "_verdict")
+    assert "No loop closure" in said(session.pair._verdict)
 
 
 def test_an_empty_path_is_told(session: Session) -> None:
@@ -230,11 +232,13 @@ def test_an_empty_path_is_told(session: Session) -> None:
 def test_hiding_the_surfaces_hides_the_legend(session: Session) -> None:
     user_sets(find(gui(session), "Surfaces"), False)
     assert session.wait_idle(20)
-    assert "Elevation" not in said(session, "_view_panel")
+    assert "Elevation" not in said(session.pair._view)
 
 
 def test_a_fit_moves_the_sliders_and_the_picture(session: Session, pipeline: FakePipeline) -> None:
-    session._take_fitted({"length_scale": 0.62, "noise_std": 0.02, "signal_std": 0.4})
+    found = {"length_scale": 0.62, "noise_std": 0.02, "signal_std": 0.4}
+    params = session.state.params
+    session.desk.change(params=replace(params, map=with_fitted(params.map, found)))
     assert session.wait_idle(20)
     assert find(gui(session), "Length-scale").value == 0.62
     assert find(gui(session), "Noise [m]").value == 0.02
@@ -244,8 +248,8 @@ def test_a_fit_moves_the_sliders_and_the_picture(session: Session, pipeline: Fak
 
 
 def test_a_pair_chosen_from_all_pairs_is_shown(session: Session) -> None:
-    session._show_pair("002", "001")
+    session.desk.change(pair=("002", "001"))
     assert session.wait_idle(20)
     assert find(gui(session), "Query").value == "002"
     assert find(gui(session), "Database").value == "001"
-    assert "query 002" in said(session, "_verdict")
+    assert "query 002" in said(session.pair._verdict)

@@ -84,7 +84,7 @@ def test_las_keeps_its_steps(ending: str, world_points: np.ndarray, tmp_path: Pa
     as_las(path, world_points)
     np.testing.assert_allclose(load_cloud(path).points, world_points, rtol=0, atol=1e-7)
     path.write_bytes(path.read_bytes()[:300])
-    assert_refused(lambda: load_cloud(path), str(path), "not a whole LAS file")
+    assert_refused(lambda: load_cloud(path), str(path), "not a complete LAS file")
 
 
 def test_las_without_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,9 +185,9 @@ def test_broken_archives(tmp_path: Path) -> None:
         whole = path.read_bytes()
         for broken in (whole[: len(whole) // 2], whole[:9], b"", b"no archive\n" * 9):
             path.write_bytes(broken)
-            assert_refused(lambda path=path: load_cloud(path), f"{path}: is not a whole")
+            assert_refused(lambda path=path: load_cloud(path), f"{path}: is not a complete")
     np.save(tmp_path / "b.npy", np.array([{"pickled": 1}], dtype=object), allow_pickle=True)
-    assert_refused(lambda: load_cloud(tmp_path / "b.npy"), "b.npy: is not a whole NPY")
+    assert_refused(lambda: load_cloud(tmp_path / "b.npy"), "b.npy: is not a complete NPY")
     with (tmp_path / "c.npy").open("wb") as file:
         np.savez(file, points=points)
     assert_refused(lambda: load_cloud(tmp_path / "c.npy"), "rename it to .npz")
@@ -199,7 +199,7 @@ def test_broken_archives(tmp_path: Path) -> None:
     damaged = bytearray((tmp_path / "e.npz").read_bytes())
     damaged[5000:5050] = bytes(50)
     (tmp_path / "e.npz").write_bytes(damaged)
-    assert_refused(lambda: load_cloud(tmp_path / "e.npz"), "e.npz: is not a whole NPZ")
+    assert_refused(lambda: load_cloud(tmp_path / "e.npz"), "e.npz: is not a complete NPZ")
 
 
 def test_a_damaged_shape_is_refused(tmp_path: Path) -> None:
@@ -208,4 +208,4 @@ def test_a_damaged_shape_is_refused(tmp_path: Path) -> None:
     for shape in (b"(9999999, 3)", b"(9" + b"9" * 14 + b", 3)"):
         damaged = data[:128].replace(b"(1000, 3), }", shape + b", }")[:128] + data[128:]
         (tmp_path / "a.npy").write_bytes(damaged[:127] + b"\n" + damaged[128:])
-        assert_refused(lambda: load_cloud(tmp_path / "a.npy"), "a.npy: is not a whole NPY")
+        assert_refused(lambda: load_cloud(tmp_path / "a.npy"), "a.npy: is not a complete NPY")

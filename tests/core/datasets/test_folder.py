@@ -95,15 +95,15 @@ def test_gaps_missing_poses_and_strangers_are_fine(folder: Path) -> None:
     assert [submap.pose_true is None for submap in loaded.submaps] == [True, False]
     assert all(submap.pose_odometry is None for submap in loaded.submaps)
     assert loaded.notes == (
-        "submaps/old: is no cloud and was ignored",
-        "submaps/thumbnail.jpg: is no cloud and was ignored",
+        "submaps/old: is not a cloud and was ignored",
+        "submaps/thumbnail.jpg: is not a cloud and was ignored",
     )
 
 
 def test_poses_txt_stands_in_for_odometry(folder: Path) -> None:
     (folder / "poses.txt").write_text("0 7 7 7 0 0 0 1\n")
     both = load_dataset(folder)
-    assert both.notes == ("poses.txt: was ignored for poses_odom.txt",)
+    assert both.notes == ("poses.txt: was ignored, because there is also poses_odom.txt",)
     (folder / "poses_odom.txt").unlink()
     odometry = load_dataset(folder).submaps[0].pose_odometry
     assert odometry is not None
@@ -144,14 +144,14 @@ def test_names_without_numbers_come_last(tmp_path: Path) -> None:
 def test_two_clouds_with_one_number_are_refused(folder: Path) -> None:
     np.save(folder / "submaps" / "1.npy", cloud())
     assert_refused(
-        lambda: load_dataset(folder), "001.ply and 1.npy have both the number 1", "rename"
+        lambda: load_dataset(folder), "001.ply and 1.npy both have the number 1", "rename"
     )
 
 
 def test_two_clouds_with_one_name_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "dune.npy", cloud())
     np.savez(tmp_path / "dune.npz", points=cloud())
-    assert_refused(lambda: load_dataset(tmp_path), "have both the name dune")
+    assert_refused(lambda: load_dataset(tmp_path), "both have the name dune")
 
 
 def test_one_broken_cloud_names_itself(folder: Path) -> None:
@@ -179,7 +179,7 @@ def test_places_that_hold_nothing(tmp_path: Path, folder: Path) -> None:
     assert_refused(lambda: load_dataset(tmp_path / "none"), "none: no such file or folder")
     (tmp_path / "empty").mkdir()
     assert_refused(lambda: load_dataset(tmp_path / "empty"), "empty: holds no clouds (.ply .pcd")
-    assert_refused(lambda: load_dataset(tmp_path), "it holds the datasets set: give one of them")
+    assert_refused(lambda: load_dataset(tmp_path), "it holds the datasets set; give one of them")
     for path in (folder / "submaps").iterdir():
         path.unlink()
     assert_refused(lambda: load_dataset(folder), "submaps: holds no clouds")
@@ -220,7 +220,7 @@ def test_a_stopped_write_leaves_nothing(tmp_path: Path) -> None:
     [
         (["a/000", "001"], "'a/000' cannot be a file name"),
         (["../000", "001"], "cannot be a file name"),
-        (["1", "001"], "'1' and '001' have both the number 1"),
+        (["1", "001"], "'1' and '001' both have the number 1"),
     ],
 )
 def test_ids_that_cannot_be_files_are_refused(ids: list[str], rule: str, tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def test_a_cut_file_is_refused(layout: str, points: np.ndarray, tmp_path: Path) 
         path.write_bytes(whole[: int(share * len(whole))])
         assert_refused(lambda: load_cloud(path), str(path), "is cut short")
     path.write_bytes(whole[:60])
-    assert_refused(lambda: load_cloud(path), str(path), "not a whole PCD")
+    assert_refused(lambda: load_cloud(path), str(path), "not a complete PCD")
 
 
 def test_doubles_padding_and_counts(tmp_path: Path) -> None:
@@ -79,8 +79,8 @@ def test_doubles_padding_and_counts(tmp_path: Path) -> None:
         ("FIELDS x y z\n", "", "no 'FIELDS' line"),
         ("SIZE 4 4 4", "SIZE 4 4", "SIZE line does not have 3 entries"),
         ("SIZE 4 4 4", "SIZE 4 4 3", "TYPE F of SIZE 3"),
-        ("POINTS 4000", "POINTS all", "no whole number"),
-        ("DATA binary", "DATA zipped", "DATA 'zipped' is none of"),
+        ("POINTS 4000", "POINTS all", "not a whole number"),
+        ("DATA binary", "DATA zipped", "DATA 'zipped' is not one of"),
     ],
 )
 def test_broken_headers(old: str, new: str, rule: str, points: np.ndarray, tmp_path: Path) -> None:

@@ -101,11 +101,11 @@ def test_a_cut_file_says_what_is_missing(points: np.ndarray, tmp_path: Path) -> 
     path = tmp_path / "a.ply"
     write_ply(path, points)
     path.write_bytes(path.read_bytes()[:-30])
-    assert_refused(lambda: load_cloud(path), "promises 50 points, the file ends after 47;")
+    assert_refused(lambda: load_cloud(path), "promises 50 points, but the file ends after 47;")
     rows = "".join(f"{x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in points)
     header = ply("ascii", ["float x", "float y", "float z"], 50)
     path.write_bytes(header + rows[:-30].encode())
-    assert_refused(lambda: load_cloud(path), "promises 50 points, the file ends after 48;")
+    assert_refused(lambda: load_cloud(path), "promises 50 points, but the file ends after 48;")
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ def test_a_slightly_long_quaternion_is_brought_to_length(tmp_path: Path) -> None
         ("5 1 2 3 0 0 0 1", "names submap 5, which the dataset does not have"),
         ("-1 1 2 3 0 0 0 1", "names submap -1, which"),
         (GOOD, "names submap 0 a second time, after line 2"),
-        ("1 1 2 3 0 0 0", "has 7 columns, a pose needs 8"),
+        ("1 1 2 3 0 0 0", "has 7 columns, but a pose needs 8"),
         ("1 1 2 3 0 0 0 1 9", "has 9 columns"),
         ("1 1 2 up 0 0 0 1", "not a number"),
         ("1 1 2 nan 0 0 0 1", "not finite"),

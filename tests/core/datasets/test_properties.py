@@ -73,4 +73,4 @@ def test_kitti_scans(tmp_path: Path) -> None:
     rows.tofile(tmp_path / "000000.bin")
     np.testing.assert_allclose(load_cloud(tmp_path / "000000.bin").points, POINTS, atol=1e-6)
     (tmp_path / "cut.bin").write_bytes(rows.tobytes()[:-5])
-    assert_refused(lambda: load_cloud(tmp_path / "cut.bin"), "not a whole KITTI scan")
+    assert_refused(lambda: load_cloud(tmp_path / "cut.bin"), "not a complete KITTI scan")

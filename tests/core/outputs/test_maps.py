@@ -131,7 +131,7 @@ def test_a_mesh_is_the_trusted_surface(
 
 
 def test_a_mesh_of_nothing_is_refused(gradient_map: GradientMap, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no part of the map is known"):
+    with pytest.raises(InputError, match="nowhere on the map is the standard deviation"):
         write_map(tmp_path / "map.ply", gradient_map, max_std_ratio=1e-6)
     assert list(tmp_path.iterdir()) == []
 

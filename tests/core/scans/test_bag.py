@@ -141,11 +141,13 @@ def test_broken_bags_and_a_missing_extra(tmp_path: Path, monkeypatch: pytest.Mon
     whole = path.read_bytes()
     for broken in (whole[: len(whole) // 2], b"", b"no bag\n" * 9):
         path.write_bytes(broken)
-        assert_refused(lambda: open_recording(path), str(path), "not a whole bag")
+        assert_refused(lambda: open_recording(path), str(path), "not a complete bag")
     for storage in ("sqlite3", "mcap"):
         folder = write_bag(tmp_path / storage, FEW, ros1=False, poses="odometry", storage=storage)
         (file,) = (f for f in folder.iterdir() if f.suffix != ".yaml")
         file.write_bytes(file.read_bytes()[:3000])
-        assert_refused(lambda folder=folder: open_recording(folder), str(folder), "not a whole bag")
+        assert_refused(
+            lambda folder=folder: open_recording(folder), str(folder), "not a complete bag"
+        )
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     assert_refused(lambda: open_recording(path), "pip install 'gpgrad[ros]'")

@@ -137,9 +137,9 @@ def test_what_is_left_out_is_counted(drive: Path, tmp_path: Path) -> None:
     assert "7 of 8,400 points are not finite: left out" in told
     assert "closer than 1.2 m to the sensor: left out" in told
     assert "further than 4 m from the sensor: left out" in told
-    assert "1 scan without any point of use" in told
+    assert "1 scan has no usable point" in told
     (left,) = [note for note in report.notes if note.startswith("submap")]
-    assert left.startswith("submap 003, of 4 scans, was left out")
+    assert left.startswith("submap 003 of 4 scans was left out")
     dataset = load_dataset(tmp_path / "data")
     assert [submap.id for submap in dataset.submaps] == ["000", "001", "002"]
     assert dataset.notes == ()
@@ -149,7 +149,7 @@ def test_nothing_left_leaves_nothing(drive: Path, tmp_path: Path) -> None:
     params = BuildParams(min_points=100_000)
     assert_refused(
         lambda: build_dataset(drive, tmp_path / "data", params),
-        "no submap has 100000 points or more: 24 scans have 9,600 points in all",
+        "no submap has 100000 points or more: the 24 scans have 9,600 points together",
     )
     assert not list(tmp_path.glob("data*"))
 
@@ -244,11 +244,13 @@ def test_other_inputs_or_parameters_are_told(small: Path, tmp_path: Path) -> Non
     other = BuildParams(max_length=4.0, min_points=20)
     assert_refused(
         lambda: build_dataset(small, out, other),
-        "data.partial: holds a build that was begun with max_length = 1.5, not 4.0",
+        "data.partial: holds an unfinished build with max_length = 1.5, not 4.0",
         "--restart",
     )
     np.save(small / f"{SMALL.stamps[0]:.6f}.npy", SMALL.scans[0][:50])
-    assert_refused(lambda: build_dataset(small, out, SHORTER), "begun with another identity")
+    assert_refused(
+        lambda: build_dataset(small, out, SHORTER), "unfinished build with another identity"
+    )
     assert build_dataset(small, out, SHORTER, restart=True).num_resumed == 0
 
     (tmp_path / "b.partial").mkdir()
@@ -265,14 +267,16 @@ def test_two_at_once(tmp_path: Path) -> None:
             with open_journal(tmp_path / "data", {"a": 1}):
                 raise AssertionError
 
-        assert_refused(second, "another process is at work on it")
+        assert_refused(second, "another process is working on it")
     assert json.loads((tmp_path / "data.partial" / JOURNAL).read_text()) == {"a": 1}
 
 
 def test_a_broken_scan_is_named(drive: Path, tmp_path: Path) -> None:
     file = drive / f"{DRIVE.stamps[9]:.6f}.npy"
     file.write_bytes(file.read_bytes()[:500])
-    assert_refused(lambda: build_dataset(drive, tmp_path / "data", SHORT), file.name, "not a whole")
+    assert_refused(
+        lambda: build_dataset(drive, tmp_path / "data", SHORT), file.name, "not a complete"
+    )
     assert not (tmp_path / "data").exists()
 
 

@@ -144,7 +144,7 @@ def test_times_in_names(unit: str, spell: Callable[[float], str], tmp_path: Path
         (tmp_path / f"{stamp:.6f}.npy").rename(tmp_path / f"{spell(stamp)}.npy")
     recording = open_recording(tmp_path)
     np.testing.assert_allclose(recording.stamps, FEW.stamps, rtol=0, atol=1e-5)
-    said = (f"the numbers in the scans' names are taken as {unit}",) if unit else ()
+    said = (f"the numbers in the scans' names are read as {unit}",) if unit else ()
     assert recording.notes == said
 
 
@@ -178,7 +178,7 @@ def test_what_cannot_be_brought_together(tmp_path: Path) -> None:
     )
     (folder / "poses.txt").write_text(poses)
     first.rename(folder / "first.npy")
-    assert_refused(lambda: open_recording(folder), "first.npy tells no time", "--times FILE")
+    assert_refused(lambda: open_recording(folder), "first.npy holds no time", "--times FILE")
     (folder / "times.txt").write_text("1\n2\n")
     assert_refused(lambda: open_recording(folder), "times.txt: holds 2 times for 5 scans")
     np.savetxt(folder / "times.txt", FEW.stamps, fmt="%.6f")

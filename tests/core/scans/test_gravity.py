@@ -73,4 +73,4 @@ def test_slopes_average_out_and_nonsense_is_refused() -> None:
     assert ground_normal(rng.normal(size=(5, 3))) is None
     assert_refused(lambda: estimate_up([], "drive"), "drive: no scan shows enough ground")
     scattered = list(Rotation.random(200, rng=rng).apply(UP))
-    assert_refused(lambda: estimate_up(scattered, "drive"), "disagree about what is up")
+    assert_refused(lambda: estimate_up(scattered, "drive"), "disagree on the direction up")

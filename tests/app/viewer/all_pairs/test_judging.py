@@ -10,9 +10,9 @@ from app.viewer.all_pairs.judging import (
     RIGHT,
     RULES,
     WRONG,
-    Survey,
+    ComparedPairs,
+    compare_pairs,
     judge,
-    survey_pairs,
 )
 from app.viewer.state import open_dataset
 from gpgrad_core.evaluation import measure_pairs
@@ -21,15 +21,15 @@ from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled
-from tests.app.synthetic import PAIR_SCORES, make_dataset, make_survey
+from tests.app.synthetic import PAIR_SCORES, make_compared, make_dataset
 
 BOX = next(iter(RULES.values()))
-SURVEY = make_survey()
+COMPARED = make_compared()
 """Four submaps; 003 truly lies on 000, and the boxes of some others touch."""
 
 
 def outcomes(min_score: float, rule: Rule = BOX) -> dict[tuple[str, str], str]:
-    judged = judge(SURVEY, ClosureParams(min_inliers=0, min_score=min_score), rule)
+    judged = judge(COMPARED, ClosureParams(min_inliers=0, min_score=min_score), rule)
     return {
         (closure.query_id, closure.database_id): outcome
         for closure, outcome in zip(judged.closures, judged.outcomes, strict=True)
@@ -37,11 +37,11 @@ def outcomes(min_score: float, rule: Rule = BOX) -> dict[tuple[str, str], str]:
 
 
 def test_thresholds_turn_verdicts_without_registering_anew() -> None:
-    few = judge(SURVEY, ClosureParams(min_inliers=0, min_score=4.5), BOX)
-    many = judge(SURVEY, ClosureParams(min_inliers=0, min_score=0.5), BOX)
-    none = judge(SURVEY, ClosureParams(min_inliers=500, min_score=0.0), BOX)
+    few = judge(COMPARED, ClosureParams(min_inliers=0, min_score=4.5), BOX)
+    many = judge(COMPARED, ClosureParams(min_inliers=0, min_score=0.5), BOX)
+    none = judge(COMPARED, ClosureParams(min_inliers=500, min_score=0.0), BOX)
     assert [judged.num_accepted for judged in (few, many, none)] == [1, 5, 0]
-    for was, now in zip(SURVEY.result.closures, few.closures, strict=True):
+    for was, now in zip(COMPARED.result.closures, few.closures, strict=True):
         assert now.registration is was.registration
 
 
@@ -57,7 +57,7 @@ def test_outcomes_by_the_truth() -> None:
 def test_the_operating_point_lies_on_the_curve() -> None:
     for min_score in (0.5, 2.5, 4.5):
         for min_inliers in (0, 12):
-            check = judge(SURVEY, ClosureParams(min_inliers, min_score), BOX).check
+            check = judge(COMPARED, ClosureParams(min_inliers, min_score), BOX).check
             assert check is not None
             assert check.curve is not None
             at = np.flatnonzero(check.curve.thresholds >= min_score)[-1]
@@ -66,16 +66,16 @@ def test_the_operating_point_lies_on_the_curve() -> None:
 
 
 def test_figures_by_hand() -> None:
-    check = judge(SURVEY, ClosureParams(0, 0.5), BOX).check
+    check = judge(COMPARED, ClosureParams(0, 0.5), BOX).check
     assert check is not None
     # Of the pairs that the box rule judges only 003 -> 000 is true, and it has the highest score.
     assert check.recall == 1.0
     assert check.average_precision == 1.0
     judged = {
-        (SURVEY.truth.ids[q], SURVEY.truth.ids[d])  # type: ignore[union-attr]
+        (COMPARED.truth.ids[q], COMPARED.truth.ids[d])  # type: ignore[union-attr]
         for q, d, counts in zip(
-            SURVEY.truth.query,  # type: ignore[union-attr]
-            SURVEY.truth.database,  # type: ignore[union-attr]
+            COMPARED.truth.query,  # type: ignore[union-attr]
+            COMPARED.truth.database,  # type: ignore[union-attr]
             check.labels.judged,
             strict=True,
         )
@@ -86,27 +86,27 @@ def test_figures_by_hand() -> None:
 
 
 def test_nothing_accepted_has_no_precision() -> None:
-    check = judge(SURVEY, ClosureParams(0, 1000.0), BOX).check
+    check = judge(COMPARED, ClosureParams(0, 1000.0), BOX).check
     assert check is not None
     assert np.isnan(check.precision)
     assert check.recall == 0.0
 
 
 def test_a_rule_that_no_pair_meets_has_no_curve() -> None:
-    check = judge(SURVEY, ClosureParams(), Rule("box", 0.98)).check
+    check = judge(COMPARED, ClosureParams(), Rule("box", 0.98)).check
     assert check is not None
     assert check.curve is None
 
 
 def test_without_truth_there_are_verdicts_only() -> None:
-    judged = judge(replace(SURVEY, truth=None), ClosureParams(0, 0.5), BOX)
+    judged = judge(replace(COMPARED, truth=None), ClosureParams(0, 0.5), BOX)
     assert judged.check is None
     assert set(judged.outcomes) == {ACCEPTED, REFUSED}
     assert np.isnan(judged.overlaps()).all()
 
 
 def test_scores_lie_below_the_diagonal_and_overlaps_above() -> None:
-    judged = judge(SURVEY, ClosureParams(), BOX)
+    judged = judge(COMPARED, ClosureParams(), BOX)
     scores, overlaps = judged.scores(), judged.overlaps()
     assert scores[3, 0] == PAIR_SCORES["003", "000"]
     assert np.isnan(scores[np.triu_indices(4)]).all()
@@ -115,31 +115,31 @@ def test_scores_lie_below_the_diagonal_and_overlaps_above() -> None:
 
 
 def test_it_is_of_a_state_whatever_the_thresholds() -> None:
-    state = open_dataset(SURVEY.dataset, SURVEY.params)
-    assert SURVEY.is_of(state)
-    other = replace(SURVEY.params, closure=ClosureParams(20, 9.0))
-    assert SURVEY.is_of(replace(state, params=other))
-    smoother = replace(SURVEY.params, map=replace(SURVEY.params.map, length_scale=0.5))
-    assert not SURVEY.is_of(replace(state, params=smoother))
-    assert not SURVEY.is_of(open_dataset(make_dataset(), SURVEY.params))
+    state = open_dataset(COMPARED.dataset, COMPARED.params)
+    assert COMPARED.is_of(state)
+    other = replace(COMPARED.params, closure=ClosureParams(20, 9.0))
+    assert COMPARED.is_of(replace(state, params=other))
+    smoother = replace(COMPARED.params, map=replace(COMPARED.params.map, length_scale=0.5))
+    assert not COMPARED.is_of(replace(state, params=smoother))
+    assert not COMPARED.is_of(open_dataset(make_dataset(), COMPARED.params))
 
 
-def test_a_survey_registers_all_pairs_and_measures_the_truth() -> None:
+def test_a_comparison_registers_all_pairs_and_measures_the_truth() -> None:
     params = PipelineParams(map=replace(PipelineParams().map, resolution=0.1))
-    dataset = SURVEY.dataset
+    dataset = COMPARED.dataset
     told: list[float] = []
-    survey = survey_pairs(dataset, params, Memo(), told.append)
-    assert isinstance(survey, Survey)
-    assert len(survey.result.closures) == 6
-    assert survey.truth is not None
-    np.testing.assert_array_equal(survey.truth.box_iou, measure_pairs(dataset).box_iou)
+    compared = compare_pairs(dataset, params, Memo(), told.append)
+    assert isinstance(compared, ComparedPairs)
+    assert len(compared.result.closures) == 6
+    assert compared.truth is not None
+    np.testing.assert_array_equal(compared.truth.box_iou, measure_pairs(dataset).box_iou)
     assert told == sorted(told)
     assert told[-1] == pytest.approx(1.0, abs=0.03)
 
 
-def test_a_survey_can_be_cancelled() -> None:
+def test_a_comparison_can_be_cancelled() -> None:
     def stop(fraction: float) -> None:  # noqa: ARG001
         raise Cancelled
 
     with pytest.raises(Cancelled):
-        survey_pairs(SURVEY.dataset, PipelineParams(), Memo(), stop)
+        compare_pairs(COMPARED.dataset, PipelineParams(), Memo(), stop)

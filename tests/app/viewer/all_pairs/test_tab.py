@@ -6,9 +6,9 @@ import pytest
 import viser
 
 from app.viewer.all_pairs import tab as all_pairs_module
-from app.viewer.all_pairs.judging import Survey
+from app.viewer.all_pairs.judging import ComparedPairs
 from app.viewer.all_pairs.panel import NO_CHOICE
-from app.viewer.all_pairs.tab import AllPairs
+from app.viewer.all_pairs.tab import AllPairsTab
 from app.viewer.state import ViewState, open_dataset, with_pair, with_params
 from gpgrad_core.errors import InputError
 from gpgrad_core.loop_closure import ClosureParams
@@ -16,15 +16,16 @@ from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Dataset
-from tests.app.synthetic import make_dataset, make_survey
+from tests.app.desk import Recorder, make_desk
+from tests.app.synthetic import make_compared, make_dataset
 from tests.app.widgets import find, user_presses, user_sets
 
-SURVEY = make_survey()
-STATE = open_dataset(SURVEY.dataset, PipelineParams(closure=ClosureParams(0, 4.5)))
+COMPARED = make_compared()
+STATE = open_dataset(COMPARED.dataset, PipelineParams(closure=ClosureParams(0, 4.5)))
 
 
-class Surveyor:
-    """Stands in for `survey_pairs`: an answer by hand, when it is let go."""
+class Comparer:
+    """Stands in for `compare_pairs`: an answer by hand, when it is let go."""
 
     def __init__(self) -> None:
         self.go = threading.Event()
@@ -37,70 +38,67 @@ class Surveyor:
         params: PipelineParams,
         memo: Memo,  # noqa: ARG002
         progress: Progress,
-    ) -> Survey:
+    ) -> ComparedPairs:
         progress(0.25)
         while not self.go.wait(0.005):
             progress(0.5)
         if self.error is not None:
             raise self.error
-        return replace(SURVEY, dataset=dataset, params=params)
+        return replace(COMPARED, dataset=dataset, params=params)
 
 
 @pytest.fixture
-def surveyor(monkeypatch: pytest.MonkeyPatch) -> Surveyor:
-    fake = Surveyor()
-    monkeypatch.setattr(all_pairs_module, "survey_pairs", fake)
+def comparer(monkeypatch: pytest.MonkeyPatch) -> Comparer:
+    fake = Comparer()
+    monkeypatch.setattr(all_pairs_module, "compare_pairs", fake)
     return fake
 
 
 @pytest.fixture
-def shown() -> list[tuple[str, str]]:
-    return []
+def recorder() -> Recorder:
+    return Recorder()
 
 
 @pytest.fixture
 def tab(
     server: viser.ViserServer,
-    surveyor: Surveyor,  # noqa: ARG001
-    shown: list[tuple[str, str]],
-) -> Iterator[AllPairs]:
-    made = AllPairs(
-        server,
-        STATE,
-        Memo(),
-        threading.Semaphore(),
-        on_pair=lambda query, database: shown.append((query, database)),
-        message_of=str,
-    )
+    comparer: Comparer,  # noqa: ARG001
+    recorder: Recorder,
+) -> Iterator[AllPairsTab]:
+    made = AllPairsTab(make_desk(server, STATE, recorder))
     yield made
     made.close()
 
 
-def run(tab: AllPairs, server: viser.ViserServer) -> None:
+def run(tab: AllPairsTab, server: viser.ViserServer) -> None:
     user_presses(find(server, "Run all pairs"))
     assert tab.wait_idle(10)
 
 
-def said(tab: AllPairs) -> str:
-    return "".join(
+def said(tab: AllPairsTab) -> str:
+    return tab._panel.work_bar.said + "".join(
         handle.content
         for handle in vars(tab._panel).values()
         if isinstance(handle, viser.GuiHtmlHandle)
     )
 
 
-def test_all_pairs_are_run_and_told(tab: AllPairs, server: viser.ViserServer) -> None:
+def shown(recorder: Recorder) -> tuple[str, str]:
+    return recorder.states[-1].query_id, recorder.states[-1].database_id
+
+
+def test_all_pairs_are_run_and_told(tab: AllPairsTab, server: viser.ViserServer) -> None:
     assert not find(server, "Pair").visible
     run(tab, server)
     assert "1 loop closure in 6 pairs · 3.0 s" in said(tab)
-    assert "precision 1.000, recall 1.000" in said(tab)
+    assert "precision is 1.000 and recall 1.000" in said(tab)
     assert "affinity" in said(tab)
     assert find(server, "Run all pairs").visible
     assert not find(server, "Cancel").visible
     assert find(server, "Pair").value == "003 → 000 · 5.0 · right"  # the pair that is open
 
 
-def test_thresholds_and_rules_are_followed(tab: AllPairs, server: viser.ViserServer) -> None:
+def test_thresholds_and_rules_are_followed(tab: AllPairsTab, server: viser.ViserServer) -> None:
     run(tab, server)
     tab.follow(with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
     assert tab.wait_idle(10)
@@ -111,7 +109,7 @@ def test_thresholds_and_rules_are_followed(tab: AllPairs, server: viser.ViserSer
     assert "10 cm cells" in said(tab)
 
 
-def test_other_parameters_are_told_as_such(tab: AllPairs, server: viser.ViserServer) -> None:
+def test_other_parameters_are_told_as_such(tab: AllPairsTab, server: viser.ViserServer) -> None:
     run(tab, server)
     smoother = replace(STATE.params, map=replace(STATE.params.map, length_scale=0.5))
     tab.follow(with_params(STATE, smoother))
@@ -120,16 +118,16 @@ def test_other_parameters_are_told_as_such(tab: AllPairs, server: viser.ViserSer
 
 
 def test_pairs_are_chosen_and_stepped_through(
-    tab: AllPairs, server: viser.ViserServer, shown: list[tuple[str, str]]
+    tab: AllPairsTab, server: viser.ViserServer, recorder: Recorder
 ) -> None:
     run(tab, server)
     pair = find(server, "Pair")
     user_sets(find(server, "Step pair"), "next")
-    assert shown[-1] == ("001", "000")  # of the second-highest score
+    assert shown(recorder) == ("001", "000")  # of the second-highest score
     user_sets(pair, pair.options[-1])
-    assert shown[-1] == ("003", "002")
+    assert shown(recorder) == ("003", "002")
     user_sets(find(server, "Step pair"), "next")  # round the end
-    assert shown[-1] == ("003", "000")
+    assert shown(recorder) == ("003", "000")
     user_sets(find(server, "List"), "right")
     assert pair.options[1:] == ("003 → 000 · 5.0 · right",)
     tab.follow(with_pair(STATE, query_id="002", database_id="001"))
@@ -139,9 +137,9 @@ def test_pairs_are_chosen_and_stepped_through(
 
 
 def test_a_run_is_cancelled_and_the_next_one_is_not(
-    tab: AllPairs, server: viser.ViserServer, surveyor: Surveyor
+    tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
 ) -> None:
-    surveyor.go.clear()
+    comparer.go.clear()
     user_presses(find(server, "Run all pairs"))
     assert find(server, "Cancel").visible
     assert "Running all pairs" in said(tab)
@@ -149,23 +147,23 @@ def test_a_run_is_cancelled_and_the_next_one_is_not(
     assert tab.wait_idle(10)
     assert "Cancelled" in said(tab)
     assert find(server, "Run all pairs").visible
-    surveyor.go.set()
+    comparer.go.set()
     run(tab, server)
     assert "loop closure in 6 pairs" in said(tab)
 
 
-def test_an_error_is_told(tab: AllPairs, server: viser.ViserServer, surveyor: Surveyor) -> None:
-    surveyor.error = InputError("002 spans 10,000 m: raise the resolution")
+def test_an_error_is_told(tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer) -> None:
+    comparer.error = InputError("002 spans 10,000 m: raise the resolution")
     run(tab, server)
     assert "raise the resolution" in said(tab)
     assert find(server, "Run all pairs").visible
 
 
 def test_another_dataset_forgets_what_was_found_and_ends_what_runs(
-    tab: AllPairs, server: viser.ViserServer, surveyor: Surveyor
+    tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
 ) -> None:
     run(tab, server)
-    surveyor.go.clear()
+    comparer.go.clear()
     user_presses(find(server, "Run all pairs"))
     other: ViewState = open_dataset(make_dataset(), PipelineParams())
     tab.follow(other)

@@ -11,12 +11,16 @@ import viser
 
 from app.viewer.data import tab as opening_module
 from app.viewer.data.recent import recent_datasets
-from app.viewer.data.tab import Opened, Opening
-from app.viewer.permissions import Places
-from app.viewer.save.session_file import Saved
+from app.viewer.data.tab import DataTab
+from app.viewer.opened import Opened
+from app.viewer.permissions import Permissions
+from app.viewer.session_file import SavedSession
+from app.viewer.state import open_dataset
 from gpgrad_core.datasets import load_dataset, write_dataset
+from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Dataset
+from tests.app.desk import Recorder, make_desk
 from tests.app.page import ProtocolPage
 from tests.app.synthetic import make_dataset
 from tests.app.widgets import find, user_presses, user_sets
@@ -32,23 +36,28 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def opened() -> list[Opened]:
-    return []
-
-
-Make = Callable[..., Opening]
+def recorder() -> Recorder:
+    return Recorder()
 
 
 @pytest.fixture
-def make(server: viser.ViserServer, tmp_path: Path, opened: list[Opened]) -> Iterator[Make]:
-    made: list[Opening] = []
+def opened(recorder: Recorder) -> list[Opened]:
+    return recorder.datasets
 
-    def start(**places: Any) -> Opening:
+
+STATE = open_dataset(make_dataset(num_points=200), PipelineParams())
+Make = Callable[..., DataTab]
+
+
+@pytest.fixture
+def make(server: viser.ViserServer, tmp_path: Path, recorder: Recorder) -> Iterator[Make]:
+    made: list[DataTab] = []
+
+    def start(**places: Any) -> DataTab:
         (tmp_path / "uploads").mkdir(exist_ok=True)
-        given = Places(config=tmp_path / "config", uploads=tmp_path / "uploads")
-        made.append(
-            Opening(server, "", replace(given, **places), on_opened=opened.append, message_of=str)
-        )
+        given = Permissions(config=tmp_path / "config", uploads=tmp_path / "uploads")
+        desk = make_desk(server, STATE, recorder, replace(given, **places))
+        made.append(DataTab(desk))
         return made[-1]
 
     yield start
@@ -57,11 +66,11 @@ def make(server: viser.ViserServer, tmp_path: Path, opened: list[Opened]) -> Ite
     assert list((tmp_path / "uploads").iterdir()) == []  # nothing stays
 
 
-def said(opening: Opening) -> str:
-    return opening._panel._message.content
+def said(opening: DataTab) -> str:
+    return opening._panel.work_bar.said
 
 
-def upload(server: viser.ViserServer, opening: Opening, name: str, content: bytes) -> None:
+def upload(server: viser.ViserServer, opening: DataTab, name: str, content: bytes) -> None:
     file: Any = viser.UploadedFile(name, content)
     user_sets(find(server, "Upload clouds"), file)
     assert opening.wait_idle(10)
@@ -108,7 +117,7 @@ def test_below_a_root_folders_are_browsed_and_nothing_else_is_opened(
         user_sets(find(server, "Open"), "Load")
         assert opening.wait_idle(10)
         assert "outside of" in said(opening)
-    opening.restore(Saved(dataset=data / "others"))
+    opening.restore(SavedSession(dataset=data / "others"))
     assert opening.wait_idle(10)
     assert "outside of" in said(opening)
     assert len(opened) == 2
@@ -130,7 +139,7 @@ def test_a_zipped_dataset_is_uploaded(
     assert opening.wait_idle(20)
     assert not Path(opened[0].source).exists()  # it is no longer open
     upload(server, opening, "broken.zip", b"PK\x03\x04")
-    assert "broken.zip: is no whole zip archive" in said(opening)
+    assert "broken.zip: is not a complete zip archive" in said(opening)
 
 
 def test_clouds_gather_in_one_dataset(
@@ -219,11 +228,11 @@ def test_a_saved_session_is_restored_or_refused(
     make: Make, data: Path, opened: list[Opened]
 ) -> None:
     opening = make()
-    opening.restore(Saved(dataset=data / "hills", query_id="002"))
+    opening.restore(SavedSession(dataset=data / "hills", query_id="002"))
     assert opening.wait_idle(10)
     assert opened[0].saved is not None
     assert opened[0].saved.query_id == "002"
-    opening.restore(Saved(dataset=data / "hills", query_id="999"))
+    opening.restore(SavedSession(dataset=data / "hills", query_id="999"))
     assert opening.wait_idle(10)
     assert "no submap" in said(opening)
     assert len(opened) == 1

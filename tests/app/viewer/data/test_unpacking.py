@@ -48,7 +48,7 @@ def test_a_dataset_is_found_however_deep_it_was_packed(tmp_path: Path) -> None:
     folder, notes = unpack("mine.zip", packed(files), tmp_path / "new", MOST, seen.append)
     assert folder == tmp_path / "new" / "home" / "etna"
     assert sorted(p.name for p in folder.rglob("*") if p.is_file()) == ["000.npy", "poses_gt.txt"]
-    assert notes == ("mine.zip: 1 file was left out: no part of a dataset",)
+    assert notes == ("mine.zip: 1 file was left out: not part of a dataset",)
     assert seen[-1] == 1.0
     bare, notes = unpack("b.zip", packed({"submaps/000.npy": array()}), tmp_path / "b", MOST)
     assert (bare, notes) == (tmp_path / "b", ())
@@ -84,15 +84,15 @@ def test_a_lie_about_the_size_is_no_way_round(tmp_path: Path) -> None:
     true, told = (3 * MOST).to_bytes(4, "little"), (10).to_bytes(4, "little")
     assert bytes(content).count(true) == 2  # in the file's own header and in the directory
     lying = bytes(content).replace(true, told)
-    assert "no whole zip archive" in refused(lying, tmp_path)
+    assert "not a complete zip archive" in refused(lying, tmp_path)
 
 
 def test_what_is_no_archive_of_clouds_is_refused(tmp_path: Path) -> None:
-    assert "no whole zip" in refused(b"ply\nformat", tmp_path)
+    assert "not a complete zip" in refused(b"ply\nformat", tmp_path)
     whole = packed({"000.npy": array() * 50}, zipfile.ZIP_STORED)
-    assert "no whole zip" in refused(whole[: len(whole) // 2], tmp_path)
+    assert "not a complete zip" in refused(whole[: len(whole) // 2], tmp_path)
     broken = whole.replace(array()[:20], bytes(20), 1)
-    assert "no whole zip" in refused(broken, tmp_path)
+    assert "not a complete zip" in refused(broken, tmp_path)
     assert "holds no clouds" in refused(packed({"readme.md": b"hello"}), tmp_path)
     encrypted = bytearray(packed({"000.npy": array()}))
     start = encrypted.index(b"PK\x01\x02")
@@ -118,6 +118,6 @@ def test_a_single_cloud_is_checked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="would unpack"):
         check_cloud(tmp_path / "000.npz", MOST)
     (tmp_path / "001.npz").write_bytes(b"no")
-    with pytest.raises(InputError, match="not a whole NPZ"):
+    with pytest.raises(InputError, match="not a complete NPZ"):
         check_cloud(tmp_path / "001.npz", MOST)
     check_cloud(tmp_path / "002.npy", MOST)

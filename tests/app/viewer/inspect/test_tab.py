@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import viser
 
+from app.viewer.draw.readout import reading_of
 from app.viewer.inspect.flat_picture import WIDTH
-from app.viewer.inspect.tab import Inspection, key_of, match_figures, reading_rows, title_of
-from app.viewer.pair.readout import reading_of
+from app.viewer.inspect.tab import InspectTab, key_of, match_figures, reading_rows, title_of
 from app.viewer.state import (
     Probe,
     ViewOptions,
@@ -19,6 +19,7 @@ from app.viewer.state import (
     with_probe,
 )
 from gpgrad_core.pipeline import PipelineParams
+from tests.app.desk import Recorder, make_desk
 from tests.app.synthetic import make_dataset, make_result
 from tests.app.widgets import find, user_presses, user_sets
 
@@ -28,13 +29,17 @@ MAPS = RESULT.query_map, RESULT.database_map
 
 
 @pytest.fixture
-def asked() -> list[int | None]:
-    return []
+def recorder() -> Recorder:
+    return Recorder()
+
+
+def asked(recorder: Recorder) -> list[int]:
+    return [state.match for state in recorder.states]
 
 
 @pytest.fixture
-def inspection(server: viser.ViserServer, asked: list[int | None]) -> Iterator[Inspection]:
-    made = Inspection(server, on_match=asked.append, on_clear=lambda: asked.append(None))
+def inspection(server: viser.ViserServer, recorder: Recorder) -> Iterator[InspectTab]:
+    made = InspectTab(make_desk(server, STATE, recorder), pick=lambda _: None)
     yield made
     made.close()
 
@@ -43,7 +48,7 @@ def seeing(**options: Any) -> ViewState:
     return with_options(STATE, replace(ViewOptions(), **options))
 
 
-def said(inspection: Inspection) -> str:
+def said(inspection: InspectTab) -> str:
     return "".join(
         handle.content
         for panel in (inspection._reading, inspection._matches)
@@ -52,7 +57,7 @@ def said(inspection: Inspection) -> str:
     )
 
 
-def test_the_flat_picture_is_drawn_with_its_legend(inspection: Inspection) -> None:
+def test_the_flat_picture_is_drawn_with_its_legend(inspection: InspectTab) -> None:
     image = inspection._matches._image
     assert not image.visible
     inspection.show(STATE, RESULT)
@@ -67,41 +72,41 @@ def test_the_flat_picture_is_drawn_with_its_legend(inspection: Inspection) -> No
         "masked",
     ):
         assert words in said(inspection)
-    assert "2 keypoints without partner" in said(inspection)
+    assert "2 keypoints without an association" in said(inspection)
 
 
 def test_an_association_is_chosen_by_number_and_by_step(
-    server: viser.ViserServer, inspection: Inspection, asked: list[int | None]
+    server: viser.ViserServer, inspection: InspectTab, recorder: Recorder
 ) -> None:
-    user_sets(find(server, "Step match"), "next")
-    assert asked == []  # nothing is shown yet
+    user_sets(find(server, "Step association"), "next")
+    assert asked(recorder) == []  # nothing is shown yet
     inspection.show(STATE, RESULT)
-    user_sets(find(server, "Match"), 14)
-    user_sets(find(server, "Step match"), "next")
+    user_sets(find(server, "Association"), 14)
+    user_sets(find(server, "Step association"), "next")
     inspection.show(with_match(STATE, 12), RESULT)
-    assert find(server, "Match").value == 12
-    user_sets(find(server, "Step match"), "next")  # round the end: outliers are not shown
-    user_sets(find(server, "Step match"), "previous")
-    user_sets(find(server, "Step match"), "none")
+    assert find(server, "Association").value == 12
+    user_sets(find(server, "Step association"), "next")  # round the end: outliers are not shown
+    user_sets(find(server, "Step association"), "previous")
+    user_sets(find(server, "Step association"), "none")
     inspection.show(with_match(seeing(outlier_lines=True), 12), RESULT)
     inspection.step(1)
-    assert asked == [14, 1, 1, 11, 0, 13]
+    assert asked(recorder) == [14, 1, 1, 11, 0, 13]
 
 
-def test_the_figures_of_an_association_have_their_units(inspection: Inspection) -> None:
+def test_the_figures_of_an_association_have_their_units(inspection: InspectTab) -> None:
     distances = np.linspace(0.9, 0.1, len(RESULT.matches))
     result = replace(RESULT, matches=replace(RESULT.matches, distances=distances))
     inspection.show(with_match(STATE, 14), result)
     html = said(inspection)
-    assert "Match 14 of 17: outlier" in html
-    assert "0.250 (4. closest)" in html
-    assert "1.414 m (0.3 m allowed)" in html
+    assert "Association 14 of 17: outlier" in html
+    assert "0.250 (rank 4)" in html
+    assert "1.414 m (at most 0.3 m for an inlier)" in html
     figures = match_figures(with_match(STATE, 2), result)
     assert figures is not None
     assert figures.inlier
     assert figures.residual == pytest.approx(0.0, abs=1e-9)
     inspection.show(with_match(STATE, 99), result)
-    assert "Match 99" not in said(inspection)
+    assert "Association 99" not in said(inspection)
 
 
 def test_without_a_motion_there_is_no_residual() -> None:
@@ -115,7 +120,7 @@ def test_without_a_motion_there_is_no_residual() -> None:
 
 
 def test_a_place_is_read_with_all_its_values(
-    server: viser.ViserServer, inspection: Inspection, asked: list[int | None]
+    server: viser.ViserServer, inspection: InspectTab, recorder: Recorder
 ) -> None:
     state = with_probe(STATE, Probe("query", 0.4, -0.6))
     inspection.show(state, RESULT)
@@ -126,14 +131,16 @@ def test_a_place_is_read_with_all_its_values(
     assert reading is not None
     assert dict(reading_rows(reading))["aspect"].startswith("falls towards")
     user_presses(find(server, "Clear the reading"))
-    assert asked == [None]
+    assert [state.probe for state in recorder.states] == [None]
     inspection.show(STATE, RESULT)
     assert "Hold Shift and click" in said(inspection)
-    inspection.missed()
-    assert "No surface there" in said(inspection)
+    page: Any = None
+    up = viser.SceneClickEvent(page, 1, (0.0, 0.0, 9.0), (0.0, 0.0, 1.0), (0.5, 0.5), "shift")
+    inspection.clicked(up)
+    assert "There is no surface" in said(inspection)
 
 
-def test_a_masked_place_is_told(inspection: Inspection) -> None:
+def test_a_masked_place_is_told(inspection: InspectTab) -> None:
     inspection.show(with_probe(STATE, Probe("database", 2.3, 2.3)), RESULT)
     assert "variance mask rejects this place" in said(inspection)
     assert "only one of them saw" in said(inspection)

@@ -9,9 +9,11 @@ import viser
 from app.viewer.draw.associations import ARC_PIECES
 from app.viewer.draw.colors import UNTRUSTED_GREY
 from app.viewer.draw.picking import Ray
+from app.viewer.pair import association_nodes as association_module
 from app.viewer.pair import blinker
 from app.viewer.pair import scene as scene_module
-from app.viewer.pair.scene import PairScene, round_length
+from app.viewer.pair.annotations import round_length
+from app.viewer.pair.scene import PairScene
 from app.viewer.state import (
     Probe,
     ViewOptions,
@@ -58,14 +60,18 @@ def test_a_pair_is_shown_with_names_and_sizes(server: viser.ViserServer) -> None
 def conversions(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the conversions made, as they are made."""
     made: list[str] = []
-    for name in ("make_surfels", "match_lines", "keypoint_dots"):
-        original = getattr(scene_module, name)
+    for module, name in (
+        (scene_module, "make_surfels"),
+        (association_module, "match_lines"),
+        (association_module, "keypoint_dots"),
+    ):
+        original = getattr(module, name)
 
         def watched(*args: Any, _name: str = name, _original: Any = original, **kwargs: Any) -> Any:
             made.append(_name)
             return _original(*args, **kwargs)
 
-        monkeypatch.setattr(scene_module, name, watched)
+        monkeypatch.setattr(module, name, watched)
     return made
 
 
@@ -105,7 +111,7 @@ def test_the_association_pointed_at_stands_out_and_the_others_step_back(
     chosen = node(server, "/pair/match/line")
     assert chosen.visible
     assert len(chosen.points) == ARC_PIECES
-    assert node(server, "/pair/match/label").text == "match 2: inlier, residual 0.000 m"
+    assert node(server, "/pair/match/label").text == "association 2: inlier, residual 0.000 m"
     assert lines.thickness < bold < chosen.thickness
     assert not np.array_equal(lines.colors, colors)
     ends = node(server, "/pair/match/ends").points
@@ -113,7 +119,7 @@ def test_the_association_pointed_at_stands_out_and_the_others_step_back(
     start = query.apply(np.append(RESULT.matches.query_xy[1], 0.0)[None])[0]
     np.testing.assert_allclose(ends[0, :2], start[:2], atol=1e-4)
     scene.show(with_match(STATE, 13), RESULT)
-    assert "match 13: outlier, residual 1.414 m" in node(server, "/pair/match/label").text
+    assert "association 13: outlier, residual 1.414 m" in node(server, "/pair/match/label").text
     for number in (0, 99):  # none, and none of that number
         scene.show(with_match(STATE, number), RESULT)
         assert not chosen.visible

@@ -6,7 +6,7 @@ import pytest
 import viser
 
 from app.viewer.params import fit as fit_module
-from app.viewer.params.fit import Fit, with_fitted
+from app.viewer.params.fit import FitTool, with_fitted
 from app.viewer.state import open_dataset, with_pair
 from gpgrad_core.errors import InputError
 from gpgrad_core.fitting import FitResult, fit_parameters
@@ -14,6 +14,7 @@ from gpgrad_core.gradient_map import MapParams, TerrainParams
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Submap
+from tests.app.desk import Recorder, make_desk
 from tests.app.synthetic import make_dataset
 from tests.app.widgets import find, user_presses
 
@@ -51,37 +52,39 @@ def fitter(monkeypatch: pytest.MonkeyPatch) -> Fitter:
 
 
 @pytest.fixture
-def fitted() -> list[dict[str, float]]:
-    return []
+def recorder() -> Recorder:
+    return Recorder()
 
 
 @pytest.fixture
 def fit(
     server: viser.ViserServer,
     fitter: Fitter,  # noqa: ARG001
-    fitted: list[dict[str, float]],
-) -> Iterator[Fit]:
-    made = Fit(server, STATE, threading.Semaphore(), on_fitted=fitted.append, message_of=str)
+    recorder: Recorder,
+) -> Iterator[FitTool]:
+    made = FitTool(make_desk(server, STATE, recorder))
     yield made
     made.close()
 
 
-def run(fit: Fit, server: viser.ViserServer) -> None:
+def run(fit: FitTool, server: viser.ViserServer) -> None:
     user_presses(find(server, "Fit to these submaps"))
     assert fit.wait_idle(10)
 
 
-def said(fit: Fit) -> str:
-    return fit._panel._message.content
+def said(fit: FitTool) -> str:
+    return fit._panel.work_bar.said
 
 
 def test_the_result_is_handed_on_and_told_before_and_after(
-    fit: Fit, server: viser.ViserServer, fitter: Fitter, fitted: list[dict[str, float]]
+    fit: FitTool, server: viser.ViserServer, fitter: Fitter, recorder: Recorder
 ) -> None:
     run(fit, server)
     assert fitter.calls == [("003", "000")]
     # To the digits that the sliders show.
-    assert fitted == [{"length_scale": 0.41, "signal_std": 0.3, "noise_std": 0.031}]
+    found = {"length_scale": 0.41, "signal_std": 0.3, "noise_std": 0.031}
+    (state,) = recorder.states
+    assert state.params == replace(STATE.params, map=with_fitted(STATE.params.map, found))
     for words in (
         "4,096 points of 003 and 000",
         "0.3 → 0.41 m",
@@ -91,12 +94,12 @@ def test_the_result_is_handed_on_and_told_before_and_after(
     ):
         assert words in said(fit)
     params = MapParams(resolution=0.07)
-    assert with_fitted(params, fitted[0]).resolution == 0.07
-    assert with_fitted(params, fitted[0]).noise_std == 0.031
+    assert with_fitted(params, found).resolution == 0.07
+    assert with_fitted(params, found).noise_std == 0.031
 
 
 def test_a_submap_beside_itself_counts_once(
-    fit: Fit, server: viser.ViserServer, fitter: Fitter
+    fit: FitTool, server: viser.ViserServer, fitter: Fitter
 ) -> None:
     fit.follow(with_pair(STATE, query_id="000"))
     run(fit, server)
@@ -104,7 +107,7 @@ def test_a_submap_beside_itself_counts_once(
 
 
 def test_it_is_cancelled(
-    fit: Fit, server: viser.ViserServer, fitter: Fitter, fitted: list[dict[str, float]]
+    fit: FitTool, server: viser.ViserServer, fitter: Fitter, recorder: Recorder
 ) -> None:
     fitter.go.clear()
     user_presses(find(server, "Fit to these submaps"))
@@ -113,23 +116,23 @@ def test_it_is_cancelled(
     assert fit.wait_idle(10)
     assert "Cancelled" in said(fit)
     assert find(server, "Fit to these submaps").visible
-    assert fitted == []
+    assert recorder.states == []
 
 
 def test_another_pair_ends_it(
-    fit: Fit, server: viser.ViserServer, fitter: Fitter, fitted: list[dict[str, float]]
+    fit: FitTool, server: viser.ViserServer, fitter: Fitter, recorder: Recorder
 ) -> None:
     fitter.go.clear()
     user_presses(find(server, "Fit to these submaps"))
     fit.follow(with_pair(STATE, query_id="001"))
     assert fit.wait_idle(10)
     fitter.go.set()
-    assert fitted == []
+    assert recorder.states == []
     run(fit, server)
     assert fitter.calls[-1] == ("001", "000")
 
 
-def test_an_error_is_told(fit: Fit, server: viser.ViserServer, fitter: Fitter) -> None:
+def test_an_error_is_told(fit: FitTool, server: viser.ViserServer, fitter: Fitter) -> None:
     fitter.error = InputError("submap 003 gives no noise_std for its points")
     run(fit, server)
     assert "gives no noise_std" in said(fit)
@@ -138,13 +141,14 @@ def test_an_error_is_told(fit: Fit, server: viser.ViserServer, fitter: Fitter) -
 def test_the_real_fit_is_called_as_it_wants(
     server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fitted: list[dict[str, float]] = []
+    recorder = Recorder()
     monkeypatch.setattr(fit_module, "fit_parameters", fit_parameters)
     state = open_dataset(make_dataset(num_points=300), PipelineParams())
-    fit = Fit(server, state, threading.Semaphore(), on_fitted=fitted.append, message_of=repr)
+    fit = FitTool(make_desk(server, state, recorder))
     run(fit, server)
     fit.close()
     assert "Fitted to" in said(fit)
     # The hills are smooth and measured with a noise of 1 cm.
-    assert fitted[0]["noise_std"] == pytest.approx(0.01, abs=0.005)
-    assert fitted[0]["length_scale"] > 0.3
+    fitted = recorder.states[-1].params.map
+    assert fitted.noise_std == pytest.approx(0.01, abs=0.005)
+    assert fitted.length_scale > 0.3

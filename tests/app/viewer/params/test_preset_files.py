@@ -68,7 +68,7 @@ def test_own_presets_are_saved_replaced_and_deleted(tmp_path: Path) -> None:
     assert str(path) in found.purpose
     delete_preset(folder, "Etna (noisy)")
     assert own_presets(folder) == ((), ())
-    with pytest.raises(InputError, match="none of your own"):
+    with pytest.raises(InputError, match="not one of your own"):
         delete_preset(folder, "Etna (noisy)")
 
 

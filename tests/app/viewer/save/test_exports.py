@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 import viser
 
+from app.viewer.opened import Opened
 from app.viewer.save import exports as exports_module
 from app.viewer.save.exports import CLOSURES, MAPS, Exports
 from app.viewer.state import open_dataset
 from gpgrad_core.loop_closure import classify
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
-from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Dataset
+from tests.app.desk import make_desk
 from tests.app.page import FakePage
-from tests.app.synthetic import make_dataset, make_map, make_survey
+from tests.app.synthetic import make_compared, make_dataset, make_map
 from tests.app.widgets import find, user_presses
 
 STATE = open_dataset(make_dataset(), PipelineParams())
@@ -32,7 +33,7 @@ def go(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
         progress: Progress = given["progress"]
         while not go.wait(0.005):
             progress(0.3)
-        result = make_survey().result
+        result = make_compared().result
         closures = tuple(
             classify(
                 one.registration,
@@ -56,14 +57,14 @@ def go(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
 
 @pytest.fixture
 def exports(server: viser.ViserServer, go: threading.Event) -> Iterator[Exports]:
-    made = Exports(server, STATE, Memo(), threading.Semaphore(), message_of=str)
+    made = Exports(make_desk(server, STATE))
     yield made
     go.set()
     made.close()
 
 
 def said(exports: Exports) -> str:
-    return exports._panel._message.content
+    return exports._panel.work_bar.said
 
 
 def order(exports: Exports, page: FakePage, kind: str, *arguments: str) -> None:
@@ -135,7 +136,7 @@ def test_an_export_is_cancelled(
 
 def test_what_cannot_be_exported_is_told(exports: Exports) -> None:
     page = FakePage()
-    exports.follow(open_dataset(Dataset("one", STATE.dataset.submaps[:1]), PipelineParams()))
+    exports._desk.open(Opened(Dataset("one", STATE.dataset.submaps[:1]), PipelineParams(), ""))
     order(exports, page, "closures", "JSON")
-    assert "closes no loop" in said(exports)
+    assert "needs two submaps" in said(exports)
     assert page.files == {}

@@ -1,10 +1,11 @@
 import pytest
 import viser
 
-from app.viewer.save.session_file import Saved, parse_saved
-from app.viewer.save.tab import Saving
-from app.viewer.state import open_dataset, with_pair, with_params
+from app.viewer.save.tab import SaveTab
+from app.viewer.session_file import parse_session
+from app.viewer.state import open_dataset
 from gpgrad_core.pipeline import PipelineParams
+from tests.app.desk import Recorder, make_desk
 from tests.app.page import FakePage
 from tests.app.synthetic import make_dataset, needing
 from tests.app.widgets import find
@@ -13,45 +14,46 @@ STATE = open_dataset(make_dataset(), PipelineParams(), source="/data/hills & <b>
 
 
 @pytest.fixture
-def restored() -> list[Saved]:
-    return []
+def recorder() -> Recorder:
+    return Recorder()
 
 
 @pytest.fixture
-def saving(server: viser.ViserServer, restored: list[Saved]) -> Saving:
-    return Saving(server, STATE, on_restore=restored.append)
+def saving(server: viser.ViserServer, recorder: Recorder) -> SaveTab:
+    desk = make_desk(server, STATE, recorder)
+    return desk.join(SaveTab(desk))
 
 
-def said(saving: Saving) -> str:
+def said(saving: SaveTab) -> str:
     return saving._panel._command.content + saving._panel._message.content
 
 
-def test_the_command_follows_the_session_and_is_escaped(saving: Saving) -> None:
+def test_the_command_follows_the_session_and_is_escaped(saving: SaveTab) -> None:
     assert "--pair 003 000" in said(saving)
     assert "&lt;b&gt;co&lt;/b&gt;" in said(saving)
     assert "<b>co" not in said(saving)
-    saving.follow(with_params(STATE, needing(7)))
+    saving._desk.change(params=needing(7))
     assert "--closure.min-inliers 7" in said(saving)
-    saving.follow(with_pair(STATE, query_id="000"))
+    saving._desk.change(pair=("000", "000"))
     assert "gpgrad detect" not in said(saving)
-    assert "no pair" in said(saving)
+    assert "not a pair" in said(saving)
 
 
 def test_a_session_goes_out_and_comes_back(
-    saving: Saving, server: viser.ViserServer, restored: list[Saved]
+    saving: SaveTab, server: viser.ViserServer, recorder: Recorder
 ) -> None:
     client = FakePage()
-    saving.follow(with_params(STATE, needing(7)))
+    saving._desk.change(params=needing(7))
     saving._save(client)
     ((name, content),) = client.files.items()
     assert name == "hills.gpgrad.toml"
-    assert parse_saved(content.decode(), name).camera is not None
-    saving._restore(name, content, client)
-    assert restored[0].params == needing(7)
-    assert restored[0].camera is not None
-    assert restored[0].camera.position == (1.0, -2.0, 3.5)
+    assert parse_session(content.decode(), name).camera is not None
+    saving._restore(name, content)
+    assert recorder.restored[0].params == needing(7)
+    assert recorder.restored[0].camera is not None
+    assert recorder.restored[0].camera.position == (1.0, -2.0, 3.5)
     for broken, words in ((b"\xff", "utf-8"), (b"#" * 200_000, "too large"), (b"x = 1", "unknown")):
-        saving._restore(name, broken, client)
+        saving._restore(name, broken)
         assert words in said(saving)
-    assert len(restored) == 1
+    assert len(recorder.restored) == 1
     assert find(server, "Save session").visible

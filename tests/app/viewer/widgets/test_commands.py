@@ -13,8 +13,8 @@ def registered(server: viser.ViserServer) -> dict[str, Any]:
 
 def test_a_command_is_known_to_pages_with_its_key(server: viser.ViserServer) -> None:
     commands = Commands(server)
-    commands.add("View", "Top view", lambda page: None, key="T")  # noqa: ARG005
-    commands.add("State", "Undo", lambda page: None, key="Z", modifier="cmd/ctrl")  # noqa: ARG005
+    commands.add("View", "Top view", lambda: None, key="T")
+    commands.add("State", "Undo", lambda: None, key="Z", modifier="cmd/ctrl")
     known = registered(server)
     assert known["Top view"].hotkey == "T"
     assert known["Undo"].modifier == "cmd/ctrl"
@@ -24,7 +24,7 @@ def test_a_command_is_known_to_pages_with_its_key(server: viser.ViserServer) -> 
 def test_it_acts_for_the_page_that_asks(server: viser.ViserServer) -> None:
     asked: list[Any] = []
     commands = Commands(server)
-    commands.add("View", "Top view", asked.append, key="T")
+    commands.add_for_page("View", "Top view", asked.append, key="T")
     page: Any = object()
     (callback,) = registered(server)["Top view"]._impl.trigger_cb
     event = viser.CommandEvent(client=page, client_id=1, target=registered(server)["Top view"])
@@ -37,16 +37,16 @@ def test_it_acts_for_the_page_that_asks(server: viser.ViserServer) -> None:
 @pytest.mark.parametrize("key", sorted(CAMERA_KEYS))
 def test_no_command_takes_a_key_that_flies_the_camera(server: viser.ViserServer, key: str) -> None:
     with pytest.raises(ValueError, match="flies the camera"):
-        Commands(server).add("View", "Anything", lambda page: None, key=key)  # noqa: ARG005
+        Commands(server).add("View", "Anything", lambda: None, key=key)
 
 
 def test_no_key_has_two_commands(server: viser.ViserServer) -> None:
     commands = Commands(server)
     with pytest.raises(ValueError, match="H is taken by 'Show all keys"):
-        commands.add("View", "Hide", lambda page: None, key="H")  # noqa: ARG005
-    commands.add("View", "Hide", lambda page: None, key="H", modifier="shift")  # noqa: ARG005
-    commands.add("View", "No key", lambda page: None)  # noqa: ARG005
-    commands.add("View", "None either", lambda page: None)  # noqa: ARG005
+        commands.add("View", "Hide", lambda: None, key="H")
+    commands.add("View", "Hide", lambda: None, key="H", modifier="shift")
+    commands.add("View", "No key", lambda: None)
+    commands.add("View", "None either", lambda: None)
 
 
 def test_the_help_page_lists_every_command_and_escapes_it() -> None:

@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.data.panel import UP, Choices, DatasetPanel, DatasetSummary, PairPanel
-from app.viewer.pair.panel import LAYER_NAMES, ViewPanel, legend_html
+from app.viewer.data.panel import UP, Choices, DatasetPanel, FolderCalls
+from app.viewer.draw.colors import legend_uri
+from app.viewer.draw.layers import Scale
+from app.viewer.pair.choice import DatasetSummary, PairPanel
+from app.viewer.pair.panel import LAYER_NAMES, ViewPanel
 from app.viewer.pair.verdict import VerdictCard, verdict_html
 from app.viewer.save.panel import command_html
 from app.viewer.state import LAYERS, ViewOptions, open_dataset, with_pair
+from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.status import StatusLine, status_html
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset, Submap
@@ -26,15 +30,17 @@ def html_of(panel: object) -> str:
 
 
 def dataset_panel(server: viser.ViserServer, asked: list[str]) -> DatasetPanel:
-    return DatasetPanel(
+    panel = DatasetPanel(
         server,
         on_load=asked.append,
         on_demo=lambda: asked.append("the demo"),
-        on_cancel=lambda: asked.append("cancel"),
-        on_enter=lambda name: asked.append(f"enter {name}"),
-        on_open_here=lambda: asked.append("open here"),
-        on_upload=lambda name, content: asked.append(f"{name}: {len(content)}"),
+        folder=FolderCalls(
+            lambda name: asked.append(f"enter {name}"), lambda: asked.append("open here")
+        ),
+        uploaded=lambda name, content: asked.append(f"{name}: {len(content)}"),
     )
+    panel.work_bar.on_cancel(lambda: asked.append("cancel"))
+    return panel
 
 
 def test_the_card_tells_an_accepted_pair_with_units() -> None:
@@ -44,8 +50,8 @@ def test_the_card_tells_an_accepted_pair_with_units() -> None:
         ">Loop closure<",
         "query 003",
         "database 000",
-        "12 of 8 needed",
-        "4.20",
+        "12 (threshold 8)",
+        ">4.2",
         "+90.0°",
         "+1.00 m, -0.50 m",
         "12.5 m²",
@@ -89,15 +95,16 @@ def test_names_cannot_bring_markup_into_the_page(server: viser.ViserServer) -> N
     summary.show(dataset)
     panel.show(evil)
     panel.show_folder(Choices(evil, (evil,), can_open=True, note=evil))
-    panel.loading(evil)
+    panel.work_bar.running(evil, 0.0)
     shown = html_of(summary) + html_of(panel) + command_html(f"gpgrad detect {evil}</textarea>")
-    panel.error(evil)
-    shown += html_of(panel) + status_html(evil, "red", title=evil)
+    shown += panel.work_bar.said
+    panel.work_bar.failed(evil)
+    shown += panel.work_bar.said + status_html(evil, "red", title=evil)
     result = make_result(STATE)
     shown += verdict_html(
         state, replace(result, closure=replace(result.closure, query_id=evil, reason=evil))
     )
-    shown += legend_html("data:", evil, evil, low=0.0, high=1.0, note=evil)
+    shown += legend_html(Scale(evil, evil, "viridis", 0.0, 1.0), note=evil)
     assert "<img src=x" not in shown
     assert shown.count("</textarea>") == 1
     assert "&lt;img src=x" in shown
@@ -181,13 +188,14 @@ def test_datasets_are_asked_for_in_every_way(server: viser.ViserServer) -> None:
 
 def test_loading_is_told_and_ends(server: viser.ViserServer) -> None:
     panel = dataset_panel(server, [])
-    panel.loading("/data/etna", 0.4)
+    panel.work_bar.running("/data/etna", 0.4)
     assert find(server, "Cancel loading").visible
-    panel.error("/data/etna: no such file or folder")
-    assert "no such file" in html_of(panel)
+    panel.work_bar.failed("/data/etna: no such file or folder")
+    assert "no such file" in panel.work_bar.said
     assert not find(server, "Cancel loading").visible
+    panel.work_bar.idle()
     panel.show("/data/hills")
-    assert "no such file" not in html_of(panel)
+    assert "no such file" not in panel.work_bar.said
     assert find(server, "Folder").value == "/data/hills"
 
 
@@ -267,7 +275,7 @@ def test_every_option_of_the_view_is_reported(server: viser.ViserServer) -> None
 def test_the_legend_prints_ends_middle_and_unit(
     low: float, high: float, texts: tuple[str, ...]
 ) -> None:
-    html = legend_html("data:x", "Elevation", "m", low=low, high=high)
+    html = legend_html(Scale("Elevation", "m", "viridis", low, high))
     assert "Elevation" in html
     assert "[m]" in html
     for text in texts:
@@ -275,13 +283,12 @@ def test_the_legend_prints_ends_middle_and_unit(
 
 
 def test_the_legend_stands_under_its_histogram_and_above_its_note() -> None:
-    html = legend_html(
-        "data:x", "Mask", "m", low=0.0, high=1.0, histogram="<svg/>", note="12 cells"
-    )
-    assert html.index("<svg/>") < html.index("data:x") < html.index("12 cells")
+    scale = Scale("Mask", "m", "viridis", 0.0, 1.0)
+    html = legend_html(scale, histogram="<svg/>", note="12 cells")
+    assert html.index("<svg/>") < html.index(legend_uri("viridis")) < html.index("12 cells")
 
 
-def test_ways_of_comparing_are_offered_where_they_apply(server: viser.ViserServer) -> None:
+def test_comparisons_are_offered_where_they_apply(server: viser.ViserServer) -> None:
     reported: list[ViewOptions] = []
     panel = ViewPanel(server, ViewOptions(), reported.append, lambda: None)
     compare, swipe = find(server, "Compare"), find(server, "Swipe")

@@ -4,10 +4,17 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.world.lines import LOOP_PIECES, Loop, arches, drawable, way
+from app.viewer.world.lines import LOOP_PIECES, Loop, arches, drawable, trajectory_lines
 from app.viewer.world.scene import World, WorldScene
 from app.viewer.world.submaps import PoseSource, WorldColor, WorldOptions, poses_of
-from app.viewer.world.surfaces import MAX_CELLS, Sight, pick, quick_sight, submap_color, world_scale
+from app.viewer.world.surfaces import (
+    MAX_CELLS,
+    Surface,
+    pick,
+    quick_surface,
+    submap_color,
+    world_scale,
+)
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import Pose
@@ -15,7 +22,7 @@ from tests.app.synthetic import make_dataset, make_map
 
 DATASET = make_dataset()
 POSES = poses_of(DATASET, "odometry")
-SIGHTS = {submap.id: Sight(make_map(submap), 0.9) for submap in DATASET.submaps}
+SIGHTS = {submap.id: Surface(make_map(submap), 0.9) for submap in DATASET.submaps}
 LOOPS = (Loop("003", "000", 5.0, True), Loop("002", "000", 1.0, False))
 
 
@@ -28,9 +35,9 @@ def raised(position: Any, *, y: float = 0.0, z: float = 0.0) -> Any:
 
 
 def world(color: WorldColor = "submap", selected: str | None = None, **options: Any) -> World:
-    ways: dict[PoseSource, Any] = {"odometry": POSES}
+    trajectories: dict[PoseSource, Any] = {"odometry": POSES}
     chosen = WorldOptions(color=color, **options)
-    return World(DATASET, SIGHTS, POSES, ways, chosen, LOOPS, selected, None, 6.0)
+    return World(DATASET, SIGHTS, POSES, trajectories, chosen, LOOPS, selected, None, 6.0)
 
 
 def test_all_submaps_lie_at_their_poses(server: viser.ViserServer) -> None:
@@ -51,7 +58,7 @@ def test_moving_sends_poses_and_no_points(server: viser.ViserServer) -> None:
     scene = WorldScene(server, visible=True)
     scene.show(world())
     points = node(server, "/world/submaps/1/surface").points
-    way_before = node(server, "/world/ways/odometry").points.copy()
+    way_before = node(server, "/world/trajectories/odometry").points.copy()
     move = scene.mover()
     moved = {
         name: Pose(raised(pose.translation, y=3.0), pose.quaternion) for name, pose in POSES.items()
@@ -66,7 +73,7 @@ def test_moving_sends_poses_and_no_points(server: viser.ViserServer) -> None:
     )
     assert node(server, "/world/submaps/1/surface").points is points
     np.testing.assert_allclose(
-        node(server, "/world/ways/odometry").points - way_before,
+        node(server, "/world/trajectories/odometry").points - way_before,
         [[[0.0, 1.5, 0.0]] * 2] * 3,
         atol=1e-5,
     )
@@ -124,7 +131,7 @@ def test_neighbours_have_colours_apart() -> None:
 
 def test_a_quick_sight_is_as_coarse_as_many_submaps_ask_for() -> None:
     memo, submap = Memo(), DATASET.submaps[0]
-    few, many = (quick_sight(submap, PipelineParams(), memo, count) for count in (4, 400))
+    few, many = (quick_surface(submap, PipelineParams(), memo, count) for count in (4, 400))
     assert few.gradient_map.grid.resolution == pytest.approx(0.03)
     shown = many.gradient_map.trusted(many.max_std_ratio).sum()
     assert shown <= 1.5 * MAX_CELLS / 400
@@ -150,7 +157,7 @@ def test_a_ray_finds_the_nearer_submap() -> None:
 
 
 def test_lines_start_and_end_at_submaps() -> None:
-    assert way(POSES, 0.5).shape == (3, 2, 3)
+    assert trajectory_lines(POSES, 0.5).shape == (3, 2, 3)
     missing = Loop("003", "nowhere", 1.0, True)
     assert drawable((*LOOPS, missing), POSES) == LOOPS
     lines = arches(LOOPS[:1], POSES, 0.5)

@@ -1,0 +1,50 @@
+"""Loop closures as a file: their verdicts, the pose graph they make, or the poses it corrects."""
+
+from pathlib import Path
+
+from gpgrad_core.datasets.poses import write_poses
+from gpgrad_core.outputs import report_closures, write_closure_table, write_closures
+from gpgrad_core.pipeline import DetectionResult, PipelineParams
+from gpgrad_core.slam import (
+    OptimisedGraph,
+    build_pose_graph,
+    optimise_pose_graph,
+    write_graph,
+)
+from gpgrad_core.slam.g2o import vertex_numbers
+from gpgrad_core.types import Dataset
+
+
+def write_closure_file(
+    path: Path,
+    dataset: Dataset,
+    result: DetectionResult,
+    params: PipelineParams,
+    *,
+    trusted: tuple[tuple[str, str], ...] = (),
+    solved: OptimisedGraph | None = None,
+) -> None:
+    """Write loop closures in the format that the ending of the file names.
+
+    Args:
+        path: ``.json`` and ``.csv`` hold all verdicts, ``.g2o`` the pose graph, and ``.txt`` the
+            corrected poses in TUM's format.
+        dataset: Whose closures.
+        result: The closures.
+        params: That they were found with.
+        trusted: Pairs (query, database) that a person vouches for.
+        solved: The optimised graph, if there is one; else ``.txt`` optimises it.
+    """
+    match path.suffix:
+        case ".g2o":
+            graph = build_pose_graph(dataset, result.closures, trusted=trusted)
+            write_graph(path, graph, None if solved is None else solved.poses)
+        case ".txt":
+            graph = build_pose_graph(dataset, result.closures, trusted=trusted)
+            poses = (solved or optimise_pose_graph(graph)).poses
+            numbers = vertex_numbers(graph)
+            write_poses(path, {numbers[name]: pose for name, pose in poses.items()})
+        case ".csv":
+            write_closure_table(path, report_closures(dataset, result, params))
+        case _:
+            write_closures(path, report_closures(dataset, result, params))

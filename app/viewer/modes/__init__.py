@@ -1,0 +1,1 @@
+"""Modes: explore, tune, demonstrate; which panels and which scene are to be seen."""

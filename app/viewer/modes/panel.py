@@ -1,0 +1,51 @@
+"""The three modes: explore all submaps, tune a pair, demonstrate it to others."""
+
+from collections.abc import Callable
+from html import escape
+from typing import Literal, TypeAlias, get_args
+
+from app.viewer.host import Host
+from app.viewer.widgets.actions import on_option, one_of
+
+Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
+
+MODES: tuple[Mode, ...] = get_args(Mode)
+GUIDES: dict[Mode, str] = {
+    "Explore": "See all submaps at their poses. Click one for its figures, and correct the map in "
+    "the tab Pose graph.",
+    "Tune": "Do the two submaps show the same place? Drag a slider: the surfaces, the "
+    "associations and the verdict follow.",
+    "Demo": "Show it to others with saved views, motion and full screen, or as a page to take "
+    "away.",
+}
+"""What is to be seen in a mode, and what to do next."""
+
+
+class ModesPanel:
+    """Buttons for the modes, and a line on the present one."""
+
+    def __init__(self, host: Host, mode: Mode, on_change: Callable[[Mode], None]) -> None:
+        """Make the widgets in the current container.
+
+        Args:
+            host: Whose GUI they join.
+            mode: The present one.
+            on_change: Given the mode that a user chose; must be quick.
+        """
+        self._buttons = host.gui.add_button_group(
+            "Mode",
+            MODES,
+            hint="Explore all submaps, tune a pair, or show it to others.",
+        )
+        self._guide = host.gui.add_html("")
+        self.show(mode)
+
+        on_option(self._buttons, lambda label: on_change(one_of(MODES, label)))
+
+    def show(self, mode: Mode) -> None:
+        """Say which mode is the present one."""
+        self._guide.content = (
+            f'<div data-testid="mode" style="padding:0 .75em .2em;font-size:.85em;'
+            f'line-height:1.45"><b>{mode}.</b> <span style="opacity:.75">'
+            f"{escape(GUIDES[mode])}</span></div>"
+        )

@@ -1,0 +1,127 @@
+"""The modes: wires their buttons to the panels and the two scenes."""
+
+import threading
+from collections.abc import Mapping
+
+import viser
+
+from app.viewer.draw.cameras import set_start, set_view, view_of
+from app.viewer.draw.placement import Camera
+from app.viewer.feature import Desk, Feature, Subject
+from app.viewer.host import pages
+from app.viewer.modes.panel import Mode, ModesPanel
+from app.viewer.pair import PairScene
+from app.viewer.state import ViewState
+from app.viewer.widgets.commands import Commands
+from app.viewer.world import WorldTab
+
+PANEL_WIDTH = 320
+
+
+class Modes(Feature):
+    """Changes between the pair and the world, and gives each page its view of either back."""
+
+    def __init__(self, desk: Desk) -> None:
+        """Make the buttons in the current container, and begin with the pair.
+
+        Until `arrange`, they do nothing.
+        """
+        self._desk = desk
+        self._mode: Mode = "Tune"
+        self._panel = ModesPanel(desk.host, self._mode, self.go)
+        self._lock = threading.Lock()
+        self._state = desk.state
+        self._full_screen = False
+        self._views: dict[tuple[Subject, int], Camera] = {}
+        self._scenes: tuple[PairScene, WorldTab] | None = None
+        self._panels: Mapping[Mode, viser.PanelHandle] = {}
+
+    def arrange(
+        self,
+        pair: PairScene,
+        world: WorldTab,
+        panels: Mapping[Mode, viser.PanelHandle],
+        commands: Commands,
+    ) -> None:
+        """Take over the panels and the scenes.
+
+        Args:
+            pair: Scene of the pair.
+            world: The world.
+            panels: Panel of each mode; one at a time is to be seen.
+            commands: Get those for the full screen.
+        """
+        self._scenes = pair, world
+        self._panels = panels
+        for panel in panels.values():
+            panel.dock_left()
+            panel.set_width(PANEL_WIDTH)
+        self._show_panels()
+        commands.add(
+            "Demo",
+            "Full screen, or back",
+            lambda: self.set_full_screen(not self._full_screen),
+            key="F",
+        )
+        commands.add("Demo", "Leave full screen", self._leave_full_screen, key="escape")
+
+    def follow(self, state: ViewState) -> None:
+        """Follow the session: where the cameras were says nothing about another dataset."""
+        if state.dataset is not self._state.dataset:
+            self._views.clear()
+        self._state = state
+
+    def tune(self) -> None:
+        """Go to the mode in which a pair is tuned."""
+        self.go("Tune")
+
+    def go(self, mode: Mode) -> None:
+        """Go to a mode; Demo keeps what is to be seen."""
+        self._mode = mode
+        self._show_panels()
+        if mode != "Demo":
+            self.turn_to("world" if mode == "Explore" else "pair")
+        self._panel.show(mode)
+
+    def turn_to(self, subject: Subject) -> None:
+        """Show the pair or the world."""
+        if self._scenes is None:
+            return
+        pair, world = self._scenes
+        host = self._desk.host
+        with self._lock:
+            before: Subject = "world" if world.scene.visible else "pair"
+            if subject == before:
+                return
+            clients = pages(host)
+            for number, client in clients.items():
+                self._views[before, number] = view_of(client)
+            pair.visible = subject == "pair"
+            world.open(visible=subject == "world")
+            whole = world.camera() if subject == "world" else pair.camera(self._state)
+            for number, client in clients.items():
+                view = self._views.get((subject, number), whole)
+                if view is not None:
+                    set_view(client, view)
+            if whole is not None and isinstance(host, viser.ViserServer):
+                set_start(host, whole)
+        host.flush()
+
+    def set_full_screen(self, full_screen: bool) -> None:
+        """Put the panels away, or back."""
+        self._full_screen = full_screen
+        for panel in (self._desk.host.gui.main_panel, *self._panels.values()):
+            if full_screen:
+                panel.minimize()
+            else:
+                panel.expand()
+        self._desk.host.flush()
+
+    def _leave_full_screen(self) -> None:
+        if self._full_screen:
+            self.set_full_screen(False)
+
+    def _show_panels(self) -> None:
+        with self._desk.host.atomic():
+            for mode, panel in self._panels.items():
+                panel.visible = mode == self._mode

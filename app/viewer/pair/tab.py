@@ -1,0 +1,202 @@
+"""The pair: wires the choice of two submaps to the pipeline, and its result to the picture."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import viser
+
+from app.viewer.draw.placement import Camera
+from app.viewer.feature import Desk, Feature
+from app.viewer.host import set_theme
+from app.viewer.opened import Opened
+from app.viewer.pair.choice import DatasetSummary, PairPanel
+from app.viewer.pair.ground import HistogramOf
+from app.viewer.pair.panel import ViewPanel
+from app.viewer.pair.scene import PairScene, Shown
+from app.viewer.pair.status import PictureStatus
+from app.viewer.pair.verdict import VerdictCard
+from app.viewer.runner import Runner
+from app.viewer.state import Role, ViewState, same_surfaces
+from app.viewer.work import message_of
+from gpgrad_core.pipeline import PairResult, register_pair
+from gpgrad_core.pipeline.coarse import infer_quick_maps
+from gpgrad_core.run.progress import Progress
+
+
+@dataclass(frozen=True, eq=False)
+class PairPicture:
+    """What the worker has shown.
+
+    Attributes:
+        shown: What is to be seen.
+        result: What was found; None in a preview, which has nothing but surfaces.
+        coarse: Whether the surfaces are not yet the full ones.
+    """
+
+    shown: Shown
+    result: PairResult | None = None
+    coarse: bool = False
+
+
+class PairTab(Feature):
+    """Shows the pair of the session: one worker turns the newest state into a picture."""
+
+    def __init__(self, desk: Desk, opened: Opened, view: viser.GuiTabHandle) -> None:
+        """Make verdict and status in the current container, and the view's options in a tab.
+
+        Args:
+            desk: Of the session.
+            opened: What the session begins with.
+            view: The tab of the view.
+        """
+        self._desk = desk
+        host, state = desk.host, desk.state
+        self.scene = PairScene(host)
+        self._histogram = HistogramOf()
+        self._verdict = VerdictCard(host)
+        self._status = PictureStatus(host, desk.memo, self._cancel)
+        with view:
+            self._summary = DatasetSummary(host)
+            self._summary.show(state.dataset)
+            self._choice = PairPanel(
+                host, state, lambda query, database: desk.change(pair=(query, database))
+            )
+            self._view = ViewPanel(
+                host,
+                state.options,
+                lambda options: desk.change(options=options),
+                lambda: self.scene.move_cameras(self.scene.camera(desk.state)),
+            )
+        self._dark = False
+        self._painted: ViewState | None = None  # whose full surfaces are to be seen
+        self._start_camera(opened)
+        self._runner: Runner[ViewState, PairPicture] = Runner(
+            self._compute,
+            self._on_result,
+            self._on_error,
+            on_start=lambda _: self._status.begin(),
+            on_cancel=lambda _: self._outdate(self._status.cancelled),
+            preview=self._preview,
+            slots=desk.capacity.pictures,
+            name="pair",
+        )
+        self.workers = (self._runner,)
+
+    def follow(self, state: ViewState) -> None:
+        """Compute and draw the new state, and show it in the widgets."""
+        self._runner.submit(state)
+        if state.options.dark != self._dark:
+            self._dark = state.options.dark
+            set_theme(self._desk.host, dark=self._dark)
+        if state.options != self._view.options:
+            self._view.set(state.options)
+        self._choice.show(state)
+
+    def opened(self, opened: Opened) -> None:
+        """Tell what is open, and bring the cameras to it."""
+        self._summary.show(opened.dataset)
+        camera = self._start_camera(opened)
+        if self.scene.visible:  # the world brings the cameras to itself
+            self.scene.move_cameras(camera)
+
+    def close(self) -> None:
+        """Stop working; what was shown stays until its page goes."""
+        super().close()
+        self._status.close()
+        self.scene.close()
+
+    def step(self, role: Role, step: int) -> None:
+        """Go to the next (1) or the previous (-1) submap as query or database."""
+        self._choice.step(role, step)
+
+    def refuse(self, message: str) -> None:
+        """Say why a value was not taken."""
+        self._status.line.error(message)
+
+    def _cancel(self) -> None:
+        self._runner.cancel()
+
+    # What the worker does.
+
+    def _preview(self, state: ViewState, progress: Progress) -> PairPicture | None:
+        """Show the surfaces, coarse if need be: what is found on them takes longer."""
+        if self._painted is not None and same_surfaces(self._painted, state):
+            return None
+        if state.options.layout == "registered" and not self.scene.knows_motion(state):
+            return None  # it would jump as soon as the motion is known
+        maps = infer_quick_maps(
+            state.query,
+            state.database,
+            state.params.map,
+            self._status.memo,
+            self._desk.capacity.helper,
+            self._status.reported(progress),
+        )
+        coarse = any(made.grid.resolution != state.params.map.resolution for made in maps)
+        self._painted = None if coarse else state
+        return PairPicture(self.scene.preview(state, maps), coarse=coarse)
+
+    def _compute(self, state: ViewState, progress: Progress) -> PairPicture:
+        result = register_pair(
+            state.query,
+            state.database,
+            state.params,
+            self._status.memo,
+            self._status.reported(progress),
+            helper=self._desk.capacity.helper,
+        )
+        self._painted = state
+        with self._status.drawing():
+            shown = self.scene.show(state, result)
+        return PairPicture(shown, result)
+
+    def _on_result(self, state: ViewState, picture: PairPicture, seconds: float) -> None:
+        shown, result = picture.shown, picture.result
+        self._show_legend(shown)
+        if result is None:
+            if picture.coarse:
+                self._verdict.outdate()
+            self._status.preview(seconds, coarse=picture.coarse)
+        else:
+            self._verdict.show(state, result)
+            newer_waits = self._runner.newer_waits
+            self._status.finished(seconds, details(shown, state), newer_waits=newer_waits)
+            self._desk.show(state, result)
+        self._desk.host.flush()
+
+    def _show_legend(self, shown: Shown) -> None:
+        if shown.scale is None:
+            self._view.show_legend(None)
+        else:
+            made = self._histogram.of(shown.ground)
+            self._view.show_legend(shown.scale, made.svg, made.note)
+
+    def _on_error(self, state: ViewState, error: Exception) -> None:
+        del state
+        self._outdate(lambda: self._status.failed(message_of(error)))
+
+    def _outdate(self, tell: Callable[[], None]) -> None:
+        """Say that what is seen is not what is set: on the card, in the scene, and why."""
+        self._verdict.outdate("out of date")
+        self.scene.outdate()
+        tell()
+        self._desk.host.flush()
+
+    def _start_camera(self, opened: Opened) -> Camera:
+        """Set, and give, the view that pages begin with."""
+        saved = None if opened.saved is None else opened.saved.camera
+        camera = saved or self.scene.camera(self._desk.state)
+        self.scene.start_camera(camera)
+        return camera
+
+
+def details(shown: Shown, state: ViewState) -> str:
+    """Count what is drawn."""
+    parts: list[str] = []
+    if shown.num_surfels:
+        parts.append(f"{shown.num_surfels:,} cells")
+    if shown.num_points:
+        parts.append(f"{shown.num_points:,} points")
+    if state.options.layout == "registered" and not shown.registered:
+        parts.append("no motion found: shown side by side")
+    return " · ".join(parts) or "everything is hidden"

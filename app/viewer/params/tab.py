@@ -1,0 +1,68 @@
+"""The parameters: wires sliders, fit, undo, reset and presets to the session."""
+
+from collections.abc import Callable
+
+from app.viewer.feature import Desk, Feature
+from app.viewer.opened import Opened
+from app.viewer.params.fit import FitTool
+from app.viewer.params.panel import ParamsPanel
+from app.viewer.params.presets import PresetsTool
+from app.viewer.params.undo import UndoTool
+from app.viewer.state import ViewState
+from app.viewer.widgets.actions import on_press
+from app.viewer.widgets.commands import Commands
+from gpgrad_core.pipeline import PipelineParams
+
+MAIN_PARAMETERS = {
+    "map.length_scale": "Length-scale",
+    "map.noise_std": "Noise",
+    "features.max_std_ratio": "Variance mask",
+    "registration.inlier_radius": "Inlier radius",
+    "closure.min_inliers": "Minimum inliers",
+    "closure.min_score": "Minimum score",
+}
+"""The parameters that stand above the folded folder, and what people call them."""
+
+
+class ParamsTab(Feature):
+    """Sliders that change the session's parameters, and that follow where others change them."""
+
+    def __init__(
+        self,
+        desk: Desk,
+        default: PipelineParams,
+        commands: Commands,
+        on_error: Callable[[str], None],
+    ) -> None:
+        """Make the widgets in the current container.
+
+        Args:
+            desk: Of the session.
+            default: What "Reset parameters" goes back to.
+            commands: Get undo and redo.
+            on_error: Given the message if a value is refused.
+        """
+        self._panel: ParamsPanel[PipelineParams] = ParamsPanel(
+            desk.host,
+            desk.state.params,
+            lambda params: desk.change(params=params),
+            main=MAIN_PARAMETERS,
+            on_error=on_error,
+        )
+        self._panel.set_default(default)
+        desk.join(FitTool(desk))
+        desk.join(UndoTool(desk, commands))
+        reset = desk.host.gui.add_button(
+            "Reset parameters", hint="Goes back to the parameters that this dataset started with."
+        )
+        on_press(reset, lambda: desk.change(params=self._panel.reset()))
+        desk.join(PresetsTool(desk))
+
+    def follow(self, state: ViewState) -> None:
+        """Move the sliders to parameters that came from elsewhere."""
+        if state.params != self._panel.value:
+            self._panel.set(state.params)
+
+    def opened(self, opened: Opened) -> None:
+        """Reset to what the new dataset prefers."""
+        self._panel.set_default(opened.params)

@@ -1,0 +1,152 @@
+"""A session as a file: dataset, pair, parameters, view and camera."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+import tomli_w
+
+from app.viewer.draw.placement import Camera
+from app.viewer.state import ViewOptions, ViewState, with_options, with_pair, with_params
+from gpgrad_core.datasets import demo_path
+from gpgrad_core.errors import InputError
+from gpgrad_core.params.files import to_tables, with_tables
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.types import Dataset
+
+ENDING = ".gpgrad.toml"
+KEYS = ("dataset", "query", "database", "view", "params", "camera")
+
+
+@dataclass(frozen=True, eq=False)
+class SavedSession:
+    """What the file holds.
+
+    Attributes:
+        dataset: Path of the dataset; None is the built-in demo.
+        query_id: Submap that is registered; None where the file does not say.
+        database_id: Submap that it is registered to.
+        options: Of the view.
+        params: Of the pipeline.
+        camera: Of the page that saved it, if there was one.
+    """
+
+    dataset: Path | None = None
+    query_id: str | None = None
+    database_id: str | None = None
+    options: ViewOptions = field(default_factory=ViewOptions)
+    params: PipelineParams = field(default_factory=PipelineParams)
+    camera: Camera | None = None
+
+    def check(self, dataset: Dataset) -> None:
+        """Check that a dataset has the pair.
+
+        Raises:
+            InputError: If it has not.
+        """
+        for name in (self.query_id, self.database_id):
+            if name is not None:
+                dataset.submap(name)
+
+    def apply(self, state: ViewState) -> ViewState:
+        """Apply everything that was saved to a dataset that was just opened."""
+        state = with_pair(state, query_id=self.query_id, database_id=self.database_id)
+        return with_options(with_params(state, self.params), self.options)
+
+
+def session_text(state: ViewState, camera: Camera | None) -> str:
+    """Write a session as TOML.
+
+    Args:
+        state: The session.
+        camera: Where from to look at it.
+    """
+    table: dict[str, object] = {}
+    if Path(state.source) != demo_path():
+        table["dataset"] = str(Path(state.source).absolute())
+    table |= {"query": state.query_id, "database": state.database_id}
+    table["view"] = to_tables(state.options)
+    if camera is not None:
+        table["camera"] = {
+            "position": camera.position,
+            "look_at": camera.look_at,
+        }
+    table["params"] = to_tables(state.params)
+    return f"# gpgrad view --state FILE\n{tomli_w.dumps(table)}"
+
+
+def read_session(path: Path) -> SavedSession:
+    """Read a session from a file.
+
+    Raises:
+        InputError: If it cannot be read, is no such file, or names what there is not.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "is not a text in UTF-8"
+        raise InputError(f"{path}: cannot be read: {reason}") from error
+    return parse_session(text, str(path))
+
+
+def parse_session(text: str, where: str) -> SavedSession:
+    """Parse the text of a saved session.
+
+    Args:
+        text: TOML.
+        where: Name of the file, for the message.
+
+    Raises:
+        InputError: As `read_session`.
+    """
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{where}: is not TOML: {error}") from error
+    unknown = [key for key in table if key not in KEYS]
+    if unknown:
+        raise InputError(
+            f"{where}: is not a saved session: unknown key {unknown[0]}; known: {', '.join(KEYS)}"
+        )
+    dataset = _text(table, "dataset", where)
+    return SavedSession(
+        None if dataset is None else Path(dataset),
+        _text(table, "query", where),
+        _text(table, "database", where),
+        with_tables(ViewOptions(), _table(table, "view", where), f"{where}, [view]"),
+        with_tables(PipelineParams(), _table(table, "params", where), f"{where}, [params]"),
+        _camera(_table(table, "camera", where), where) if "camera" in table else None,
+    )
+
+
+def _text(table: Mapping[str, object], key: str, where: str) -> str | None:
+    value = table.get(key)
+    if value is not None and not isinstance(value, str):
+        raise InputError(f"{where}: {key} must be a text in quotes, got {value!r}")
+    return value
+
+
+def _table(table: Mapping[str, object], key: str, where: str) -> Mapping[str, object]:
+    value = table.get(key, {})
+    if not isinstance(value, dict):
+        raise InputError(f"{where}: {key} must be a table, [{key}], got {value!r}")
+    return cast("Mapping[str, object]", value)
+
+
+def _camera(table: Mapping[str, object], where: str) -> Camera:
+    return Camera(_point(table, "position", where), _point(table, "look_at", where))
+
+
+def _point(table: Mapping[str, object], key: str, where: str) -> tuple[float, float, float]:
+    value = table.get(key)
+    if (
+        not isinstance(value, list)
+        or len(numbers := cast("list[object]", value)) != 3
+        or not all(isinstance(n, int | float) and math.isfinite(n) for n in numbers)
+    ):
+        raise InputError(f"{where}: camera.{key} must be three numbers, [x, y, z], got {value!r}")
+    x, y, z = (float(cast("float", number)) for number in numbers)
+    return x, y, z

@@ -1,0 +1,81 @@
+"""A list of pairs to choose from, and buttons that step through it."""
+
+from collections.abc import Callable, Mapping
+
+import viser
+
+from app.viewer.host import Host
+from app.viewer.widgets.actions import on_choice, on_step
+
+MOST_LISTED = 300
+"""Longer lists make the browser slow; what is left out is counted."""
+
+
+class PairList:
+    """A dropdown whose first entry chooses no pair."""
+
+    def __init__(
+        self,
+        host: Host,
+        label: str,
+        *,
+        none: str,
+        hint: str,
+        on_choose: Callable[[tuple[str, str] | None], None],
+    ) -> None:
+        """Make the widgets in the current container.
+
+        Args:
+            host: Whose GUI they join.
+            label: Of the list.
+            none: Its first entry.
+            hint: What it shows.
+            on_choose: Given the (query, database) that a user chose or stepped to, or None.
+        """
+        self._none = none
+        self._on_choose = on_choose
+        self._pairs: dict[str, tuple[str, str]] = {}
+        self._list: viser.GuiDropdownHandle[str] = host.gui.add_dropdown(
+            label, (none,), initial_value=none, hint=hint
+        )
+        self._steps = host.gui.add_button_group(
+            f"Step {label.lower()}", ("previous", "next"), hint="Step through the list."
+        )
+        on_choice(self._list, lambda _: self._report())
+        on_step(self._steps, self._step)
+
+    @property
+    def chosen(self) -> tuple[str, str] | None:
+        """The pair that the list points at."""
+        return self._pairs.get(self._list.value)
+
+    def set_visible(self, visible: bool) -> None:
+        """Show the list, or hide it."""
+        self._list.visible = self._steps.visible = visible
+
+    def offer(self, pairs: Mapping[str, tuple[str, str]], chosen: tuple[str, str] | None) -> None:
+        """Fill the list; nothing is called.
+
+        Args:
+            pairs: (query, database) by label, in order; those after the first `MOST_LISTED` are
+                left out.
+            chosen: The pair to point at.
+        """
+        self._pairs = dict(list(pairs.items())[:MOST_LISTED])
+        first = self._none
+        if len(pairs) > MOST_LISTED:
+            first += f" (the first {MOST_LISTED} of {len(pairs):,})"
+        self._list.options = (first, *self._pairs)
+        labels = [label for label, pair in self._pairs.items() if pair == chosen]
+        self._list.value = labels[0] if labels else first
+
+    def _step(self, step: int) -> None:
+        labels = list(self._pairs)
+        if not labels:
+            return
+        at = labels.index(self._list.value) + step if self.chosen is not None else 0
+        self._list.value = labels[at % len(labels)]
+        self._report()
+
+    def _report(self) -> None:
+        self._on_choose(self.chosen)

@@ -1,0 +1,91 @@
+"""How the guide becomes a site: ``poe docs``. Nothing is asked of a network, then or later."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from docutils.parsers.rst import Directive
+from docutils.statemachine import StringList
+from latex2mathml.converter import convert
+from sphinx.application import Sphinx
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+import gpgrad_core  # noqa: E402 - found only now
+from gpgrad_core.params.fields import Field, parameters_of, with_unit  # noqa: E402
+
+project = "gpgrad"
+author = "the gpgrad authors"
+version = release = gpgrad_core.__version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 3
+root_doc = "index"
+highlight_language = "none"  # of blocks that name none: listings and files
+default_role = "py:obj"  # what docstrings put between single backticks
+
+html_theme = "furo"
+html_title = f"gpgrad {release}"
+html_static_path = ["_static"]
+html_css_files = ["guide.css"]
+html_show_copyright = False
+html_copy_source = False
+html_math_renderer = "mathml"
+
+autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True}
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+python_maximum_signature_line_length = 88
+napoleon_use_ivar = True  # one list of what a type holds
+napoleon_attr_annotations = False  # the signature has the types
+napoleon_use_rtype = False
+
+
+class ParameterTable(Directive):
+    """A table of all parameters of a dataclass, from the same source as sliders and ``--help``."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Write a row for each parameter."""
+        params = getattr(gpgrad_core, self.arguments[0])
+        rows = ["| parameter | default | range | meaning |", "|---|---|---|---|"]
+        for field in parameters_of(params):
+            shown = "automatic" if field.default is None else str(field.default)
+            rows.append(f"| `{field.path}` | {shown} | {allowed(field)} | {field.doc} |")
+        holder = nodes.container()
+        self.state.nested_parse(StringList(rows, "parameters"), self.content_offset, holder)
+        return holder.children
+
+
+def allowed(field: Field) -> str:
+    """Say which values a parameter may have."""
+    if isinstance(field.kind, tuple):
+        return ", ".join(field.kind)
+    if field.kind is bool:
+        return "yes or no"
+    if field.bounds is None:
+        return "any whole number"
+    low, high = (f"{end:,.10g}" for end in (field.bounds.low, field.bounds.high))
+    return with_unit(f"{low} to {high}", field.bounds)
+
+
+def visit_math(translator: Any, node: Any) -> None:
+    """Write an equation within a line as MathML, which browsers show without a script."""
+    translator.body.append(convert(node.astext()))
+    raise nodes.SkipNode
+
+
+def visit_math_block(translator: Any, node: Any) -> None:
+    """Write an equation of its own."""
+    translator.body.append(convert(node.astext().strip(), display="block"))
+    raise nodes.SkipNode
+
+
+def setup(app: Sphinx) -> None:
+    """Add what Sphinx does not bring."""
+    app.add_directive("parameters", ParameterTable)
+    app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))

@@ -1,0 +1,18 @@
+from .clouds import load_cloud
+from .demo import demo_params, demo_path, simulate_demo
+from .folder import Outline, load_dataset, outline_dataset, write_dataset
+from .simulate import simulate_dataset
+from .simulation_params import SimulationParams
+
+__all__ = [
+    "Outline",
+    "SimulationParams",
+    "demo_params",
+    "demo_path",
+    "load_cloud",
+    "load_dataset",
+    "outline_dataset",
+    "simulate_dataset",
+    "simulate_demo",
+    "write_dataset",
+]

@@ -1,0 +1,27 @@
+from .closure_table import write_closure_table
+from .closures import (
+    ClosureReport,
+    PairRecord,
+    read_closures,
+    report_closures,
+    restore_closures,
+    write_closures,
+)
+from .files import check_output, replacing
+from .fitted import write_fitted
+from .maps import MAP_ENDINGS, write_map
+
+__all__ = [
+    "MAP_ENDINGS",
+    "ClosureReport",
+    "PairRecord",
+    "check_output",
+    "read_closures",
+    "replacing",
+    "report_closures",
+    "restore_closures",
+    "write_closure_table",
+    "write_closures",
+    "write_fitted",
+    "write_map",
+]

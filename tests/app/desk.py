@@ -1,0 +1,41 @@
+"""A desk without a session: remembers what a feature asks it for."""
+
+import viser
+
+from app.viewer.capacity import Capacity
+from app.viewer.feature import Desk, Feature
+from app.viewer.opened import Opened
+from app.viewer.permissions import READ_ALL, Permissions
+from app.viewer.session_file import SavedSession
+from app.viewer.state import ViewState
+from gpgrad_core.run.memo import Memo
+
+
+class Recorder(Feature):
+    """Remembers every state, and what was opened or is to be restored."""
+
+    def __init__(self) -> None:
+        self.states: list[ViewState] = []
+        self.datasets: list[Opened] = []
+        self.restored: list[SavedSession] = []
+
+    def follow(self, state: ViewState) -> None:
+        self.states.append(state)
+
+    def opened(self, opened: Opened) -> None:
+        self.datasets.append(opened)
+
+    def restore(self, saved: SavedSession) -> None:
+        self.restored.append(saved)
+
+
+def make_desk(
+    server: viser.ViserServer,
+    state: ViewState,
+    recorder: Recorder | None = None,
+    permissions: Permissions = READ_ALL,
+) -> Desk:
+    """Make a desk; the recorder is told of everything."""
+    desk = Desk(server, state, Memo(), Capacity(), permissions)
+    desk.join(recorder or Recorder())
+    return desk

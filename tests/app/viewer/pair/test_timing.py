@@ -1,0 +1,28 @@
+import time
+
+from app.viewer.pair.timing import STAGE_OF, TimedMemo
+from app.viewer.state import open_dataset
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.pipeline import PipelineParams, register_pair
+from gpgrad_core.pipeline.coarse import infer_quick_map
+from gpgrad_core.run.memo import Memo
+from tests.app.synthetic import make_dataset
+
+
+def test_the_time_goes_to_known_stages_and_a_second_time_takes_none() -> None:
+    params = PipelineParams(map=MapParams(resolution=0.1))
+    state = open_dataset(make_dataset(num_points=400), params)
+    memo = Memo()
+    first, second = TimedMemo(memo), TimedMemo(memo)
+    start = time.perf_counter()
+    infer_quick_map(state.query, params.map, first)
+    once = register_pair(state.query, state.database, params, first)
+    took = time.perf_counter() - start
+    assert set(first.seconds) == {"map", "features", "matching", "registration"}
+    assert set(first.seconds) <= set(STAGE_OF.values())  # every function is known by its name
+    assert 0.5 * took < sum(first.seconds.values()) <= took
+    again = register_pair(state.query, state.database, params, second)
+    assert again.registration is once.registration
+    assert sum(second.seconds.values()) < 0.1 * took
+    second.add("drawing", 0.25)
+    assert second.seconds["drawing"] == 0.25
