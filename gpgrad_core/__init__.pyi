@@ -34,6 +34,7 @@ from .pipeline import (
     PipelineParams,
     detect_loop_closures,
     register_pair,
+    resolve_parameters,
 )
 from .registration import RegistrationParams, refine, register
 from .run.memo import Memo
@@ -128,6 +129,7 @@ __all__ = [
     "register",
     "register_pair",
     "report_closures",
+    "resolve_parameters",
     "restore_closures",
     "simulate_dataset",
     "trajectory_error",

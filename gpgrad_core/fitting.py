@@ -1,8 +1,9 @@
 """Hyperparameters of the terrain out of its points: maximum marginal likelihood."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -45,6 +46,10 @@ MOST_INFORMATION_SOLVED = MOST_INFORMATION / 30
 """Where the ground is a plane almost free of noise, the noise is raised up to here, so that the
 map can be solved for with digits to spare, and that of a denser submap too."""
 
+Hyperparameter = Literal["length_scale", "signal_std", "noise"]
+HYPERPARAMETERS: tuple[Hyperparameter, ...] = ("length_scale", "signal_std", "noise")
+"""What is searched over, in the order of `Hyperparameters`; the noise is a factor on all of it."""
+
 NOISE_PARAMETERS: dict[NoiseModel, tuple[str, ...]] = {
     "constant": ("noise_std",),
     "range": ("noise_std", "noise_growth"),
@@ -80,6 +85,7 @@ def fit_parameters(
     submaps: Sequence[Submap],
     start: TerrainParams | None = None,
     *,
+    fixed: Collection[Hyperparameter] = (),
     seed: int = 0,
     progress: Progress = silent,
 ) -> FitResult:
@@ -98,6 +104,7 @@ def fit_parameters(
         submaps: One or more; of many, `MOST_SUBMAPS` evenly spaced ones are used.
         start: Where the search begins; None: the defaults. Its noise model stays; where noise
             differs from point to point, one factor for all is searched for.
+        fixed: What stays as the start has it.
         seed: Of the random choice of points.
         progress: Called once an evaluation; may raise Cancelled.
 
@@ -110,7 +117,7 @@ def fit_parameters(
     chosen = _evenly_spaced(submaps)
     with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
         evaluate = _Evaluate(executor, progress)
-        params, areas = _search(chosen, start, np.random.default_rng(seed), evaluate)
+        params, areas = _search(chosen, start, fixed, np.random.default_rng(seed), evaluate)
         before, after = (_likelihood(areas, one, evaluate) for one in (start, params))
     progress(1.0)
     return FitResult(
@@ -124,14 +131,20 @@ def fit_parameters(
 
 
 def _search(
-    submaps: list[Submap], start: TerrainParams, rng: np.random.Generator, evaluate: "_Evaluate"
+    submaps: list[Submap],
+    start: TerrainParams,
+    fixed: Collection[Hyperparameter],
+    rng: np.random.Generator,
+    evaluate: "_Evaluate",
 ) -> tuple[TerrainParams, "list[_Area]"]:
     """Find the maximum, and the points that it is a maximum for."""
     count = int(np.ceil(PATCHES / np.sqrt(len(submaps))))
     params = replace(start, signal_std=_common_signal_std(submaps, start))
     areas = [_Area.of(submap, start, count, 0.0, rng) for submap in submaps]
     for rounds_left in reversed(range(MOST_ROUNDS)):
-        params = _solvable(_maximum(areas, params, evaluate), areas)
+        params = _maximum(areas, params, fixed, evaluate)
+        if "noise" not in fixed:
+            params = _solvable(params, areas)
         radius = params.length_scale
         if rounds_left == 0 or radius <= MOST_LENGTH_SCALE * _reach(areas):
             break
@@ -233,7 +246,12 @@ def _likelihood(areas: list[_Area], params: TerrainParams, evaluate: _Evaluate) 
     return evaluate(patches, at)[0] / sum(map(len, patches))
 
 
-def _maximum(areas: list[_Area], params: TerrainParams, evaluate: _Evaluate) -> TerrainParams:
+def _maximum(
+    areas: list[_Area],
+    params: TerrainParams,
+    fixed: Collection[Hyperparameter],
+    evaluate: _Evaluate,
+) -> TerrainParams:
     """Climb from params, whose signal is set, to a maximum of the likelihood of all areas."""
     patches = [patch for area in areas for patch in area.with_noise(params)]
     num_points = sum(map(len, patches))
@@ -244,6 +262,9 @@ def _maximum(areas: list[_Area], params: TerrainParams, evaluate: _Evaluate) -> 
 
     limits = _limits(areas, params)
     start = Hyperparameters(params.length_scale, signal_std_of(areas[0].points, params), 1.0)
+    for k, name in enumerate(HYPERPARAMETERS):
+        if name in fixed:
+            limits[:, k] = np.exp(start.logs[k])
     found: Array = minimize(
         descend,
         np.clip(start.logs, *np.log(limits)),

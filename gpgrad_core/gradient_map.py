@@ -1,7 +1,7 @@
 """Submap -> gradient map: the paper's Sec. IV."""
 
-from dataclasses import dataclass, fields
-from typing import Annotated, Literal
+from dataclasses import dataclass
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,20 +14,57 @@ from gpgrad_core.gp.binning import thin_dense
 from gpgrad_core.gp.inference import Posterior, fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.noise import find_outliers, measure_noise
+from gpgrad_core.gp.solution import TerrainFields
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.scale import noise_density, resolved_scale, rounded_scale
 from gpgrad_core.types import Array, GradientMap, Grid, Submap
 
 NoiseModel = Literal["constant", "range", "measured", "file"]
 
+MEASURED_CELLS = 10_000
+"""Cells of a map that its scale is measured on."""
+SEEN_BELOW = 0.5
+"""Share of the signal's variance below which a cell counts as seen, when a scale is measured."""
 BINNED_FROM = 10_000
 """Points of a cloud from which on binning can save more than it costs."""
 
 
+LENGTH_SCALE = Bounds(0.01, 100.0, 0.01, "m", slider=(0.05, 2.0))
+NOISE_STD = Bounds(0.0005, 10.0, 0.005, "m", slider=(0.005, 0.3))
+UNFITTED_LENGTH_SCALE, UNFITTED_NOISE_STD = 0.3, 0.05
+"""What is taken where nothing was given and nothing was fitted [m]."""
+
+NoiseModelParam: TypeAlias = Annotated[
+    NoiseModel,
+    Doc(
+        "Noise of a point: constant (noise_std), range (noise_std + noise_growth r², where r is "
+        "the range from the sensor if the cloud gives it, or else from the submap's origin), "
+        "measured (by the scatter of the point's neighbours), or file (as the cloud gives it)."
+    ),
+]
+NoiseGrowthParam: TypeAlias = Annotated[
+    float,
+    Bounds(0.0, 1.0, 0.0005, "1/m", slider=(0.0, 0.02)),
+    Doc("What noise model 'range' adds at a range of 1 m; it adds four times that at 2 m."),
+]
+NoiseFactorParam: TypeAlias = Annotated[
+    float,
+    Bounds(0.1, 10.0, 0.05, slider=(0.5, 3.0)),
+    Doc("The noise of the models 'measured' and 'file' is multiplied by this."),
+]
+MaxPointsParam: TypeAlias = Annotated[
+    int | None,
+    Bounds(3, 10_000_000, 1, "points", slider=(500, 30_000)),
+    Doc("Thin the cloud at random to this many points; None: use all (the paper: 5000)."),
+]
+SIGNAL_STD = Bounds(0.001, 1000.0, 0.01, "m", slider=(0.05, 2.0))
+
+
 @dataclass(frozen=True)
 class TerrainParams:
-    """The GP over a submap's elevation, Eqs. (1) and (6).
+    """The GP over a submap's elevation, Eqs. (1) and (6), with all its numbers.
 
     The paper prints Eq. (6) with an unsquared length-scale; its 0.1 would be sqrt(0.1) = 0.316 m
     in the kernel used here, ``signal_std² exp(-d² / (2 length_scale²))``.
@@ -35,42 +72,23 @@ class TerrainParams:
 
     length_scale: Annotated[
         float,
-        Bounds(0.01, 100.0, 0.01, "m", slider=(0.05, 1.0)),
+        LENGTH_SCALE,
         Doc("Distance over which the terrain's height stays alike; larger is smoother."),
-    ] = 0.3
+    ] = UNFITTED_LENGTH_SCALE
     noise_std: Annotated[
         float,
-        Bounds(0.0005, 10.0, 0.005, "m", slider=(0.005, 0.3)),
+        NOISE_STD,
         Doc("Standard deviation of one point's height; larger trusts single points less."),
-    ] = 0.05
-    noise_model: Annotated[
-        NoiseModel,
-        Doc(
-            "Noise of a point: constant (noise_std), range (noise_std + noise_growth r², r from "
-            "the sensor if the cloud says so, else from the submap's origin), measured (by the "
-            "scatter of its neighbours), or file (as the cloud gives it)."
-        ),
-    ] = "constant"
-    noise_growth: Annotated[
-        float,
-        Bounds(0.0, 1.0, 0.0005, "1/m", slider=(0.0, 0.02)),
-        Doc("What noise model 'range' adds at a range of 1 m; four times that at 2 m."),
-    ] = 0.0
-    noise_factor: Annotated[
-        float,
-        Bounds(0.1, 10.0, 0.05, slider=(0.5, 3.0)),
-        Doc("What the noise of the models 'measured' and 'file' is multiplied by."),
-    ] = 1.0
+    ] = UNFITTED_NOISE_STD
+    noise_model: NoiseModelParam = "constant"
+    noise_growth: NoiseGrowthParam = 0.0
+    noise_factor: NoiseFactorParam = 1.0
     signal_std: Annotated[
         float | None,
-        Bounds(0.001, 1000.0, 0.01, "m", slider=(0.05, 2.0)),
+        SIGNAL_STD,
         Doc("Standard deviation of the terrain's height; None: that of the submap's points."),
     ] = None
-    max_points: Annotated[
-        int | None,
-        Bounds(3, 10_000_000, 1, "points", slider=(500, 30_000)),
-        Doc("Thin the cloud at random to this many points; None: use all (the paper: 5000)."),
-    ] = None
+    max_points: MaxPointsParam = None
 
     def __post_init__(self) -> None:
         """Check the bounds."""
@@ -78,19 +96,72 @@ class TerrainParams:
 
 
 @dataclass(frozen=True)
-class MapParams(TerrainParams):
-    """How a submap becomes a gradient map: its GP, and the grid that it is sampled on."""
+class MapParams:
+    """How a submap becomes a gradient map: its GP, and the grid that it is sampled on.
 
+    None means automatic: `pipeline.resolve_parameters` fits it to the dataset. A number is taken
+    as it is. Where one submap stands alone and nothing is fitted, None means 0.3 m for the
+    length-scale, 0.05 m for the noise, and the points' own standard deviation for the signal.
+    """
+
+    length_scale: Annotated[
+        float | None,
+        LENGTH_SCALE,
+        Doc(
+            "Distance over which the terrain's height stays alike; larger is smoother. "
+            "None: fitted to the dataset."
+        ),
+    ] = None
+    noise_std: Annotated[
+        float | None,
+        NOISE_STD,
+        Doc(
+            "Standard deviation of one point's height; larger trusts single points less. "
+            "None: fitted to the dataset."
+        ),
+    ] = None
+    noise_model: NoiseModelParam = "constant"
+    noise_growth: NoiseGrowthParam = 0.0
+    noise_factor: NoiseFactorParam = 1.0
+    signal_std: Annotated[
+        float | None,
+        SIGNAL_STD,
+        Doc(
+            "Standard deviation of the terrain's height. None: fitted to the dataset, or that "
+            "of the submap's points where nothing is fitted."
+        ),
+    ] = None
+    max_points: MaxPointsParam = None
     resolution: Annotated[
         float,
         Bounds(0.005, 10.0, 0.005, "m", slider=(0.02, 0.2)),
         Doc("Side of a map cell."),
     ] = 0.03
+    scale: Annotated[
+        float | None,
+        Bounds(0.01, 100.0, 0.01, "m", slider=(0.05, 2.0)),
+        Doc(
+            "Scale of comparison: the finest detail that keypoints, mask and registration look "
+            "at. None: as fine as the points resolve."
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
 
     @property
     def terrain(self) -> TerrainParams:
         """The part that the GP depends on: a new grid needs no new fit."""
-        return TerrainParams(**{f.name: getattr(self, f.name) for f in fields(TerrainParams)})
+        return TerrainParams(
+            length_scale=UNFITTED_LENGTH_SCALE if self.length_scale is None else self.length_scale,
+            noise_std=UNFITTED_NOISE_STD if self.noise_std is None else self.noise_std,
+            noise_model=self.noise_model,
+            noise_growth=self.noise_growth,
+            noise_factor=self.noise_factor,
+            signal_std=self.signal_std,
+            max_points=self.max_points,
+        )
 
 
 def infer_gradient_map(
@@ -108,7 +179,7 @@ def infer_gradient_map(
     """
     map_grid(submap, params.resolution)  # refuse a cloud that is too wide before the long work
     posterior = fit_terrain(submap, params.terrain, progress=progress)
-    return sample_map(submap, posterior, params.resolution)
+    return sample_map(submap, posterior, params.resolution, params.scale)
 
 
 def map_grid(submap: Submap, resolution: float) -> Grid:
@@ -245,8 +316,34 @@ def infer_slope_variance(
     return fit_terrain(submap, params.terrain, progress=progress).sample_slope_variance(grid)
 
 
-def sample_map(submap: Submap, posterior: Posterior, resolution: float) -> GradientMap:
-    """Sample a fitted GP over its submap's bounding box."""
+def sample_map(
+    submap: Submap, posterior: Posterior, resolution: float, scale: float | None = None
+) -> GradientMap:
+    """Sample a fitted GP over its submap's bounding box.
+
+    Args:
+        submap: Its points give the box.
+        posterior: The GP, fitted to these.
+        resolution: Side of a cell [m].
+        scale: The scale of comparison [m]; None: as fine as the map itself tells that the points
+            resolve, rounded.
+    """
     grid = map_grid(submap, resolution)
-    kernel = posterior.kernel
-    return GradientMap(grid, *posterior.sample(grid), kernel.signal_std, kernel.length_scale)
+    kernel, fields = posterior.kernel, posterior.sample(grid)
+    if scale is None:
+        scale = _scale_of(fields, kernel, grid)
+    return GradientMap(grid, *fields, kernel.signal_std, kernel.length_scale, scale)
+
+
+def _scale_of(fields: TerrainFields, kernel: SquaredExponential, grid: Grid) -> float:
+    """Tell what the points of a map resolve by the variance that they leave, and by the slopes."""
+    stride = max(1, round(np.sqrt(grid.num_cells / MEASURED_CELLS)))
+    thin = (slice(None, None, stride), slice(None, None, stride))
+    variance, slope = fields.variance[thin], fields.slope[thin]
+    seen = variance <= SEEN_BELOW * kernel.signal_std**2
+    if not seen.any():
+        return kernel.length_scale
+    density = noise_density(variance[seen], kernel.signal_std, kernel.length_scale)
+    slope_std = float(np.sqrt(np.mean(np.square(slope[seen]))))
+    area = grid.num_cells * grid.resolution**2
+    return rounded_scale(resolved_scale(float(np.median(density)), slope_std, area))

@@ -14,10 +14,15 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
+from gpgrad_core.scale import std_at_scale
 from gpgrad_core.se2 import SE2, Pose
 
 MAX_GRID_CELLS = 25_000_000
 """A submap's map with more cells is refused: four float64 fields of this size fill 1 GB."""
+
+
+MAX_STD_RATIO = 0.3
+"""The variance mask, unless another is asked for; see `GradientMap.trusted`."""
 
 
 def read_only(array: NDArray[np.generic]) -> None:
@@ -277,11 +282,14 @@ class GradientMap:
     slope: Float[Array, "rows columns 2"]  # (dz/dx, dz/dy) [m/m], Eqs. (4), (5)
     signal_std: float  # prior standard deviation of the terrain's height [m]
     length_scale: float  # distance over which heights are similar [m]
+    scale: float = 0.0  # finest detail that the points resolve [m]; 0: as fine as length_scale
     gradient: Float[Array, "rows columns"] = field(init=False)  # steepness [m/m]
     std: Float[Array, "rows columns"] = field(init=False)  # of the elevation [m]
 
     def __post_init__(self) -> None:
         """Derive the gradient image and the standard deviation, once."""
+        if self.scale == 0:
+            object.__setattr__(self, "scale", self.length_scale)
         along_x, along_y = self.slope[..., 0], self.slope[..., 1]
         # This takes a seventh of the time of np.hypot, which also copes with huge numbers.
         object.__setattr__(self, "gradient", np.sqrt(along_x * along_x + along_y * along_y))
@@ -295,12 +303,20 @@ class GradientMap:
         ):
             read_only(field_of_grid)
 
-    def trusted(self, max_std_ratio: float) -> Bool[NDArray[np.bool_], "rows columns"]:
-        """Tell which cells lie close enough to points: std / signal_std <= max_std_ratio.
+    @property
+    def detail_std(self) -> float:
+        """How far heights typically change over the scale [m]; see `std_at_scale`."""
+        return std_at_scale(self.signal_std, self.length_scale, self.scale)
 
-        The ratio is in (0, 1], so a value means the same on every dataset.
+    def trusted(self, max_std_ratio: float) -> Bool[NDArray[np.bool_], "rows columns"]:
+        """Tell which cells lie close enough to points: std / detail_std <= max_std_ratio.
+
+        What is compared is the terrain's detail, so the standard deviation is measured by it.
+        The ratio is in (0, 1], so a value means the same on every dataset; 1 trusts all cells.
         """
-        return self.std <= max_std_ratio * self.signal_std
+        if max_std_ratio >= 1:
+            return np.ones(self.std.shape, dtype=np.bool_)
+        return self.std <= max_std_ratio * self.detail_std
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +326,7 @@ class Features:
     positions: Float[Array, "k 2"]  # [m]
     scales: Float[Array, "k"]  # diameter of the described neighbourhood [m]
     responses: Float[Array, "k"]  # strength, in the detector's own unit
-    std_ratios: Float[Array, "k"]  # std / signal_std of the map at the keypoint
+    std_ratios: Float[Array, "k"]  # std / detail_std of the map at the keypoint, 1 at most
     # uint8: strings of bits, compared by Hamming distance; float32: vectors, compared by L2
     descriptors: Float[NDArray[np.float32], "k d"] | UInt8[NDArray[np.uint8], "k d"]
 
@@ -343,6 +359,21 @@ class Matches:
         return len(self.pairs)
 
 
+@dataclass(frozen=True)
+class Agreement:
+    """How two maps agree over their overlap, in the wavelengths that were compared.
+
+    Attributes:
+        difference: Standard deviation of the difference of their heights [m], robust to a rock.
+        possible: Standard deviation that their uncertainty leaves possible for it [m].
+        relief: Standard deviation of the terrain itself [m].
+    """
+
+    difference: float
+    possible: float
+    relief: float
+
+
 @dataclass(frozen=True, eq=False)
 class Registration:
     """What Algorithm 1 found for a pair of maps.
@@ -358,6 +389,12 @@ class Registration:
         z_offset: Height to add to the query so that it lies on the database [m].
         covariance: Covariance of the motion's x [m], y [m] and yaw [rad]; None if it is not
             known.
+        z_std: Standard deviation of ``z_offset`` [m]; None if it is not known.
+        scale: The scale at which the maps were compared [m]; None if they were not.
+        agreement: How far the heights differ, and how far they might; None if too little ground
+            is common.
+        nothing_trusted: Whether the variance mask trusts no cell of one of the maps, so that
+            nothing can be said.
     """
 
     T_database_query: SE2 | None
@@ -368,6 +405,10 @@ class Registration:
     score: float
     z_offset: float = 0.0
     covariance: Float[Array, "3 3"] | None = None
+    z_std: float | None = None
+    scale: float | None = None
+    agreement: Agreement | None = None
+    nothing_trusted: bool = False
 
     @property
     def num_inliers(self) -> int:

@@ -138,11 +138,12 @@ def _stand(
 def scan(
     terrain: HeightField, stop: Stop, params: SimulationParams, rng: Generator
 ) -> Float[Array, "n 3"]:
-    """Measure the ground from one stop, as a panned stereo camera or a LiDAR would.
+    """Measure the ground from one stop, as a camera, a LiDAR or an airborne scanner would.
 
-    Rays go out over a fan of azimuths. Along each azimuth the ground's elevation angle is
-    sampled outwards; a ray meets the ground where that angle first reaches its own, so all rays
-    of one azimuth are marched at once, and what lies behind a crest is hidden by it.
+    From above every point is seen. From the ground, rays go out over a fan of azimuths. Along
+    each azimuth the ground's elevation angle is sampled outwards; a ray meets the ground where
+    that angle first reaches its own, so all rays of one azimuth are marched at once, and what
+    lies behind a crest is hidden by it.
 
     Args:
         terrain: The ground.
@@ -153,6 +154,8 @@ def scan(
     Returns:
         Measured points in the world [m].
     """
+    if params.sensor == "airborne":
+        return _scan_from_above(terrain, stop, params, rng)
     eye, pitch, roll = _stand(terrain, stop, params)
     c, s = np.cos(stop.yaw), np.sin(stop.yaw)
 
@@ -191,6 +194,20 @@ def scan(
     forward, left, up = forward[seen], left[seen], up[seen]
     rays = np.column_stack([c * forward - s * left, s * forward + c * left, up])
     return eye + measured[:, None] * rays
+
+
+def _scan_from_above(
+    terrain: HeightField, stop: Stop, params: SimulationParams, rng: Generator
+) -> Float[Array, "n 3"]:
+    """Measure the heights of points at random in a disc around the stop."""
+    density = params.scan_density * (1.0 - params.dropout_rate)
+    count = max(3, int(rng.poisson(density * np.pi * params.max_range**2)))
+    distance = params.max_range * np.sqrt(rng.random(count))
+    bearing = 2.0 * np.pi * rng.random(count)
+    around = np.column_stack([np.cos(bearing), np.sin(bearing)])
+    xy = np.array([stop.x, stop.y]) + distance[:, None] * around
+    heights = terrain.height(xy) + params.noise_constant * rng.standard_normal(count)
+    return np.column_stack([xy, heights])
 
 
 def _march(

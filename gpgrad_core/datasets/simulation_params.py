@@ -14,8 +14,9 @@ class SimulationParams:
     """Terrain, route, sensor and odometry of a simulated rover.
 
     The defaults imitate submaps of a small rover with a panned stereo camera: boxes of about
-    11 m x 13 m, 30,000 points, range noise of 4 cm at 3 m and 13 cm at 6 m. The other sensor is
-    a spinning LiDAR, which sees all around.
+    11 m x 13 m, 30,000 points, range noise of 4 cm at 3 m and 13 cm at 6 m. The other sensors
+    are a spinning LiDAR, which sees all around, and an airborne scanner that looks straight down
+    from above the route, so that nothing is hidden and the density is the same everywhere.
     """
 
     seed: Annotated[
@@ -94,11 +95,17 @@ class SimulationParams:
         ),
     ] = 1.5
     sensor: Annotated[
-        Literal["stereo", "lidar"],
+        Literal["stereo", "lidar", "airborne"],
         Doc(
-            "Sensor of the rover: a panned stereo camera, or a LiDAR that sees all around in rings."
+            "Sensor: a panned stereo camera or a LiDAR of the rover, which sees all around in "
+            "rings, or an airborne scanner, which looks straight down."
         ),
     ] = "stereo"
+    scan_density: Annotated[
+        float,
+        Bounds(0.5, 1000.0, 0.5, "1/m²"),
+        Doc("Points of the airborne scanner per square metre, before drop-outs."),
+    ] = 50.0
     camera_height: Annotated[
         float,
         Bounds(0.2, 3.0, 0.1, "m"),
@@ -117,19 +124,19 @@ class SimulationParams:
     max_range: Annotated[
         float,
         Bounds(2.0, 60.0, 0.5, "m"),
-        Doc("The sensor finds nothing beyond this distance."),
+        Doc("The sensor finds nothing beyond this distance, seen from above if it is airborne."),
     ] = 7.0
     noise_constant: Annotated[
         float,
         Bounds(0.0, 0.5, 0.001, "m"),
-        Doc("Standard deviation of a range measured next to the sensor."),
+        Doc("Standard deviation of a range measured next to the sensor, or of an airborne height."),
     ] = 0.005
     noise_quadratic: Annotated[
         float,
         Bounds(0.0, 0.1, 0.0005, "1/m"),
         Doc(
-            "How much the standard deviation of a range grows with its square, in stereo. A "
-            "LiDAR's does not grow."
+            "How much the standard deviation of a range grows with its square, in stereo. That of "
+            "the other sensors does not grow."
         ),
     ] = 0.0035
     dropout_rate: Annotated[

@@ -4,6 +4,7 @@ from gpgrad_core.evaluation.bootstrap import Interval
 from gpgrad_core.evaluation.calibration import Calibration, calibrate, describe_calibration
 from gpgrad_core.evaluation.experiment import read_rivals, run_methods
 from gpgrad_core.evaluation.judge import (
+    Accepted,
     Evaluation,
     MethodVerdict,
     Ranked,
@@ -31,6 +32,7 @@ from gpgrad_core.evaluation.report import (
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
 
 __all__ = [
+    "Accepted",
     "Calibration",
     "Evaluation",
     "EvaluationParams",

@@ -123,7 +123,7 @@ def _predict(
         of_point = _at(made, scatter, unseen)
     else:
         made = infer_gradient_map(seen, of_map)
-        of_point = ordinary_noise(unseen, seen, of_map) ** 2
+        of_point = ordinary_noise(unseen, seen, of_map.terrain) ** 2
     error = unseen.points[:, 2] - _at(made, made.elevation, unseen)
     variance = _at(made, made.variance, unseen) + of_point
     return error, np.sqrt(np.maximum(variance, LEAST_STD**2))
@@ -168,7 +168,7 @@ def describe_calibration(judged: Sequence[Calibration]) -> Section:
         "|---|---|---|---|---|---|",
     ]
     for one in judged:
-        scale = "n/a" if one.params is None else f"{one.params.length_scale:.3g}"
+        scale = "n/a" if one.params is None else f"{one.params.terrain.length_scale:.3g}"
         lines.append(
             f"| {one.name} | {one.density:.3f} | {one.within_68:.1%} | {one.within_95:.1%} | "
             f"{one.error_rms:.4f} | {scale} |"

@@ -23,7 +23,8 @@ def run_methods(
 ) -> dict[str, ClosureReport]:
     """Detect the loop closures of a dataset with each of several methods.
 
-    No method finds anything done by one before it: their times can be compared.
+    No method finds anything done by one before it: their times can be compared. Only the fit of
+    automatic parameters is made once for all.
 
     Args:
         dataset: What to search.
@@ -44,8 +45,9 @@ def run_methods(
         if names.count(name) > 1:
             raise InputError(f"method {name!r} is given twice; give it once")
     reports: dict[str, ClosureReport] = {}
+    fits = Memo()
     for k, method in enumerate(methods):
-        adapted = method.adapt(params)
+        adapted = method.settle(dataset.submaps, params, fits)
         result = detect_loop_closures(
             dataset,
             adapted,

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import count
+from math import radians
 
 import numpy as np
 from jaxtyping import Float
@@ -103,6 +104,26 @@ class RuleVerdict:
     by_yaw: tuple[Bin, ...]
 
 
+@dataclass(frozen=True)
+class Accepted:
+    """What became of the accepted pairs, neighbours left out: a closure is its motion.
+
+    Attributes:
+        right: The motion is right, as far as the submaps touch.
+        wrong_motion: The surfaces touch, but the motion is not right.
+        no_overlap: The surfaces have nothing in common.
+    """
+
+    right: int
+    wrong_motion: int
+    no_overlap: int
+
+    @property
+    def count(self) -> int:
+        """All of them."""
+        return self.right + self.wrong_motion + self.no_overlap
+
+
 @dataclass(frozen=True, eq=False)
 class MethodVerdict:
     """All that is known of one method on one dataset."""
@@ -110,6 +131,7 @@ class MethodVerdict:
     name: str
     ranking: Ranking
     errors: PoseErrors
+    accepted: Accepted
     rules: tuple[RuleVerdict, ...]  # as the evaluation's rules
 
 
@@ -183,7 +205,12 @@ def evaluate(
         name: rank_pairs(detection, dataset, pairs, name) for name, detection in detections.items()
     }
     errors = {
-        name: pose_errors(ranking.T_database_query, pairs.T_database_query)
+        name: pose_errors(
+            ranking.T_database_query,
+            pairs.T_database_query,
+            params.max_offset_error,
+            radians(params.max_turn_error),
+        )
         for name, ranking in rankings.items()
     }
     weights = draw_weights(pairs, params.num_resamples, seed)
@@ -194,6 +221,7 @@ def evaluate(
             name,
             ranking,
             errors[name],
+            _accepted(ranking, errors[name], pairs, params.neighbours),
             tuple(
                 _judge(ranked[name], ranking, errors[name], rule, label, pairs)
                 for ranked, rule, label in zip(by_rule, params.rules, labels, strict=True)
@@ -202,6 +230,17 @@ def evaluate(
         for name, ranking in rankings.items()
     )
     return Evaluation(dataset.name, pairs, params, seed, params.rules, labels, methods)
+
+
+def _accepted(ranking: Ranking, errors: PoseErrors, pairs: TruePairs, neighbours: int) -> Accepted:
+    """Sort what a method accepts by what a pose graph would make of it."""
+    accepted = ranking.accepted & (pairs.steps > neighbours)
+    touching = pairs.surface_overlap > 0
+    return Accepted(
+        right=int(np.sum(accepted & touching & errors.near)),
+        wrong_motion=int(np.sum(accepted & touching & ~errors.near)),
+        no_overlap=int(np.sum(accepted & ~touching)),
+    )
 
 
 def _rank_all(

@@ -11,23 +11,30 @@ from gpgrad_core.arrays import Mask
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array
 
-NEAR_OFFSET = 0.5
-"""A pair is placed right if it lies within this of the truth [m] …"""
-NEAR_TURN = radians(5.0)
-"""… and is turned no further than this from it [rad]."""
+MAX_OFFSET, MAX_TURN = 0.5, 5.0
+"""A motion is right within this distance [m] and this angle [degrees], unless others are asked."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
-    """How far each pair's motion is from the true one; infinite where there is none."""
+    """How far each pair's motion is from the true one; infinite where there is none.
 
-    offset: Float[Array, "p"]  # [m]
-    turn: Float[Array, "p"]  # [rad]
+    Attributes:
+        offset: Distance to the true place [m].
+        turn: Angle to the true heading [rad].
+        max_offset: Up to this distance a motion is right [m].
+        max_turn: Up to this angle a motion is right [rad].
+    """
+
+    offset: Float[Array, "p"]
+    turn: Float[Array, "p"]
+    max_offset: float = MAX_OFFSET
+    max_turn: float = radians(MAX_TURN)
 
     @property
     def near(self) -> Bool[Mask, "p"]:
         """Which pairs are placed right."""
-        return (self.offset <= NEAR_OFFSET) & (self.turn <= NEAR_TURN)
+        return (self.offset <= self.max_offset) & (self.turn <= self.max_turn)
 
 
 @dataclass(frozen=True)
@@ -39,7 +46,7 @@ class PoseErrorSummary:
     high_offset: float | None  # 95th percentile [m]
     median_turn: float | None  # [rad]
     high_turn: float | None  # 95th percentile [rad]
-    near: float | None  # share placed within 0.5 m and 5 degrees
+    near: float | None  # share placed right
 
 
 @dataclass(frozen=True)
@@ -63,7 +70,12 @@ class Bin:
     accepted_near: int
 
 
-def pose_errors(found: tuple[SE2 | None, ...], true: tuple[SE2, ...]) -> PoseErrors:
+def pose_errors(
+    found: tuple[SE2 | None, ...],
+    true: tuple[SE2, ...],
+    max_offset: float = MAX_OFFSET,
+    max_turn: float = radians(MAX_TURN),
+) -> PoseErrors:
     """Compare motions with the true ones.
 
     The error is the motion ``T_true⁻¹ T_found`` that is left: its length, which is how far the
@@ -72,13 +84,15 @@ def pose_errors(found: tuple[SE2 | None, ...], true: tuple[SE2, ...]) -> PoseErr
     Args:
         found: ``T_database_query`` of every pair, None where nothing was estimated.
         true: The same from the true poses.
+        max_offset: Up to this distance a motion is right [m].
+        max_turn: Up to this angle a motion is right [rad].
     """
     offset, turn = np.full(len(true), np.inf), np.full(len(true), np.inf)
     for k, (motion, truth) in enumerate(zip(found, true, strict=True)):
         if motion is not None:
             left = truth.inverse() @ motion
             offset[k], turn[k] = np.hypot(left.x, left.y), abs(left.yaw)
-    return PoseErrors(offset, turn)
+    return PoseErrors(offset, turn, max_offset, max_turn)
 
 
 def summarise_errors(errors: PoseErrors, chosen: Bool[Mask, "p"]) -> PoseErrorSummary:

@@ -165,6 +165,9 @@ def _method(evaluation: Evaluation, method: MethodVerdict) -> dict[str, Any]:
         "name": method.name,
         "seconds": method.ranking.seconds,
         "accepted": int(np.sum(method.ranking.accepted)),
+        "accepted_right": method.accepted.right,
+        "accepted_wrong_motion": method.accepted.wrong_motion,
+        "accepted_no_overlap": method.accepted.no_overlap,
         "rules": {
             rule.measure: _verdict(verdict)
             for rule, verdict in zip(evaluation.rules, method.rules, strict=True)

@@ -9,6 +9,7 @@ from typing_extensions import Doc
 
 from gpgrad_core.arrays import Mask
 from gpgrad_core.evaluation.overlap import CELL, TruePairs
+from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.types import Array, read_only
@@ -37,6 +38,16 @@ class EvaluationParams:
         bool,
         Doc("Count pairs that touch without being true as false, instead of leaving them out."),
     ] = False
+    max_offset_error: Annotated[
+        float,
+        Bounds(0.01, 1000.0, 0.05, "m", slider=(0.05, 2.0)),
+        Doc("A motion is right if it lies within this of the true one …"),
+    ] = MAX_OFFSET
+    max_turn_error: Annotated[
+        float,
+        Bounds(0.1, 180.0, 0.5, "deg", slider=(0.5, 30.0)),
+        Doc("… and is turned no further than this from it."),
+    ] = MAX_TURN
     num_resamples: Annotated[
         int,
         Bounds(0, 100_000, 100, ""),

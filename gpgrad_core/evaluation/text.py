@@ -18,7 +18,7 @@ LEGEND = """\
   **R100**: the largest share of the true pairs that some threshold finds with no false pair
   among them. **F1**: the best harmonic mean of precision and recall, and the score at which it
   is reached. Pairs of one score pass or fail together.
-- **placed right**: within 0.5 m and 5° of the true motion.
+- **placed right**: within {offset:g} m and {turn:g}° of the true motion.
 - **grey**: pairs that touch without being true. They often do match; *grey, placed right*
   counts those accepted ones whose motion is the true one.
 """
@@ -58,6 +58,7 @@ def describe(evaluation: Evaluation, figures: Sequence[str]) -> str:
     if evaluation.notes:
         lines += [*(f"- Note: {note}." for note in evaluation.notes), ""]
     lines += ["## How to read this", "", _legend(evaluation)]
+    lines += _describe_accepted(evaluation)
     for k, (rule, labels) in enumerate(zip(evaluation.rules, evaluation.labels, strict=True)):
         verdicts = [(method, method.rules[k]) for method in evaluation.methods]
         lines += _describe_rule(rule, labels, verdicts)
@@ -68,12 +69,41 @@ def describe(evaluation: Evaluation, figures: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
+def _describe_accepted(evaluation: Evaluation) -> list[str]:
+    """Tell what a pose graph would be given, before any rule on which pairs count as true."""
+    params = evaluation.params
+    rows = [
+        (
+            method.name,
+            f"{method.accepted.count}",
+            f"{method.accepted.right}",
+            f"{method.accepted.wrong_motion}",
+            f"{method.accepted.no_overlap}",
+        )
+        for method in evaluation.methods
+    ]
+    header = ("method", "accepted", "right", "wrong motion", "no overlap")
+    return [
+        "## Accepted loop closures by their motion",
+        "",
+        f"A loop closure is right only if its motion is: within {params.max_offset_error:g} m and "
+        f"{params.max_turn_error:g}° of the true one. *Wrong motion* counts the others whose "
+        "submaps have ground in common, and *no overlap* those whose submaps have none.",
+        "",
+        *([f"*left out: neighbours |i - j| <= {params.neighbours}*", ""] * bool(params.neighbours)),
+        *_table(header, rows),
+        "",
+    ]
+
+
 def _caption(name: str) -> str:
     return next((text for start, text in CAPTIONS.items() if name.startswith(start)), name)
 
 
 def _legend(evaluation: Evaluation) -> str:
-    legend, count = LEGEND, evaluation.params.num_resamples
+    params = evaluation.params
+    legend, count = LEGEND, params.num_resamples
+    legend = legend.format(offset=params.max_offset_error, turn=params.max_turn_error)
     if count:
         legend += LEGEND_OF_INTERVALS.format(resamples=count, seed=evaluation.seed)
     return legend + LEGEND_OF_LEAD if len(evaluation.methods) > 1 else legend

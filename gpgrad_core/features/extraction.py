@@ -12,7 +12,7 @@ from gpgrad_core.features.slope_field import detect_slope_field
 from gpgrad_core.features.surf import detect_surf
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
-from gpgrad_core.types import Features, GradientMap
+from gpgrad_core.types import MAX_STD_RATIO, Features, GradientMap
 
 DetectorName = Literal["akaze", "kaze", "sift", "orb", "surf", "slope"]
 
@@ -50,9 +50,11 @@ class FeatureParams:
         float,
         Bounds(0.01, 1.0, 0.01, "", slider=(0.02, 1.0)),
         Doc(
-            "Variance mask: keep cells whose standard deviation is up to this share of signal_std."
+            "Variance mask: trust cells whose standard deviation is up to this share of what "
+            "heights change by over the scale of comparison. It holds for keypoints, comparison "
+            "and overlap; 1 trusts every cell."
         ),
-    ] = 0.3
+    ] = MAX_STD_RATIO
     max_keypoints: Annotated[
         int,
         Bounds(10, 20_000, 10, "", slider=(50, 3000)),
@@ -89,7 +91,7 @@ def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Featur
         positions=grid.to_position(found.pixels),
         scales=grid.resolution * found.diameters,
         responses=found.responses,
-        std_ratios=gradient_map.std[row, column] / gradient_map.signal_std,
+        std_ratios=np.minimum(gradient_map.std[row, column] / gradient_map.detail_std, 1.0),
         descriptors=found.descriptors,
     )
 

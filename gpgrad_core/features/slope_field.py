@@ -3,10 +3,10 @@
 A gradient image keeps how steep the ground is and forgets which way it falls. The GP knows both,
 exactly and smooth, in metres, and how far to trust them. So, unlike detectors made for photographs:
 
-- scales are physical and few: a map has no unknown zoom, and the length-scale says what detail it
-  can hold. Nothing here depends on the map's resolution;
+- sizes are physical and few: a map has no unknown zoom, and its scale of comparison says what
+  detail it can hold. Nothing here depends on the map's resolution;
 - keypoints are extrema of the elevation's Hessian determinant: hills, pits and saddles. Its second
-  derivatives are differences of the exact slopes, over a fifth of a length-scale;
+  derivatives are differences of the exact slopes, over a fifth of that scale;
 - a keypoint's heading is the direction in which the ground around it rises;
 - its descriptor is the slope itself on rings around, turned into that heading, and not normalised:
   how steep the ground is, is a fact, not a matter of lighting;
@@ -26,10 +26,10 @@ from gpgrad_core.features.interpolation import interpolate
 from gpgrad_core.types import GradientMap
 
 SCALES = (0.5, 1.0)
-"""Gaussians under which keypoints are sought, in length-scales: the first describes them too, the
-last gives their headings."""
+"""Gaussians under which keypoints are sought [scales of comparison]. The first describes them
+too, the last gives their headings."""
 RINGS = (0.8, 1.7, 2.9, 4.5)
-"""Radii of the rings of a descriptor, in length-scales, around its centre."""
+"""Radii of the rings of a descriptor, in scales of comparison, around its centre."""
 SPOKES = 12
 """Samples on each ring; every other ring is turned by half a step."""
 LEAST_WEIGHT = 1e-3
@@ -37,7 +37,7 @@ LEAST_WEIGHT = 1e-3
 LEAST_RESPONSE = 1e-4
 """Of the steepest slope: less is rounding, as on a plane."""
 CELLS = 5
-"""Cells of the working grid along a length-scale, at least; more cost time and change nothing."""
+"""Least cells of the working grid along a scale of comparison; more cost time, change nothing."""
 
 Layer = Float[NDArray[np.float32], "rows columns"]
 Slopes = Float[NDArray[np.float32], "rows columns 3"]  # weighted slope (x, y), and the weight
@@ -55,15 +55,15 @@ def detect_slope_field(gradient_map: GradientMap) -> Detection:
     """Detect hills, pits and saddles, and describe the slope vectors around them.
 
     Args:
-        gradient_map: Its slopes, variance and length-scale are used; not its gradient image.
+        gradient_map: Its slopes, variance and scale are used; its gradient image is not.
 
     Returns:
         Descriptors of 2 (1 + 12 · 4) slopes [m/m]: along and across the keypoint's heading.
     """
-    length = gradient_map.length_scale / gradient_map.grid.resolution  # [pixels]
+    length = gradient_map.scale / gradient_map.grid.resolution  # [pixels]
     stride = max(1, int(length / CELLS))
     slopes = _weighted_slopes(gradient_map, stride)
-    unit = length / stride  # a length-scale in cells
+    unit = length / stride  # the scale of comparison in cells
     smoothed = [_smooth(slopes, scale * unit) for scale in SCALES]
     found = [
         _find_keypoints(field, scale * unit) for field, scale in zip(smoothed, SCALES, strict=True)
@@ -82,10 +82,10 @@ def detect_slope_field(gradient_map: GradientMap) -> Detection:
 def _weighted_slopes(gradient_map: GradientMap, stride: int) -> Slopes:
     """Average slopes over stride x stride pixels, times their weight.
 
-    The weight is the share of the terrain's variance that the points have taken away: 1 where the
+    The weight is the share of the detail's variance that the points have taken away: 1 where the
     elevation is known, 0 far from all points and beyond the image.
     """
-    weight = 1 - np.clip(gradient_map.variance / gradient_map.signal_std**2, 0.0, 1.0)
+    weight = 1 - np.clip(gradient_map.variance / gradient_map.detail_std**2, 0.0, 1.0)
     weighted = np.dstack([gradient_map.slope * weight[..., None], weight]).astype(np.float32)
     rows, columns = weight.shape
     padded = cv2.copyMakeBorder(
@@ -161,7 +161,7 @@ def _describe(
         cells: Keypoints.
         fine: What descriptors are made of.
         coarse: What headings are taken from.
-        unit: Cells of a length-scale.
+        unit: Cells of a scale of comparison.
     """
     uphill = interpolate(coarse, cells[:, None])[:, 0]
     heading = np.arctan2(uphill[:, 1], uphill[:, 0])
@@ -176,7 +176,7 @@ def _describe(
 
 
 def _rings() -> tuple[Float[NDArray[np.float32], "n"], Float[NDArray[np.float32], "n"]]:
-    """Radius [length-scales] and angle [rad] of a descriptor's samples, the centre first."""
+    """Radius [scales of comparison] and angle [rad] of a descriptor's samples, the centre first."""
     spoke = np.arange(SPOKES)
     radius = np.concatenate([[0.0], *(np.full(SPOKES, ring) for ring in RINGS)])
     turned = [(spoke + (k % 2) / 2) * 2 * np.pi / SPOKES for k in range(len(RINGS))]

@@ -71,7 +71,7 @@ def register_by_ransac(
     found = ransac_se3(
         query.points[pairs[:, 0]],
         database.points[pairs[:, 1]],
-        params.registration.inlier_radius,
+        params.registration.radius(None),
         params.registration.seed,
     )
     if found is None:

@@ -42,7 +42,7 @@ def fgr_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedC
 
 def describe_fpfh(submap: Submap, params: PipelineParams) -> DescribedCloud:
     """Describe every voxel of a submap."""
-    voxel = VOXEL * params.map.length_scale
+    voxel = VOXEL * params.map.terrain.length_scale
     cloud = thinned(submap, voxel, NORMAL_RADIUS * voxel)
     o3d: Any = load_library("open3d")
     search = o3d.geometry.KDTreeSearchParamHybrid(
@@ -66,7 +66,7 @@ def register_by_fgr(
     pairs = mutual_matches(query, database)
     if len(pairs) < 3:
         return outcome(None, np.zeros(len(pairs), bool))
-    radius = params.registration.inlier_radius
+    radius = params.registration.radius(None)
     o3d: Any = load_library("open3d")
     option = o3d.pipelines.registration.FastGlobalRegistrationOption(
         use_absolute_scale=True, maximum_correspondence_distance=radius

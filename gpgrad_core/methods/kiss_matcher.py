@@ -44,7 +44,7 @@ def _register(
     """Match and solve; its score is the number of its final inliers."""
     package: Any = load_library(PACKAGE, "gpgrad[peers]")
     # Quatro turns about the vertical alone: both clouds are gravity-aligned.
-    config = package.KISSMatcherConfig(VOXEL * params.map.length_scale, use_quatro=True)
+    config = package.KISSMatcherConfig(VOXEL * params.map.terrain.length_scale, use_quatro=True)
     matcher = package.KISSMatcher(config)
     solution = matcher.estimate(query.points, database.points)
     num_inliers = matcher.get_num_final_inliers()

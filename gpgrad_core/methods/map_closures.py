@@ -43,7 +43,9 @@ def _register(
 ) -> Registration:
     """Ask a database of one map for the query; the score is the number of inliers."""
     module: Any = load_library(f"{PACKAGE}.map_closures", "gpgrad[peers]")
-    config = module.MapClosuresConfig(density_map_resolution=RESOLUTION * params.map.length_scale)
+    config = module.MapClosuresConfig(
+        density_map_resolution=RESOLUTION * params.map.terrain.length_scale
+    )
     finder = module.MapClosures(config)
     finder.get_closures(DATABASE_ID, database.points)
     candidates = finder.get_top_k_closures(QUERY_ID, query.points, 1)

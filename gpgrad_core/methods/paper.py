@@ -54,7 +54,7 @@ def paper_params(params: PipelineParams) -> PipelineParams:
         params,
         map=MapParams(
             length_scale=LENGTH_SCALE,
-            noise_std=params.map.noise_std,
+            noise_std=params.map.terrain.noise_std,
             max_points=5000,
             resolution=0.03,
         ),
@@ -108,7 +108,7 @@ class PaperDetector:
             query.gradient_map,
             database.gradient_map,
             matches,
-            params.inlier_radius,
+            params.radius(None),
             params.trials,
             params.seed,
         )

@@ -1,7 +1,7 @@
 """The ways of detecting loop closures, by the names that users give them."""
 
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from gpgrad_core.errors import InputError
@@ -17,9 +17,10 @@ from gpgrad_core.methods.outcome import judged_by_inliers
 from gpgrad_core.methods.paper import PaperDetector, paper_params
 from gpgrad_core.methods.shot import shot_detector
 from gpgrad_core.methods.smoothed import smoothed_detector
-from gpgrad_core.pipeline import MapDetector, PipelineParams
+from gpgrad_core.pipeline import MapDetector, PipelineParams, resolve_parameters
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.types import LoopDetector
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.types import LoopDetector, Submap
 
 
 def _as_given(params: PipelineParams) -> PipelineParams:
@@ -35,6 +36,8 @@ class Method:
         summary: What it does, in one line.
         detector: Makes its detector, which keeps the results of each submap in the memo.
         adapt: Turns the given parameters into those with which the method runs.
+        fitted: Whether it runs with parameters that are fitted to the dataset. The others take
+            what is not given as `MapParams` says.
         package: A module that it needs and that may be missing, because it belongs to an extra or
             needs a shared library of the system.
         install: The argument of ``pip install`` that brings the package.
@@ -44,8 +47,31 @@ class Method:
     summary: str
     detector: Callable[[PipelineParams, Memo], LoopDetector]
     adapt: Callable[[PipelineParams], PipelineParams] = _as_given
+    fitted: bool = False
     package: str = ""
     install: str = "gpgrad"
+
+    def settle(
+        self,
+        submaps: Sequence[Submap],
+        params: PipelineParams,
+        memo: Memo | None = None,
+        progress: Progress = silent,
+    ) -> PipelineParams:
+        """Turn the parameters asked for into those that the method runs with on a dataset.
+
+        Args:
+            submaps: Of the dataset; automatic parameters are fitted to them, if need be.
+            params: What is asked for.
+            memo: Keeps the fits.
+            progress: Called now and then; may raise Cancelled.
+
+        Raises:
+            InputError: If the parameters cannot be fitted.
+        """
+        if self.fitted and submaps:
+            params = resolve_parameters(submaps, params, memo, progress)
+        return self.adapt(params)
 
     @property
     def installed(self) -> bool:
@@ -56,13 +82,16 @@ class Method:
 METHODS: dict[str, Method] = {
     method.name: method
     for method in (
-        Method("gradient", "Keypoints on Gaussian-process gradient maps.", MapDetector),
+        Method(
+            "gradient", "Keypoints on Gaussian-process gradient maps.", MapDetector, fitted=True
+        ),
         Method("paper", "The paper to the letter.", PaperDetector, paper_params),
         Method(
             "elevation",
             "The same, keypoints on the elevation image.",
             elevation_detector,
             elevation_params,
+            fitted=True,
         ),
         Method("smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector),
         Method(

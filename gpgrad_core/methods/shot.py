@@ -54,7 +54,7 @@ class CurvedSurface:
 
 def curved_surface(submap: Submap, params: PipelineParams) -> CurvedSurface:
     """Thin a submap and choose its keypoints."""
-    scale = params.map.length_scale
+    scale = params.map.terrain.length_scale
     cloud = thinned(submap, VOXEL * scale, NORMAL_RADIUS * scale)
     points = np.array(cloud.points, dtype=np.float64)
     chosen = curved_keypoints(

@@ -68,20 +68,20 @@ def smooth(
     mean = float(submap.points[:, 2].mean())
     z = submap.points[:, 2] - mean
     count, height, square = (_binned(grid, submap.points, values) for values in (None, z, z * z))
-    blur = BLUR * params.map.length_scale
+    blur = BLUR * params.map.terrain.length_scale
     weight, weighted = _blurred(count, blur, grid), _blurred(height, blur, grid)
     wide_weight = _blurred(count, WIDER * blur, grid)
     wide = _blurred(height, WIDER * blur, grid) / (wide_weight + FILLED_BELOW)
     elevation = (weighted + FILLED_BELOW * wide) / (weight + FILLED_BELOW)
 
-    signal_std = params.map.signal_std or max(float(z.std()), 0.01 * params.map.noise_std)
+    signal_std = params.map.signal_std or max(float(z.std()), 0.01 * params.map.terrain.noise_std)
     sure = np.maximum(weight, 1e-12)
     scatter = np.maximum(_blurred(square, blur, grid) / sure - (weighted / sure) ** 2, 0.0)
     # g² is a Gaussian of 1/√2 the width.
     effective = weight**2 / np.maximum(_blurred(count, blur / np.sqrt(2), grid), 1e-12)
-    variance = np.maximum(scatter, params.map.noise_std**2) / np.maximum(effective, 1e-12)
+    variance = np.maximum(scatter, params.map.terrain.noise_std**2) / np.maximum(effective, 1e-12)
     variance = np.where(weight >= KNOWN_FROM, np.minimum(variance, signal_std**2), signal_std**2)
-    scale = params.map.length_scale
+    scale = params.map.terrain.length_scale
     made = _as_map(grid, elevation + mean, variance, signal_std, scale)
     return made, scatter
 

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,7 +15,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Array, Dataset, LoopClosure, Registration
+from gpgrad_core.types import Agreement, Array, Dataset, LoopClosure, Registration
 from gpgrad_core.version import VERSION
 
 
@@ -37,6 +37,9 @@ class PairRecord:
         z_offset: Height to add to the query so that it lies on the database [m]; None if it is not
             known.
         covariance: Covariance of x [m], y [m] and yaw [rad], row by row; None if it is not known.
+        z_std: Standard deviation of ``z_offset`` [m]; None if it is not known.
+        scale: Scale at which the maps were compared [m]; None if they were not compared.
+        agreement: How far the heights differ, and how far they might; None if it is not known.
     """
 
     query: str
@@ -50,6 +53,9 @@ class PairRecord:
     T_database_query: SE2 | None
     z_offset: float | None = None
     covariance: tuple[tuple[float, ...], ...] | None = None
+    z_std: float | None = None
+    scale: float | None = None
+    agreement: Agreement | None = None
 
 
 @dataclass(frozen=True)
@@ -89,10 +95,12 @@ def report_closures(
 
     Args:
         dataset: The dataset that was searched.
-        result: The result of the detection.
+        result: The result of the detection. If it tells the parameters that automatic ones came
+            to, the file has those.
         params: The parameters of the detection.
         method: The name of the method.
     """
+    params = result.params or params
     return ClosureReport(
         dataset=dataset.name,
         method=method,
@@ -180,6 +188,9 @@ def _closure(pair: PairRecord) -> LoopClosure:
         pair.score,
         z_offset=pair.z_offset or 0.0,
         covariance=None if pair.covariance is None else np.array(pair.covariance),
+        z_std=pair.z_std,
+        scale=pair.scale,
+        agreement=pair.agreement,
     )
     return LoopClosure(pair.query, pair.database, registration, pair.accepted, pair.reason)
 
@@ -203,11 +214,19 @@ def _record(closure: LoopClosure) -> PairRecord:
         covariance=None
         if covariance is None
         else tuple(tuple(_rounded(value) for value in row) for row in covariance.tolist()),
+        z_std=None
+        if covariance is None or registration.z_std is None
+        else _rounded(registration.z_std),
+        scale=None if registration.scale is None else _rounded(registration.scale),
+        agreement=None
+        if registration.agreement is None
+        else Agreement(*(_rounded(value) for value in astuple(registration.agreement))),
     )
 
 
 def _read_pair(pair: Mapping[str, Any]) -> PairRecord:
     h, motion = pair["dissimilarity"], pair["T_database_query"]
+    agreement = pair.get("agreement")
     return PairRecord(
         query=pair["query"],
         database=pair["database"],
@@ -220,6 +239,9 @@ def _read_pair(pair: Mapping[str, Any]) -> PairRecord:
         T_database_query=motion and SE2(motion["x"], motion["y"], motion["yaw"]),
         z_offset=pair.get("z_offset"),
         covariance=_read_covariance(pair.get("covariance")),
+        z_std=pair.get("z_std"),
+        scale=pair.get("scale"),
+        agreement=None if agreement is None else Agreement(**agreement),
     )
 
 

@@ -3,18 +3,19 @@
 Only this folder knows the order. What a changed parameter does not affect is not computed again.
 """
 
+from gpgrad_core.pipeline.automatic import is_resolved, resolve_parameters
 from gpgrad_core.pipeline.detection import (
     DetectionResult,
     ExtractedSubmap,
     MapDetector,
     PairResult,
-    PipelineParams,
     detect_loop_closures,
     extract_kept,
     infer_features,
     infer_map,
     register_pair,
 )
+from gpgrad_core.pipeline.params import PipelineParams
 
 __all__ = [
     "DetectionResult",
@@ -26,5 +27,7 @@ __all__ = [
     "extract_kept",
     "infer_features",
     "infer_map",
+    "is_resolved",
     "register_pair",
+    "resolve_parameters",
 ]

@@ -58,7 +58,8 @@ def infer_coarse_map(
     if memo.holds(fit_terrain, submap, params.terrain):
         posterior = memo(fit_terrain, submap, params.terrain)
     else:
-        of_all = signal_std_of(submap.points[kept_rows(submap, params.max_points)], params)
+        kept = kept_rows(submap, params.max_points)
+        of_all = signal_std_of(submap.points[kept], params.terrain)
         fewer = replace(
             params.terrain,
             signal_std=max(of_all, LEAST_SIGNAL_STD),
@@ -68,7 +69,7 @@ def infer_coarse_map(
         )
         thinned = memo(thin_evenly, submap, params.terrain)
         posterior = memo(fit_roughly, thinned, fewer, progress=progress)
-    return memo(sample_map, submap, posterior, resolution)
+    return memo(sample_map, submap, posterior, resolution, params.scale)
 
 
 def fit_roughly(submap: Submap, params: TerrainParams, progress: Progress = silent) -> Posterior:
@@ -128,6 +129,6 @@ def infer_quick_map(
     """Give the full map if the memo has it, otherwise a coarse one."""
     if memo.holds(fit_terrain, submap, params.terrain):
         posterior = memo(fit_terrain, submap, params.terrain)
-        if memo.holds(sample_map, submap, posterior, params.resolution):
-            return memo(sample_map, submap, posterior, params.resolution)
+        if memo.holds(sample_map, submap, posterior, params.resolution, params.scale):
+            return memo(sample_map, submap, posterior, params.resolution, params.scale)
     return infer_coarse_map(submap, params, memo, progress)

@@ -2,18 +2,20 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from time import perf_counter
 from typing import TypeAlias
 
-from gpgrad_core.features import FeatureParams, detect_features, select_trusted
+from gpgrad_core.features import detect_features, select_trusted
 from gpgrad_core.gp.inference import Posterior
-from gpgrad_core.gradient_map import MapParams, fit_terrain, map_grid, sample_map
-from gpgrad_core.loop_closure import ClosureParams, classify
-from gpgrad_core.matching import MatchParams, match_features
+from gpgrad_core.gradient_map import fit_terrain, map_grid, sample_map
+from gpgrad_core.loop_closure import classify
+from gpgrad_core.matching import match_features
 from gpgrad_core.pipeline.all_pairs import compare_all
+from gpgrad_core.pipeline.automatic import is_resolved, resolve_parameters
+from gpgrad_core.pipeline.params import PipelineParams
 from gpgrad_core.registration import (
     Prepared,
-    RegistrationParams,
     prepare,
     register_prepared,
 )
@@ -31,16 +33,8 @@ from gpgrad_core.types import (
     Submap,
 )
 
-
-@dataclass(frozen=True)
-class PipelineParams:
-    """All parameters, one group per stage."""
-
-    map: MapParams = field(default_factory=MapParams)
-    features: FeatureParams = field(default_factory=FeatureParams)
-    matching: MatchParams = field(default_factory=MatchParams)
-    registration: RegistrationParams = field(default_factory=RegistrationParams)
-    closure: ClosureParams = field(default_factory=ClosureParams)
+FIT_SHARE = 0.1
+"""Share of the progress that fitting the parameters takes up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +56,15 @@ class DetectionResult:
 
     Attributes:
         closures: Every unordered pair once; the database submap is the earlier one.
-        seconds: Time spent, by stage: maps, features, pairs, total.
+        seconds: Time spent, by stage: maps, features, pairs, total; and fit, where parameters
+            were fitted.
+        params: What the pipeline ran with: what was automatic has its number here. None where
+            another detector ran.
     """
 
     closures: tuple[LoopClosure, ...]
     seconds: dict[str, float]
+    params: PipelineParams | None = None
 
 
 def infer_map(
@@ -75,7 +73,7 @@ def infer_map(
     """Make a submap's gradient map; the memo keeps the fitted GP and the map separately."""
     map_grid(submap, params.map.resolution)  # refuses a cloud that is too wide, before the fit
     posterior = memo(fit_terrain, submap, params.map.terrain, progress=progress)
-    return memo(sample_map, submap, posterior, params.map.resolution)
+    return memo(sample_map, submap, posterior, params.map.resolution, params.map.scale)
 
 
 def infer_features(
@@ -108,7 +106,12 @@ def _infer_side(
     gradient_map = infer_map(submap, params, memo, progress)
     posterior = memo(fit_terrain, submap, params.map.terrain)
     detected = memo(detect_features, gradient_map, params.features.detector)
-    return _Side(posterior, gradient_map, detected, memo(prepare, gradient_map))
+    return _Side(
+        posterior,
+        gradient_map,
+        detected,
+        memo(prepare, gradient_map, params.features.max_std_ratio),
+    )
 
 
 def _infer_both(
@@ -125,10 +128,15 @@ def _infer_both(
     # From now on the memo knows the other process's results by how they were made.
     posterior = memo.keep(side.posterior, fit_terrain, database, params.map.terrain)
     gradient_map = memo.keep(
-        side.gradient_map, sample_map, database, posterior, params.map.resolution
+        side.gradient_map,
+        sample_map,
+        database,
+        posterior,
+        params.map.resolution,
+        params.map.scale,
     )
     memo.keep(side.detected, detect_features, gradient_map, params.features.detector)
-    memo.keep(side.prepared, prepare, gradient_map)
+    memo.keep(side.prepared, prepare, gradient_map, params.features.max_std_ratio)
 
 
 def register_pair(
@@ -164,8 +172,8 @@ def register_pair(
     matches = memo(match_features, query_features, database_features, params.matching)
     registration = memo(
         register_prepared,
-        memo(prepare, query_map),
-        memo(prepare, database_map),
+        memo(prepare, query_map, params.features.max_std_ratio),
+        memo(prepare, database_map, params.features.max_std_ratio),
         matches,
         params.registration,
         progress=part(progress, 0.8, 1.0),
@@ -223,7 +231,9 @@ class MapDetector:
         image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
         features = extract_kept(image, self.params, self.memo)
         progress(1.0)
-        return ExtractedSubmap(features, self.memo(prepare, made))
+        return ExtractedSubmap(
+            features, self.memo(prepare, made, self.params.features.max_std_ratio)
+        )
 
     def compare(self, query: ExtractedSubmap, database: ExtractedSubmap) -> Registration:
         """Match and register."""
@@ -248,6 +258,8 @@ def detect_loop_closures(
 ) -> DetectionResult:
     """Compare every submap with all earlier ones.
 
+    Parameters that are automatic are fitted to the dataset first (`resolve_parameters`).
+
     Args:
         dataset: The submaps in order.
         params: Parameters of all stages; with a detector, only those of the verdict are used.
@@ -261,11 +273,18 @@ def detect_loop_closures(
     Raises:
         InputError: If a submap's map cannot be made.
     """
-    params = params or PipelineParams()
+    params, submaps = params or PipelineParams(), dataset.submaps
+    used: PipelineParams | None = None
+    seconds: dict[str, float] = {}
     if detector is None:
-        detector = MapDetector(params, memo or Memo())
-    submaps = dataset.submaps
-    found, seconds = compare_all(submaps, detector, executor, progress)
+        memo, start = memo or Memo(), perf_counter()
+        if submaps and not is_resolved(params):
+            params = resolve_parameters(submaps, params, memo, part(progress, 0.0, FIT_SHARE))
+            seconds["fit"] = perf_counter() - start
+            progress = part(progress, FIT_SHARE, 1.0)
+        detector, used = MapDetector(params, memo), params
+    found, spent = compare_all(submaps, detector, executor, progress)
+    spent["total"] += seconds.get("fit", 0.0)
     closures = tuple(
         classify(
             registration,
@@ -275,4 +294,4 @@ def detect_loop_closures(
         )
         for (query, database), registration in found
     )
-    return DetectionResult(closures, seconds)
+    return DetectionResult(closures, spent | seconds, used)

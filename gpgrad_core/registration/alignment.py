@@ -13,10 +13,12 @@ from gpgrad_core.types import Array
 
 FEWEST_CELLS = 30
 """Fewer common cells hold no motion."""
+STRETCHES_ACROSS = 40.0
+"""Submaps are warped by drift, and what one view hides is wrong in whole stretches: an independent
+sample of the difference stands for a stretch of 2π (width / this)², and not for a cell."""
 COVARIANCE_FACTOR = 3.0
-"""Errors of accepted pairs have this many times the covariance of independent patches: submaps
-are warped by drift, and what one view hides is wrong in whole stretches (measured on three sets:
-the errors' mean square is then 0.7 to 1.1 of what the covariance says)."""
+"""Errors of accepted pairs have this many times the covariance of independent stretches (measured
+on four sets, whole, thinned and noisy)."""
 ROBUSTNESS = 1.0
 """Residuals count half from this many (robust) variances on."""
 
@@ -49,14 +51,16 @@ class Alignments:
     Attributes:
         motions: x [m], y [m], yaw [rad] of ``T_database_query``.
         z_offsets: What is to be added to the query's heights [m].
+        z_stds: Standard deviations of these [m].
         covariances: Of x, y and yaw.
-        likeness: Evidence of the terrain in common, as `evidence` has it but all octaves at
-            once: a quick look at how good a motion is.
+        likeness: How well the levelled terrain correlates, all octaves at once: a quick look at how
+            good a motion is.
         held: Where the maps have enough in common; elsewhere the motion is as it was.
     """
 
     motions: Float[Array, "m 3"]
     z_offsets: Float[Array, "m"]
+    z_stds: Float[Array, "m"]
     covariances: Float[Array, "m 3 3"]
     likeness: Float[Array, "m"]
     held: Bool[NDArray[np.bool_], "m"]
@@ -85,7 +89,7 @@ def align(
     Args:
         query: Map to be placed.
         database: Map it is placed on.
-        starts: ``T_database_query``, up to a few length-scales off.
+        starts: ``T_database_query``, up to a few scales of comparison off.
         num_cells: Cells of the database that are looked at, about, evenly chosen.
         iterations: Of Gauss-Newton.
         warp: How far the maps may be out of shape.
@@ -101,6 +105,7 @@ def align(
     return Alignments(
         motions,
         last.change[:, 3] + database.base - query.base,
+        np.sqrt(np.maximum(last.covariance[:, 3, 3], 0.0)),
         last.covariance[:, :3, :3],
         problem.likeness(motions),
         last.held,
@@ -133,8 +138,11 @@ class _Problem:
         self._half_slope = np.float32(0.5) * database.slope[rows, columns].T
         self._terrain = database.terrain[rows, columns]
         # How many cells one independent sample of the residual stands for.
-        patch = 2 * np.pi * database.length_scale**2
-        self._cells_a_patch = max(1.0, patch / (every * database.grid.resolution**2))
+        patch = 2 * np.pi * database.scale**2
+        cell = every * database.grid.resolution**2
+        self._cells_a_patch = max(1.0, patch / cell)
+        extent = database.grid.num_cells * database.grid.resolution**2
+        self._cells_a_stretch = max(1.0, 2 * np.pi * extent / STRETCHES_ACROSS**2 / cell)
         self._image = np.dstack([query.elevation, query.slope, query.trusted.astype(np.float32)])
         self._precision = _precision(warp)
 
@@ -193,7 +201,7 @@ class _Problem:
         half = (ROBUSTNESS * variance[:, None]).astype(np.float32)
         return _Step(
             change,
-            (COVARIANCE_FACTOR * variance * self._cells_a_patch)[:, None, None] * inverse,
+            (COVARIANCE_FACTOR * variance * self._cells_a_stretch)[:, None, None] * inverse,
             half / (half + squared),
             held,
         )

@@ -7,9 +7,8 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.relief import MAX_STD_RATIO
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Array, GradientMap, Grid
+from gpgrad_core.types import MAX_STD_RATIO, Array, GradientMap, Grid
 
 BoolArray = NDArray[np.bool_]
 
@@ -32,14 +31,14 @@ class ThinMap:
     map_cells: int
 
 
-def thin_out(gradient_map: GradientMap) -> ThinMap:
-    """Keep about `CHECKED_CELLS` of a map's cells."""
+def thin_out(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> ThinMap:
+    """Keep about `CHECKED_CELLS` of a map's cells; `max_std_ratio` is the variance mask."""
     grid = gradient_map.grid
     stride = max(1, round(np.sqrt(grid.num_cells / CHECKED_CELLS)))
     thin = (slice(None, None, stride), slice(None, None, stride))
     fields = gradient_map.slope[thin], gradient_map.variance[thin]
     # One image of four channels: one remapping a motion.
-    image = np.dstack([*fields, gradient_map.trusted(MAX_STD_RATIO)[thin]]).astype(np.float32)
+    image = np.dstack([*fields, gradient_map.trusted(max_std_ratio)[thin]]).astype(np.float32)
     shape = (image.shape[0], image.shape[1])
     return ThinMap(Grid(grid.origin, stride * grid.resolution, shape), image, stride**2)
 

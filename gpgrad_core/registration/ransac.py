@@ -18,8 +18,8 @@ SAME_TURN = 0.1
 """Turns nearer than this to each other are one hypothesis [rad]."""
 
 
-def find_motions(matches: Matches, params: RegistrationParams) -> list[SE2]:
-    """Find the distinct motions with the most inliers, best first."""
+def find_motions(matches: Matches, params: RegistrationParams, radius: float) -> list[SE2]:
+    """Find the distinct motions with the most associations within the radius [m], best first."""
     num = len(matches)
     if num < 2:
         return []
@@ -29,7 +29,6 @@ def find_motions(matches: Matches, params: RegistrationParams) -> list[SE2]:
     # Two associations of one rigid motion span the same length in both maps; and too short a
     # span says nothing about the turn.
     span_a, span_b = np.hypot(*a.T), np.hypot(*b.T)
-    radius = params.inlier_radius
     rigid = (np.abs(span_a - span_b) <= 2 * radius) & (np.minimum(span_a, span_b) >= 2 * radius)
     a, b, first, second = a[rigid], b[rigid], first[rigid], second[rigid]
     if len(a) == 0:

@@ -15,7 +15,14 @@ from gpgrad_core.registration.relief import Relief, make_relief, sharp_relief
 from gpgrad_core.registration.search import Spectra, make_spectra, search_motions
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Array, GradientMap, Matches, Registration
+from gpgrad_core.types import (
+    MAX_STD_RATIO,
+    Agreement,
+    Array,
+    GradientMap,
+    Matches,
+    Registration,
+)
 
 SIFTED_CELLS, SIFTED_ITERATIONS = 250, 4
 """What all hypotheses are aligned with, roughly."""
@@ -38,11 +45,19 @@ class Prepared:
     thin: ThinMap
 
 
-def prepare(gradient_map: GradientMap) -> Prepared:
-    """Make a map ready to be registered."""
-    relief = make_relief(gradient_map)
+def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Prepared:
+    """Make a map ready to be registered.
+
+    Args:
+        gradient_map: The map.
+        max_std_ratio: The variance mask; only trusted cells are compared.
+    """
+    relief = make_relief(gradient_map, max_std_ratio)
     return Prepared(
-        relief, sharp_relief(gradient_map), make_spectra(relief), thin_out(gradient_map)
+        relief,
+        sharp_relief(gradient_map, max_std_ratio),
+        make_spectra(relief),
+        thin_out(gradient_map, max_std_ratio),
     )
 
 
@@ -82,16 +97,18 @@ def register_prepared(
     """Register as `register` does, with what `prepare` makes of each map at hand."""
     params = params or RegistrationParams()
     maps = query.relief, database.relief
-    starts = find_motions(matches, params)
+    if not all(relief.trusted.any() for relief in maps):
+        return _nothing(len(matches), progress, nothing_trusted=True)
+    starts = find_motions(matches, params, params.radius(maps[1].scale))
     starts += search_motions(*maps, (query.spectra, database.spectra), params.searched)
     progress(0.3)
     best: _Candidate | None = None
     if starts:
         sifted = align(*maps, starts, num_cells=SIFTED_CELLS, iterations=SIFTED_ITERATIONS)
-        promising = [sifted.motion(k) for k in _distinct(sifted, maps[1].length_scale)[:TRIED]]
+        promising = [sifted.motion(k) for k in _distinct(sifted, maps[1].scale)[:TRIED]]
         tried = align(*maps, promising, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
         progress(0.6)
-        chosen = _distinct(tried, maps[1].length_scale)
+        chosen = _distinct(tried, maps[1].scale)
         for k, row in enumerate(chosen):
             candidate = _judge(tried, row, maps, matches, params)
             if best is None or candidate.score > best.score:
@@ -115,7 +132,7 @@ def refine(
         query: Map to be placed.
         database: Map it is placed on.
         matches: Associations; those that agree are counted, none is needed.
-        start: ``T_database_query``, up to a few length-scales off.
+        start: ``T_database_query``, up to a few scales of comparison off.
         params: Of the inliers.
 
     Returns:
@@ -159,21 +176,29 @@ def _finish(
         max(rough.score, best.score),
         z_offset=best.z_offset,
         covariance=best.covariance,
+        z_std=best.z_std,
+        scale=maps[1].scale,
+        agreement=best.agreement,
     )
 
 
-def _nothing(num_matches: int, progress: Progress) -> Registration:
+def _nothing(
+    num_matches: int, progress: Progress, *, nothing_trusted: bool = False
+) -> Registration:
     progress(1.0)
-    return Registration(None, np.zeros(num_matches, bool), np.inf, 0.0, 0.0, 0.0)
+    none = np.zeros(num_matches, bool)
+    return Registration(None, none, np.inf, 0.0, 0.0, 0.0, nothing_trusted=nothing_trusted)
 
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
     motion: SE2
     z_offset: float
+    z_std: float | None
     covariance: Float[Array, "3 3"] | None
     inliers: Bool[NDArray[np.bool_], "m"]
     score: float
+    agreement: Agreement | None
 
 
 def _judge(
@@ -184,16 +209,23 @@ def _judge(
     params: RegistrationParams,
 ) -> _Candidate:
     motion, held = placed.motion(k), bool(placed.held[k])
-    inliers = one_to_one(motion, matches, params.inlier_radius)
-    score = closure_score(weigh(*maps, motion), int(inliers.sum()))
-    z_offset = float(placed.z_offsets[k]) if held else 0.0
-    return _Candidate(motion, z_offset, placed.covariances[k] if held else None, inliers, score)
+    inliers = one_to_one(motion, matches, params.radius(maps[1].scale))
+    evidence = weigh(*maps, motion)
+    return _Candidate(
+        motion,
+        float(placed.z_offsets[k]) if held else 0.0,
+        float(placed.z_stds[k]) if held else None,
+        placed.covariances[k] if held else None,
+        inliers,
+        closure_score(evidence, int(inliers.sum())),
+        evidence.agreement,
+    )
 
 
-def _distinct(tried: Alignments, length_scale: float) -> list[int]:
+def _distinct(tried: Alignments, scale: float) -> list[int]:
     """Order motions by how alike the terrain is, once each: many starts end at the same."""
     x, y, yaw = np.moveaxis(tried.motions[:, None] - tried.motions, 2, 0)
-    near = (np.hypot(x, y) < 0.5 * length_scale) & (np.abs(np.sin(yaw / 2)) < 0.02)
+    near = (np.hypot(x, y) < 0.5 * scale) & (np.abs(np.sin(yaw / 2)) < 0.02)
     chosen: list[int] = []
     for k in np.argsort(-tried.likeness, kind="stable"):
         if not near[k, chosen].any():

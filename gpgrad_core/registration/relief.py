@@ -1,4 +1,4 @@
-"""A map made ready for comparison: its smoothed elevation on cells of about a length-scale."""
+"""A map made ready for comparison: its elevation, smoothed over the scale of comparison."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,19 +10,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.types import GradientMap, Grid, read_only
+from gpgrad_core.registration.uncertainty import NUM_BANDS, BandNoise
+from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Grid, read_only
 
 Image: TypeAlias = NDArray[np.float32]
 
-MAX_STD_RATIO = 0.3
-"""Maps are compared where their standard deviation is at most this share of signal_std."""
 FINE_CELL, CELL, SHARP_CELL = 0.25, 0.75, 0.35
-"""Sides of cells [length-scales]: that are smoothed, that are kept of these, and of a sharp one."""
+"""Sides of cells [scales]: of those that are smoothed, of those kept of these, of sharp ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """The elevation of a map, mostly smoothed over one length-scale.
+    """The elevation of a map, mostly smoothed over one scale of comparison.
 
     Shorter waves are mostly noise, and the longer ones agree between two visits of a place to
     a few per cent: they tell places apart, and place one map on the other.
@@ -31,51 +30,55 @@ class Relief:
     grid: Grid
     elevation: Float[Image, "rows columns"]  # above `base` [m]
     slope: Float[Image, "rows columns 2"]  # of that [m/m]
-    terrain: Float[Image, "rows columns"]  # octaves of it from one length-scale on, levelled
+    terrain: Float[Image, "rows columns"]  # two octaves from one scale on, levelled
     trusted: Bool[NDArray[np.bool_], "rows columns"]
+    noise: Float[Image, "rows columns bands"]  # variance of what each band leaves unknown [m²]
     base: float  # mean elevation [m]
-    length_scale: float  # [m]
+    scale: float  # scale of comparison [m]
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for array in (self.elevation, self.slope, self.terrain, self.trusted):
+        for array in (self.elevation, self.slope, self.terrain, self.trusted, self.noise):
             read_only(array)
 
 
-def make_relief(gradient_map: GradientMap) -> Relief:
+def make_relief(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Relief:
     """Smooth a map's elevation and thin it.
 
     Args:
         gradient_map: Cells that it does not trust take no part in the smoothing.
+        max_std_ratio: The variance mask.
     """
-    length_scale = gradient_map.length_scale
-    grid = _thin_grid(gradient_map.grid, FINE_CELL * length_scale)
+    scale = gradient_map.scale
+    grid = _thin_grid(gradient_map.grid, FINE_CELL * scale)
     fine = _thinned(gradient_map.grid, grid)
-    trusted = gradient_map.trusted(MAX_STD_RATIO)[fine]
+    trusted = gradient_map.trusted(max_std_ratio)[fine]
     elevation, base = _above_mean(gradient_map.elevation[fine], trusted)
-    smooth = blur(elevation, trusted.astype(np.float32), length_scale / grid.resolution)
-    kept = _thin_grid(grid, CELL * length_scale)
+    smooth = blur(elevation, trusted.astype(np.float32), scale / grid.resolution)
+    kept = _thin_grid(grid, CELL * scale)
     coarse = _thinned(grid, kept)
     smooth, trusted = smooth[coarse].copy(), trusted[coarse].copy()
+    noise = BandNoise.of(gradient_map).at(gradient_map.variance[fine][coarse])
     along_y, along_x = (
         np.gradient(smooth, kept.resolution, axis=axis) if side > 1 else np.zeros_like(smooth)
         for axis, side in enumerate(smooth.shape)
     )
     slope = np.dstack([along_x, along_y]).astype(np.float32)
-    terrain = _levelled(smooth, trusted, kept.resolution, length_scale, length_scale)
-    return Relief(kept, smooth, slope, terrain, trusted, base, length_scale)
+    terrain = _levelled(smooth, trusted, kept.resolution, scale, scale)
+    return Relief(kept, smooth, slope, terrain, trusted, noise, base, scale)
 
 
-def sharp_relief(gradient_map: GradientMap) -> Relief:
+def sharp_relief(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Relief:
     """Thin a map without smoothing it: the last centimetres of a pose lie in the short waves."""
-    grid = _thin_grid(gradient_map.grid, SHARP_CELL * gradient_map.length_scale)
+    grid = _thin_grid(gradient_map.grid, SHARP_CELL * gradient_map.scale)
     thin = _thinned(gradient_map.grid, grid)
-    trusted = gradient_map.trusted(MAX_STD_RATIO)[thin].copy()
+    trusted = gradient_map.trusted(max_std_ratio)[thin].copy()
     elevation, base = _above_mean(gradient_map.elevation[thin], trusted)
     slope = gradient_map.slope[thin].astype(np.float32)
-    return Relief(
-        grid, elevation, slope, np.zeros_like(elevation), trusted, base, gradient_map.length_scale
-    )
+    nothing = np.zeros_like(elevation)
+    # Nobody asks for the terrain and the noise of a sharp one.
+    noise = np.zeros((*elevation.shape, NUM_BANDS), np.float32)
+    return Relief(grid, elevation, slope, nothing, trusted, noise, base, gradient_map.scale)
 
 
 def _above_mean(
@@ -94,10 +97,10 @@ def level_octaves(relief: Relief, shortest: float) -> Float[Image, "rows columns
 
     Args:
         relief: The map.
-        shortest: Where the first octave begins [m]; a length-scale or more.
+        shortest: Where the first octave begins [m]; the scale of comparison or more.
     """
     return _levelled(
-        relief.elevation, relief.trusted, relief.grid.resolution, relief.length_scale, shortest
+        relief.elevation, relief.trusted, relief.grid.resolution, relief.scale, shortest
     )
 
 

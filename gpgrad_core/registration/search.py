@@ -16,7 +16,7 @@ from gpgrad_core.types import Array
 NUM_YAWS = 36
 """Turns tried: the alignment that follows draws from further than half a step of 10 degrees."""
 CELL = 2.0
-"""Side of a cell [length-scales]."""
+"""Side of a cell [scales of comparison]."""
 MOST_CELLS = 64
 """Cells across a map; on larger maps they grow by twos, so that a pair's time stays bounded."""
 SIZES = (32, 48, 64, 80, 96, 128, 160)
@@ -62,7 +62,7 @@ def make_spectra(relief: Relief, cell: float | None = None, size: int | None = N
     middle = relief.grid.to_position(cells.mean(axis=0)[None])[0] if len(cells) else np.zeros(2)
     xy = relief.grid.to_position(cells) - middle
     radius = float(np.hypot(*xy.T).max(initial=0.0))
-    finest = CELL * relief.length_scale
+    finest = CELL * relief.scale
     if cell is None:
         cell = finest
         while 2 * radius / cell > MOST_CELLS:

@@ -1,5 +1,7 @@
 """The verdict and its reason."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 from gpgrad_core.errors import InputError
 from gpgrad_core.loop_closure import ClosureParams, classify
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Registration
+from gpgrad_core.types import Agreement, Registration
 
 
 def registration(num_inliers: int, score: float, found: bool = True) -> Registration:
@@ -17,7 +19,7 @@ def registration(num_inliers: int, score: float, found: bool = True) -> Registra
     return Registration(SE2() if found else None, inliers, 1.0, 10.0, 0.8, score)
 
 
-LOW = "score 7 < 7: over 10 m² in common the slopes correlate by 0.80, with 20 inliers"
+LOW = "score 7 < 7: only 10 m² of the ground are common"
 
 
 @pytest.mark.parametrize(
@@ -31,7 +33,7 @@ LOW = "score 7 < 7: over 10 m² in common the slopes correlate by 0.80, with 20 
         (
             registration(0, 0.0, found=False),
             False,
-            "no motion found: the maps have too little in common",
+            "no motion was found: the maps have too little in common",
         ),
     ],
 )
@@ -75,3 +77,41 @@ def test_raising_a_threshold_never_accepts_more(
 def test_fewer_inliers_than_none_are_no_threshold() -> None:
     with pytest.raises(InputError, match="min_inliers must be from 0"):
         ClosureParams(min_inliers=-1)
+
+
+@pytest.mark.parametrize(
+    ("agreement", "area", "said"),
+    [
+        (Agreement(0.09, 0.03, 0.4), 40.0, "the heights differ by 9 cm, where 3 cm are possible"),
+        (Agreement(0.03, 0.03, 0.4), 3.0, "only 3 m² of the ground are common, too little to tell"),
+        (
+            Agreement(0.005, 0.005, 0.01),
+            40.0,
+            "too smooth to tell: its relief is 1 cm, and the maps leave 5 mm unknown",
+        ),
+        (Agreement(0.01, 0.03, 0.4), 40.0, "agree to 1 cm, but so might other ground"),
+    ],
+)
+def test_the_reason_of_a_refusal_names_what_spoke_against_it(
+    agreement: Agreement, area: float, said: str
+) -> None:
+    made = replace(registration(4, 1.0), agreement=agreement, overlap_area=area, scale=0.3)
+    closure = classify(made)
+    assert not closure.accepted
+    assert said in closure.reason
+
+
+def test_where_nothing_is_trusted_nothing_is_judged() -> None:
+    made = replace(registration(0, 0.0, found=False), nothing_trusted=True)
+    closure = classify(made, ClosureParams(min_inliers=0, min_score=0.0))
+    assert not closure.accepted
+    assert closure.reason == "cannot judge: the variance mask trusts no cell of a map"
+
+
+def test_ground_that_lets_a_submap_slide_is_refused() -> None:
+    covariance = np.diag([0.01**2, 0.8**2, 0.001**2])
+    closure = classify(replace(registration(20, 9.0), covariance=covariance))
+    assert not closure.accepted
+    assert "its place is known to 0.8 m only" in closure.reason
+    firm = replace(registration(20, 9.0), covariance=covariance / 16)
+    assert classify(firm).accepted

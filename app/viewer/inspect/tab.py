@@ -160,7 +160,7 @@ def match_figures(state: ViewState, result: PairResult) -> MatchFigures | None:
         rank=int(np.sum(matches.distances < matches.distances[index])) + 1,
         count=len(matches),
         residual=None if missed is None else float(missed[index]),
-        allowed=state.params.registration.inlier_radius,
+        allowed=state.params.registration.radius(result.registration.scale),
         query_xy=(query_x, query_y),
         database_xy=(database_x, database_y),
     )

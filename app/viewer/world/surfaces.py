@@ -66,7 +66,7 @@ def quick_surface(submap: Submap, params: PipelineParams, memo: Memo, num_submap
     light = replace(
         params.map,
         resolution=resolution,
-        length_scale=max(params.map.length_scale, SMOOTHED_OVER * resolution),
+        length_scale=max(params.map.terrain.length_scale, SMOOTHED_OVER * resolution),
         noise_std=SMOOTHED_NOISE,
         signal_std=None,
     )

@@ -164,3 +164,29 @@ def test_a_lidars_noise_does_not_grow_with_the_range() -> None:
     for band in (true < 3.0, true > 4.5):
         assert np.std((measured - true)[band]) == pytest.approx(0.02, rel=0.1)
     assert params.range_noise == (0.02, 0.0)
+
+
+def test_an_airborne_scanner_sees_all_the_ground_at_one_density() -> None:
+    params = replace(PERFECT, sensor="airborne", scan_density=20.0, max_range=6.0)
+    wall = ground()
+    wall[:, round(11.0 / RESOLUTION) :] = 3.0  # a rover could not look over it
+    points = look(wall, params)
+    distance, _ = in_rover(points)
+    assert distance.max() <= 6.0
+    assert len(points) == pytest.approx(20.0 * np.pi * 36.0, rel=0.1)
+    inner = np.sum(distance <= 3.0)
+    assert inner == pytest.approx(len(points) / 4, rel=0.15)
+    assert np.sum(points[:, 2] > 2.9) > 0.2 * len(points)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_the_noise_of_an_airborne_scanner_is_in_the_height(noise: float) -> None:
+    params = replace(PERFECT, sensor="airborne", noise_constant=noise, scan_density=5.0)
+    heights = look(ground(2.0), params)[:, 2]
+    assert heights.mean() == pytest.approx(2.0, abs=0.03)
+    assert heights.std() == pytest.approx(noise, rel=0.15)
+
+
+def test_an_airborne_scan_may_hold_few_points_per_square_metre() -> None:
+    params = replace(PERFECT, sensor="airborne", scan_density=2.0, dropout_rate=0.5, max_range=5.0)
+    assert len(look(ground(), params)) == pytest.approx(np.pi * 25.0, rel=0.4)

@@ -58,6 +58,9 @@ def test_the_file_has_what_the_contract_promises(
         "T_database_query": {"x": 5.1, "y": 4.9, "yaw": 3.13159265},
         "z_offset": None,  # nothing was aligned
         "covariance": None,
+        "z_std": None,
+        "scale": None,
+        "agreement": None,
     }
     # Nothing was compared: null, for JSON has no infinity.
     assert content["pairs"][0]["dissimilarity"] is None

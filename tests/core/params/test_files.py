@@ -65,8 +65,14 @@ def test_all_parameters_go_there_and_back() -> None:
         ("[mapp]\nlength_scale = 0.3", "unknown parameter mapp; did you mean map?"),
         ("[xyzzy]\na = 1", "unknown parameter xyzzy; known: map, features, matching"),
         ("map = 3", "map must be a table, [map], got 3"),
-        ("[map]\nlength_scale = '0.3'", "map.length_scale must be a number, got '0.3'"),
-        ("[map]\nlength_scale = true", "map.length_scale must be a number, got True"),
+        (
+            "[map]\nlength_scale = '0.3'",
+            "map.length_scale must be a number or \"automatic\", got '0.3'",
+        ),
+        (
+            "[map]\nlength_scale = true",
+            'map.length_scale must be a number or "automatic", got True',
+        ),
         (
             "[map]\nmax_points = 3.5",
             'map.max_points must be a whole number or "automatic", got 3.5',

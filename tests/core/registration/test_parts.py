@@ -1,6 +1,7 @@
 """Search, alignment and evidence, each by itself."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,13 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpgrad_core.registration.alignment import DRIFTED, LEVEL, align
-from gpgrad_core.registration.evidence import Evidence, closure_score, weigh
+from gpgrad_core.registration.evidence import (
+    UNRELATED_LEVEL,
+    UNRELATED_SPREAD,
+    Evidence,
+    closure_score,
+    weigh,
+)
 from gpgrad_core.registration.relief import make_relief, sharp_relief
 from gpgrad_core.registration.search import make_spectra, search_motions
+from gpgrad_core.registration.uncertainty import NUM_BANDS, BandNoise, band_edges
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import GradientMap, Grid
+from gpgrad_core.types import Agreement, GradientMap, Grid
 from tests.core.ground import Ground
-from tests.core.registration.synthetic import DATABASE, GROUND, map_of
+from tests.core.registration.synthetic import DATABASE, GRID, GROUND, map_of
 
 RELIEF = make_relief(DATABASE)
 SPECTRA = make_spectra(RELIEF)
@@ -149,45 +157,109 @@ def test_alignment_leaves_alone_what_does_not_meet() -> None:
     assert ends.likeness[0] == 0.0 < ends.likeness[1]
 
 
-def test_a_map_is_coherent_with_itself_and_not_with_another() -> None:
+AGREED = Agreement(0.01, 0.01, 0.1)
+
+
+def test_a_map_agrees_with_itself_and_not_with_another() -> None:
     same = weigh(RELIEF, RELIEF, SE2())
-    assert same.coherences == pytest.approx((1.0, 1.0), abs=1e-6)
+    assert min(same.log_ratios) > 1.0
     # 8 m x 8 m of ground in patches of 2 pi 0.3 m x 0.3 m.
     assert same.patches == pytest.approx(64 / (2 * math.pi * 0.09), rel=0.1)
+    assert same.agreement is not None
+    assert same.agreement.difference == pytest.approx(0.0, abs=1e-4)
+    assert same.agreement.difference < same.agreement.possible < same.agreement.relief
     other = weigh(make_relief(map_of(SE2(), Ground.random(99, shortest=1.0))), RELIEF, SE2())
-    assert max(np.abs(other.coherences)) < 0.5
+    assert other.log_ratios[0] < 0
+    assert other.agreement is not None
+    assert other.agreement.difference > 3 * other.agreement.possible
 
 
-def test_coherence_asks_for_the_same_height() -> None:
+def test_the_evidence_asks_for_the_same_height() -> None:
     steeper = make_relief(
-        map_of(SE2(), Ground(GROUND.wave_vectors, GROUND.phases, 2 * GROUND.amplitudes))
+        map_of(SE2(), Ground(GROUND.wave_vectors, GROUND.phases, 1.5 * GROUND.amplitudes))
     )
-    assert weigh(steeper, RELIEF, SE2()).coherences == pytest.approx((0.8, 0.8), abs=0.01)
+    of_same, of_steeper = (weigh(one, RELIEF, SE2()) for one in (RELIEF, steeper))
+    assert of_steeper.log_ratios[0] < 0.5 * of_same.log_ratios[0]
+    assert of_steeper.log_ratios[1] < 0.5 * of_same.log_ratios[1]
+
+
+def test_agreement_is_worth_less_the_noisier_the_maps_are() -> None:
+    ratios: list[float] = []
+    for std in (0.005, 0.02, 0.05, 0.1):
+        unsure = make_relief(replace(DATABASE, variance=np.full(GRID.shape, std**2)), 1.0)
+        ratios.append(weigh(unsure, unsure, SE2()).log_ratios[0])
+    assert ratios == sorted(ratios, reverse=True)
+    assert ratios[-1] < 0.2 * ratios[0]
+
+
+def test_flat_ground_says_nothing() -> None:
+    flat = make_relief(map_of(SE2(), Ground.random(5, shortest=1.0, std=0.0005)))
+    assert max(np.abs(weigh(flat, flat, SE2()).log_ratios)) < 0.3
+
+
+def test_a_rock_that_moved_does_not_decide() -> None:
+    moved = DATABASE.elevation.copy()
+    moved[30:36, 30:36] += 0.5
+    with_rock = weigh(make_relief(replace(DATABASE, elevation=moved)), RELIEF, SE2())
+    assert min(with_rock.log_ratios) > 0.5
+
+
+def test_tilt_and_bend_of_a_submap_do_not_count_as_a_difference() -> None:
+    x, y = GRID.x, GRID.y[:, None]
+    bent = replace(DATABASE, elevation=DATABASE.elevation + 0.02 * x - 0.01 * y + 0.003 * x * y)
+    said, same = weigh(make_relief(bent), RELIEF, SE2()), weigh(RELIEF, RELIEF, SE2())
+    assert said.log_ratios == pytest.approx(same.log_ratios, abs=0.3)
 
 
 def test_weighing_the_other_way_round_says_the_same() -> None:
     true = SE2(1.0, -0.7, 2.0)
     relief = make_relief(map_of(true))
     forth, back = weigh(relief, RELIEF, true), weigh(RELIEF, relief, true.inverse())
-    assert forth.coherences == pytest.approx(back.coherences, abs=0.02)
+    assert forth.log_ratios == pytest.approx(back.log_ratios, abs=0.1)
     assert forth.patches == pytest.approx(back.patches, rel=0.1)
 
 
-@given(st.floats(0.1, 1000), st.floats(-1, 1), st.floats(-1, 1), st.integers(0, 500))
+def test_the_noise_of_a_band_is_that_of_dense_noisy_points() -> None:
+    """White noise of a known density, smoothed as the posterior mean smooths it."""
+    density, rng = 2e-5, np.random.default_rng(3)
+    signal, length, scale, cell = 0.3, 1.0, 0.3, 0.05
+    grid = Grid((0.0, 0.0), cell, (400, 400))
+    strongest = 2 * math.pi * (signal * length) ** 2
+    variance = density / (2 * math.pi * length**2) * math.log1p(strongest / density)
+    made = GradientMap(
+        grid,
+        np.zeros(grid.shape),
+        np.full(grid.shape, variance),
+        np.zeros((*grid.shape, 2)),
+        *(signal, length, scale),
+    )
+    k = 2 * np.pi * np.hypot(*np.meshgrid(np.fft.fftfreq(400, cell), np.fft.fftfreq(400, cell)))
+    power = strongest * np.exp(-0.5 * (k * length) ** 2)
+    white = np.fft.fft2(rng.standard_normal(grid.shape) * math.sqrt(density) / cell)
+    told = BandNoise.of(made).at(made.variance[:1, :1])[0, 0]
+    for band in range(NUM_BANDS):
+        fine, coarse = band_edges(scale, band)
+        through = np.exp(-0.5 * (k * fine) ** 2) - np.exp(-0.5 * (k * coarse) ** 2)
+        drawn = np.fft.ifft2(white * power / (power + density) * through).real.var()
+        assert told[band] == pytest.approx(drawn, rel=0.15)
+
+
+@given(st.floats(0.1, 1000), st.floats(-3, 3), st.floats(-3, 3), st.integers(0, 500))
 def test_the_score_rises_with_all_it_is_made_of(
     patches: float, first: float, second: float, num: int
 ) -> None:
-    score = closure_score(Evidence(patches, (first, second)), num)
+    score = closure_score(Evidence(patches, (first, second), AGREED), num)
     assert 0 <= score <= 300
-    assert closure_score(Evidence(2 * patches, (first, second)), num) >= score
-    assert closure_score(Evidence(patches, (min(1.0, first + 0.1), second)), num) >= score
-    assert closure_score(Evidence(patches, (first, min(1.0, second + 0.1))), num) >= score
-    assert closure_score(Evidence(patches, (first, second)), num + 1) >= score
+    if first >= 0 and second >= 0:
+        assert closure_score(Evidence(2 * patches, (first, second), AGREED), num) >= score
+    assert closure_score(Evidence(patches, (first + 0.1, second), AGREED), num) >= score
+    assert closure_score(Evidence(patches, (first, second + 0.1), AGREED), num) >= score
+    assert closure_score(Evidence(patches, (first, second), AGREED), num + 1) >= score
 
 
 def test_the_score_is_its_formula() -> None:
-    total = math.sqrt(30) * (-math.log(1 - 0.9**2) - math.log(1 - 0.8**2) / 2) + 2 * math.log(8)
-    tail = math.exp(-(total - 9.0) / 2.6)
-    expected = -math.log10(1 - math.exp(-tail))
-    assert closure_score(Evidence(30.0, (0.9, 0.8)), 7) == pytest.approx(expected)
+    total = math.sqrt(30) * (1.2 + 0.5 * 0.8 / 2) + 3 * math.log(8)
+    tail = math.exp(-(total - UNRELATED_LEVEL) / UNRELATED_SPREAD)
+    expected = -math.log10(-math.expm1(-tail))
+    assert closure_score(Evidence(30.0, (1.2, 0.8), AGREED), 7) == pytest.approx(expected)
     assert closure_score(Evidence(0.0, (0.0, 0.0)), 7) == 0.0

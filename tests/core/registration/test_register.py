@@ -48,8 +48,8 @@ def test_hypotheses_are_as_good_where_the_frames_begin_far_away() -> None:
     true, away = SE2(0.4, -0.9, 2.0), np.array([4.0e5, -5.9e6])
     matches = associations(1, true, 20, 60)
     far = replace(matches, query_xy=matches.query_xy + away, database_xy=matches.database_xy - away)
-    params = RegistrationParams(inlier_radius=0.1)
-    near_by, far_off = (find_motions(some, params) for some in (matches, far))
+    params = RegistrationParams()
+    near_by, far_off = (find_motions(some, params, 0.1) for some in (matches, far))
     assert len(near_by) == len(far_off)
     corners = np.array([[-3.0, -3.0], [3.0, 2.0]])
     for one, other in zip(near_by, far_off, strict=True):

@@ -1,0 +1,127 @@
+"""Parameters that choose themselves: what stands at None is fitted to the dataset."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gpgrad_core.fitting import Hyperparameter, fit_parameters
+from gpgrad_core.gradient_map import MapParams, TerrainParams, ordinary_noise
+from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.pipeline.params import PipelineParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.scale import resolved_scale
+from gpgrad_core.types import Submap
+
+DIGITS = 4
+"""Significant digits of what is chosen: enough for any use, and few enough to be read and typed."""
+
+
+def is_resolved(params: PipelineParams) -> bool:
+    """Tell whether nothing is left to be chosen."""
+    of_map = params.map
+    return None not in (of_map.length_scale, of_map.noise_std, of_map.scale)
+
+
+def resolve_parameters(
+    submaps: Sequence[Submap],
+    params: PipelineParams | None = None,
+    memo: Memo | None = None,
+    progress: Progress = silent,
+) -> PipelineParams:
+    """Choose the parameters that are not given, once for a dataset: it takes a few seconds.
+
+    Length-scale, noise and signal maximise the marginal likelihood of the points
+    (`fit_parameters`). What is given stays as it is, and the rest is fitted beside it. A signal
+    of None stays None, which means the points' own, where length-scale and noise are given. The
+    scale of comparison follows from the points alone: from a fit of everything, whatever is given.
+
+    Args:
+        submaps: Of the dataset.
+        params: What is given; None: nothing is.
+        memo: Keeps the fits; asking again for the same submaps then costs nothing.
+        progress: Called now and then; may raise Cancelled.
+
+    Returns:
+        The same with numbers for ``map.length_scale``, ``map.noise_std`` and ``map.scale``.
+
+    Raises:
+        InputError: If there is no submap, or none of the noise that the noise model wants.
+    """
+    params = params or PipelineParams()
+    if is_resolved(params):
+        return params
+    memo, asked = memo or Memo(), params.map
+    free = TerrainParams(noise_model=asked.noise_model, max_points=asked.max_points)
+    if asked.noise_model != "constant":
+        free = replace(free, noise_growth=asked.noise_growth, noise_factor=asked.noise_factor)
+    given = _given(asked)
+    of_map = asked
+    if not given or asked.scale is None:
+        fitted = memo(_fitted, tuple(submaps), free, (), progress=part(progress, 0.0, 0.6))
+        if asked.scale is None:
+            of_map = replace(of_map, scale=_rounded(_scale(submaps, fitted), "scale"))
+        if not given:
+            of_map = _with(of_map, fitted, given)
+    if given and (asked.length_scale is None or asked.noise_std is None):
+        fitted = memo(
+            _fitted, tuple(submaps), asked.terrain, given, progress=part(progress, 0.6, 1.0)
+        )
+        of_map = _with(of_map, fitted, given)
+    progress(1.0)
+    return replace(params, map=of_map)
+
+
+def _given(asked: MapParams) -> tuple[Hyperparameter, ...]:
+    """What a fit must leave as it is."""
+    given: list[Hyperparameter] = []
+    if asked.length_scale is not None:
+        given.append("length_scale")
+    if asked.signal_std is not None:
+        given.append("signal_std")
+    if asked.noise_std is not None:
+        given.append("noise")
+    return tuple(given)
+
+
+def _fitted(
+    submaps: tuple[Submap, ...],
+    start: TerrainParams,
+    fixed: tuple[Hyperparameter, ...],
+    progress: Progress = silent,
+) -> TerrainParams:
+    """Fit, as a stage that a memo can keep."""
+    return fit_parameters(submaps, start, fixed=fixed, progress=progress).params
+
+
+def _with(of_map: MapParams, fitted: TerrainParams, given: tuple[Hyperparameter, ...]) -> MapParams:
+    """Put what was fitted in the place of what was not given."""
+    changes: dict[str, float] = {}
+    for name in ("length_scale", "signal_std"):
+        value = getattr(fitted, name)
+        if name not in given and value is not None:
+            changes[name] = _rounded(value, name)
+    if "noise" not in given:
+        for name in ("noise_std", "noise_growth", "noise_factor"):
+            changes[name] = _rounded(getattr(fitted, name), name)
+    return replace(of_map, **changes)
+
+
+def _rounded(value: float, name: str) -> float:
+    """Round to a few digits, within the bounds."""
+    bounds = bounds_of(MapParams)[name]
+    return min(max(float(f"{value:.{DIGITS}g}"), bounds.low), bounds.high)
+
+
+def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
+    """Tell the scale of comparison from the fit of everything [m]: the middle of the submaps'."""
+    found: list[float] = []
+    for submap in submaps:
+        width, height = np.ptp(submap.points[:, :2], axis=0).tolist()
+        area, noise = width * height, ordinary_noise(submap, submap, fitted)
+        count = len(noise) if fitted.max_points is None else min(len(noise), fitted.max_points)
+        density = float(np.mean(noise**2)) * area / count
+        slope_std = (fitted.signal_std or 0.0) / fitted.length_scale
+        found.append(resolved_scale(density, slope_std, area))
+    return float(np.median(found))

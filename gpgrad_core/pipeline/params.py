@@ -1,0 +1,20 @@
+"""The parameters of all stages together."""
+
+from dataclasses import dataclass, field
+
+from gpgrad_core.features import FeatureParams
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.loop_closure import ClosureParams
+from gpgrad_core.matching import MatchParams
+from gpgrad_core.registration import RegistrationParams
+
+
+@dataclass(frozen=True)
+class PipelineParams:
+    """All parameters, one group per stage."""
+
+    map: MapParams = field(default_factory=MapParams)
+    features: FeatureParams = field(default_factory=FeatureParams)
+    matching: MatchParams = field(default_factory=MatchParams)
+    registration: RegistrationParams = field(default_factory=RegistrationParams)
+    closure: ClosureParams = field(default_factory=ClosureParams)
