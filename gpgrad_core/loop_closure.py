@@ -29,7 +29,7 @@ class ClosureParams:
         float,
         Bounds(0.01, 1000.0, 0.01, "m", slider=(0.05, 2.0)),
         Doc("Largest standard deviation of the place of a loop closure, in any direction."),
-    ] = 0.3
+    ] = 0.5
 
     def __post_init__(self) -> None:
         """Check the bounds."""

@@ -1,0 +1,80 @@
+"""Parameters that choose themselves."""
+
+from dataclasses import replace
+
+import pytest
+
+from gpgrad_core.fitting import fit_parameters
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.methods import METHODS
+from gpgrad_core.pipeline import PipelineParams, is_resolved, resolve_parameters
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.types import Submap
+from tests.core.ground import submap
+
+
+@pytest.fixture(scope="module")
+def submaps() -> tuple[Submap, ...]:
+    return tuple(submap(k, 600, (5.0, 5.0)) for k in range(2))
+
+
+def test_what_is_not_given_is_fitted(submaps: tuple[Submap, ...]) -> None:
+    assert not is_resolved(PipelineParams())
+    chosen = resolve_parameters(submaps)
+    assert is_resolved(chosen)
+    fitted = fit_parameters(submaps).params
+    assert chosen.map.length_scale == pytest.approx(fitted.length_scale, rel=1e-3)
+    assert chosen.map.noise_std == pytest.approx(fitted.noise_std, rel=1e-3)
+    assert chosen.map.signal_std == pytest.approx(fitted.signal_std, rel=1e-3)
+    assert replace(chosen, map=MapParams()) == PipelineParams()
+    assert resolve_parameters(submaps, chosen) is chosen
+
+
+def test_a_number_that_is_given_is_taken_as_it_is(submaps: tuple[Submap, ...]) -> None:
+    asked = PipelineParams(map=MapParams(length_scale=0.3, resolution=0.1))
+    chosen = resolve_parameters(submaps, asked)
+    assert chosen.map.length_scale == 0.3
+    assert chosen.map.resolution == 0.1
+    assert chosen.map.noise_std is not None
+    start = MapParams(length_scale=0.3).terrain
+    beside = fit_parameters(submaps, start, fixed=("length_scale",)).params
+    assert beside.length_scale == 0.3
+    assert chosen.map.noise_std == pytest.approx(beside.noise_std, rel=1e-3)
+
+
+def test_the_scale_does_not_follow_the_length_scale(submaps: tuple[Submap, ...]) -> None:
+    memo = Memo()
+    scales = {
+        resolve_parameters(
+            submaps, PipelineParams(map=MapParams(length_scale=length, noise_std=0.05)), memo
+        ).map.scale
+        for length in (0.2, 0.8)
+    }
+    assert scales == {resolve_parameters(submaps, memo=memo).map.scale}
+    given = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, scale=0.5))
+    assert resolve_parameters(submaps, given) is given
+
+
+def test_a_signal_stays_the_points_own_where_the_rest_is_given(
+    submaps: tuple[Submap, ...],
+) -> None:
+    asked = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05))
+    assert resolve_parameters(submaps, asked).map.signal_std is None
+
+
+def test_a_fit_is_kept(submaps: tuple[Submap, ...]) -> None:
+    memo, heard = Memo(), list[float]()
+    first = resolve_parameters(submaps, memo=memo, progress=heard.append)
+    assert len(heard) > 3
+    assert heard == sorted(heard)
+    heard.clear()
+    assert resolve_parameters(submaps, memo=memo, progress=heard.append) == first
+    assert heard == [1.0]
+
+
+def test_only_the_methods_with_a_fitted_gp_fit(submaps: tuple[Submap, ...]) -> None:
+    asked, memo = PipelineParams(), Memo()
+    assert is_resolved(METHODS["gradient"].settle(submaps, asked, memo))
+    assert METHODS["smoothed"].settle(submaps, asked, memo) == asked
+    paper = METHODS["paper"].settle(submaps, asked, memo).map
+    assert (paper.length_scale, paper.noise_std) == (0.316, 0.05)
