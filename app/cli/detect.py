@@ -8,7 +8,15 @@ from typing import Annotated
 import tyro
 from typing_extensions import Doc
 
-from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, base_params, load
+from app.cli.inputs import (
+    ALL_PARAMS,
+    AllParams,
+    DatasetPath,
+    ParamsFile,
+    base_params,
+    load,
+    settled,
+)
 from app.cli.terminal import count, progress_bar, say
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods import METHODS, find_method
@@ -57,9 +65,11 @@ class Detect:
         if self.pair:
             dataset = _only(dataset, *self.pair)
         asked = self.pipeline.over(base_params(dataset, self.params))
-        params = method.adapt(asked)
         if self.g2o:
             odometry_poses(dataset)  # refuses a dataset without odometry before the work
+        if method.fitted:
+            asked = settled(asked, dataset.submaps, dataset.name)
+        params = method.adapt(asked)
         num_pairs = math.comb(len(dataset.submaps), 2)
         with progress_bar("pairs") as progress, workers(num_workers(), num_pairs) as executor:
             result = detect_loop_closures(

@@ -1,5 +1,6 @@
 """What most verbs read: a dataset, a file of parameters, and the flags of all parameters."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -7,11 +8,11 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given
-from app.cli.terminal import progress_bar, warn
+from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.datasets import load_dataset
 from gpgrad_core.params.files import preferred_parameters, read_parameters
-from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.types import Dataset
+from gpgrad_core.pipeline import PipelineParams, is_resolved, resolve_parameters
+from gpgrad_core.types import Dataset, Submap
 
 DatasetPath: TypeAlias = Annotated[
     tyro.conf.Positional[Path],
@@ -48,3 +49,31 @@ def base_params(dataset: Dataset, file: Path | None) -> PipelineParams:
     """
     params = preferred_parameters(dataset, PipelineParams())
     return params if file is None else read_parameters(file, params)
+
+
+def settled(params: PipelineParams, submaps: Sequence[Submap], name: str) -> PipelineParams:
+    """Fit the parameters that are automatic, and report what was found.
+
+    Args:
+        params: May be automatic in part.
+        submaps: They are fitted to these.
+        name: Of the dataset.
+    """
+    if is_resolved(params) or not submaps:
+        return params
+    with progress_bar("fit") as progress:
+        found = resolve_parameters(submaps, params, progress=progress)
+    say(f"fitted to {name}: {describe(found)}")
+    return found
+
+
+def describe(params: PipelineParams) -> str:
+    """Name the parameters of the terrain with their values."""
+    of_map = params.map
+    values = {
+        "length-scale": of_map.length_scale,
+        "signal": of_map.signal_std,
+        "noise": of_map.noise_std,
+        "scale of comparison": of_map.scale,
+    }
+    return ", ".join(f"{name} {value:g} m" for name, value in values.items() if value is not None)

@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given
-from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params
+from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, settled
 from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import outline_dataset
 from gpgrad_core.errors import InputError
@@ -36,6 +37,9 @@ from gpgrad_core.slam import (
     write_solution,
 )
 from gpgrad_core.types import LoopClosure
+
+FITTED_SUBMAPS = 4
+"""Submaps, spread over the traverse, that automatic parameters are fitted to."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,8 @@ class Slam:
             warn(note)
         params = self.pipeline.over(base_params(dataset, self.params))
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
+        spread = np.unique(np.linspace(0, len(dataset.submaps) - 1, FITTED_SUBMAPS).astype(int))
+        params = settled(params, [sessions.load(k)[0] for k in spread.tolist()], dataset.name)
         if self.closures:
             closures = restore_closures(read_closures(self.closures))
         else:

@@ -10,7 +10,7 @@ import tyro
 from platformdirs import user_config_path
 from typing_extensions import Doc
 
-from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load
+from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load, settled
 from app.cli.terminal import say
 from app.viewer.permissions import Permissions
 from app.viewer.server import Viewer
@@ -80,7 +80,7 @@ class View:
         if saved is not None:
             saved.check(dataset)
             start = read_parameters(self.params, saved.params) if self.params else saved.params
-        params = self.pipeline.over(start)
+        params = settled(self.pipeline.over(start), dataset.submaps, dataset.name)
         viewer = Viewer(
             dataset,
             params if saved is None else base,

@@ -17,7 +17,7 @@ from app.viewer.permissions import READ_ALL, Permissions
 from app.viewer.session import Session
 from app.viewer.session_file import SavedSession
 from gpgrad_core.params.files import preferred_parameters
-from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.pipeline import PipelineParams, resolve_parameters
 from gpgrad_core.run.helper import start_helper
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset
@@ -46,7 +46,8 @@ class Viewer:
 
         Args:
             dataset: What to open with.
-            params: What to start with and to reset to; None takes what the dataset prefers.
+            params: What to start with and to reset to; None takes what the dataset prefers. What is
+                automatic is fitted to the dataset.
             host: Address to listen on. There is no password: anyone who can reach the
                 port can use the viewer.
             port: Port to listen on; if it is taken, the next free one. 0 takes any.
@@ -61,6 +62,7 @@ class Viewer:
             InputError: If the dataset prefers parameters that there are not.
         """
         start = params if params is not None else preferred_parameters(dataset, PipelineParams())
+        start = resolve_parameters(dataset.submaps, start)
         self._opened = Opened(dataset, start, source, saved)
         self._uploads = tempfile.TemporaryDirectory(prefix="gpgrad-uploads-")
         self._permissions = replace(permissions, uploads=Path(self._uploads.name))

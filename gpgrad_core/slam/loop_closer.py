@@ -15,7 +15,7 @@ import numpy as np
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.loop_closure import classify
-from gpgrad_core.pipeline import MapDetector, PipelineParams
+from gpgrad_core.pipeline import MapDetector, PipelineParams, resolve_parameters
 from gpgrad_core.pipeline.all_pairs import StagedDetector, side_by_side
 from gpgrad_core.run.memo import Memo, array_bytes
 from gpgrad_core.run.progress import Progress, part, silent
@@ -78,7 +78,8 @@ class LoopCloser:
         """Begin with no submap.
 
         Args:
-            params: Parameters of all stages of the detection.
+            params: Parameters of all stages of the detection. What is automatic is fitted to the
+                first submap (`resolve_parameters`).
             graph: How certain odometry and closures are.
             solver: When a closure counts as wrong.
             detector: Another way to register pairs; None uses the pipeline.
@@ -89,7 +90,7 @@ class LoopCloser:
         """
         self._params = params or PipelineParams()
         self._graph_params, self._solver = graph, solver
-        self._detector = detector or MapDetector(self._params, Memo(MEMO_BYTES))
+        self._detector = detector
         self._radius, self._executor = search_radius, executor
         self._extracted = _Store(bytes_in_memory)
         self._submaps: list[Submap] = []
@@ -164,17 +165,21 @@ class LoopCloser:
             raise InputError(f"submap {submap.id} has no odometry pose, which a pose graph needs")
         if submap.id in self._poses:
             raise InputError(f"submap {submap.id} was already added; ids must differ")
+        if self._detector is None:
+            self._params = resolve_parameters([submap], self._params)
+            self._detector = MapDetector(self._params, Memo(MEMO_BYTES))
+        detector = self._detector
         number = self._traverses[-1] + starts_traverse if self._traverses else 0
         predicted = self._predicted(submap.pose_odometry, starts_traverse=starts_traverse)
-        made = side_by_side(self._detector.infer, [submap], None, part(progress, 0.0, 0.4))[0]
-        extracted = side_by_side(self._detector.extract, [made], None, part(progress, 0.4, 0.5))[0]
+        made = side_by_side(detector.infer, [submap], None, part(progress, 0.0, 0.4))[0]
+        extracted = side_by_side(detector.extract, [made], None, part(progress, 0.4, 0.5))[0]
         earlier = [
             other.id
             for other, of_traverse in zip(self._submaps, self._traverses, strict=True)
             if of_traverse != number or self._near(predicted, self._poses[other.id])
         ]
         found = side_by_side(
-            _Comparison(extracted, self._detector.compare, self._extracted.get),
+            _Comparison(extracted, detector.compare, self._extracted.get),
             earlier,
             self._executor,
             part(progress, 0.5, 1.0),

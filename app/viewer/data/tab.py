@@ -17,7 +17,7 @@ from app.viewer.work import Work
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import preferred_parameters
-from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.pipeline import PipelineParams, resolve_parameters
 from gpgrad_core.run.progress import Progress, part
 
 CLOUDS = "uploaded clouds"
@@ -163,7 +163,9 @@ class DataTab(Feature):
         dataset = replace(dataset, notes=(*notes, *dataset.notes))
         if request.saved is not None:
             request.saved.check(dataset)
-        params = preferred_parameters(dataset, PipelineParams())
+        params = resolve_parameters(
+            dataset.submaps, preferred_parameters(dataset, PipelineParams()), self._desk.memo
+        )
         return Opened(dataset, params, str(source), request.saved)
 
     def _unpacked(

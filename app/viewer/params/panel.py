@@ -1,6 +1,6 @@
 """A params dataclass -> sliders: bounds, unit, tooltip and default all come from its fields."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Generic, TypeVar
 
 import viser
@@ -53,10 +53,8 @@ class ParamsPanel(Generic[P]):
         self._settings = {setting.path: setting for setting in parameters_of(type(value))}
         for path, name in main.items():
             self._add(self._settings[path], name)
-        others = [setting for path, setting in self._settings.items() if path not in main]
-        if others:
-            with host.gui.add_folder(folder, expand_by_default=False):
-                self._add_groups(others)
+        with host.gui.add_folder(folder, expand_by_default=False):
+            self._add_groups(main)
 
     @property
     def value(self) -> P:
@@ -78,16 +76,21 @@ class ParamsPanel(Generic[P]):
         """Say what `reset` goes back to."""
         self._default = value
 
-    def _add_groups(self, settings: list[Field]) -> None:
+    def _add_groups(self, main: Collection[str]) -> None:
+        """Add a folder for each group; of what stands above, it has the box "automatic" only."""
         groups: dict[str, list[Field]] = {}
-        for setting in settings:
+        for setting in self._settings.values():
             groups.setdefault(setting.path.partition(".")[0], []).append(setting)
         for group, members in groups.items():
             title = group.replace("_", " ").capitalize()
+            others = [setting for setting in members if setting.path not in main]
             with self._host.gui.add_folder(title):
                 for setting in members:
-                    self._add(setting, None)
-                self._add_defaults(title, members)
+                    if setting in others:
+                        self._add(setting, None)
+                    elif setting.optional:
+                        self._add_automatic(setting)
+                self._add_defaults(title, others)
 
     def _add_defaults(self, title: str, members: list[Field]) -> None:
         button = self._host.gui.add_button(
@@ -117,8 +120,8 @@ class ParamsPanel(Generic[P]):
         elif setting.bounds is None:
             handle = gui.add_number(label, current, hint=setting.doc)
         else:
-            if setting.optional:
-                self._add_automatic(setting, label, current)
+            if setting.optional and name is None:
+                self._add_automatic(setting)
             handle = self._add_slider(setting, label, current)
         self._inputs[path] = handle
 
@@ -150,10 +153,10 @@ class ParamsPanel(Generic[P]):
             f"Allowed: {bounds.low:g} to {bounds.high:g}{unit}.",
         )
 
-    def _add_automatic(self, setting: Field, label: str, current: float | None) -> None:
-        box = self._host.gui.add_checkbox(
-            f"automatic {label.partition(' [')[0]}", current is None, hint=setting.doc
-        )
+    def _add_automatic(self, setting: Field) -> None:
+        current = get_path(self._value, setting.path)
+        label = setting.label.partition(" [")[0]
+        box = self._host.gui.add_checkbox(f"automatic {label}", current is None, hint=setting.doc)
         self._automatic[setting.path] = box
 
         def choose(automatic: bool) -> None:

@@ -11,6 +11,7 @@ from app.viewer.params.undo import UndoTool
 from app.viewer.state import ViewState
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.commands import Commands
+from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams
 
 MAIN_PARAMETERS = {
@@ -42,6 +43,7 @@ class ParamsTab(Feature):
             commands: Get undo and redo.
             on_error: Given the message if a value is refused.
         """
+        self._params = desk.state.params
         self._panel: ParamsPanel[PipelineParams] = ParamsPanel(
             desk.host,
             desk.state.params,
@@ -50,7 +52,7 @@ class ParamsTab(Feature):
             on_error=on_error,
         )
         self._panel.set_default(default)
-        desk.join(FitTool(desk))
+        self._fit = desk.join(FitTool(desk))
         desk.join(UndoTool(desk, commands))
         reset = desk.host.gui.add_button(
             "Reset parameters", hint="Goes back to the parameters that this dataset started with."
@@ -59,10 +61,21 @@ class ParamsTab(Feature):
         desk.join(PresetsTool(desk))
 
     def follow(self, state: ViewState) -> None:
-        """Move the sliders to parameters that came from elsewhere."""
+        """Move the sliders to parameters that came from elsewhere; fit what was made automatic."""
+        before, self._params = self._params, state.params
+        if _made_automatic(before.map, state.params.map):
+            self._fit.choose(state.params)
         if state.params != self._panel.value:
             self._panel.set(state.params)
 
     def opened(self, opened: Opened) -> None:
         """Reset to what the new dataset prefers."""
         self._panel.set_default(opened.params)
+
+
+def _made_automatic(before: MapParams, after: MapParams) -> bool:
+    """Tell whether a parameter that is fitted to the dataset had a value, and no longer has."""
+    return any(
+        getattr(before, name) is not None and getattr(after, name) is None
+        for name in ("length_scale", "noise_std", "scale")
+    )

@@ -9,7 +9,7 @@ from app.viewer.params.history import History
 from app.viewer.state import ViewState
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.commands import Commands
-from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.pipeline import PipelineParams, is_resolved
 from gpgrad_core.types import Dataset
 
 SETTLED_AFTER = 0.7
@@ -59,6 +59,8 @@ class UndoTool(Feature):
                 self._dataset, self._latest = state.dataset, state.params
                 self._history = History(state.params)
                 self._show()
+            elif is_resolved(self._latest) and not is_resolved(state.params):
+                pass  # a fit follows, whose result is what can be undone
             elif state.params != self._latest:
                 self._latest = state.params
                 self._stop()
