@@ -57,9 +57,10 @@ class Detect:
         if self.pair:
             dataset = _only(dataset, *self.pair)
         asked = self.pipeline.over(base_params(dataset, self.params))
-        params = method.adapt(asked)
         if self.g2o:
             odometry_poses(dataset)  # refuses a dataset without odometry before the work
+        with progress_bar("fit") as progress:
+            params = method.settle(dataset.submaps, asked, progress=progress)
         num_pairs = math.comb(len(dataset.submaps), 2)
         with progress_bar("pairs") as progress, workers(num_workers(), num_pairs) as executor:
             result = detect_loop_closures(

@@ -15,8 +15,9 @@ from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import outline_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import check_directory
+from gpgrad_core.fitting import representative
 from gpgrad_core.outputs import read_closures, report_closures, restore_closures, write_closures
-from gpgrad_core.pipeline import DetectionResult, PipelineParams
+from gpgrad_core.pipeline import DetectionResult, PipelineParams, resolve_parameters
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import (
@@ -92,6 +93,10 @@ class Slam:
         if self.closures:
             closures = restore_closures(read_closures(self.closures))
         else:
+            rows = representative(len(sessions.outline.clouds))
+            with progress_bar("fit") as progress:
+                some = [sessions.load(k)[0] for k in rows]
+                params = resolve_parameters(some, params, progress=progress)
             closures = self._detect(sessions, params, graph, solver)
         solution = solve_datasets(sessions, closures, graph, solver)
         with progress_bar("judge") as progress:

@@ -54,8 +54,9 @@ def test_every_parameter_of_the_pipeline_has_a_widget(server: viser.ViserServer)
     names = labels(server)
     for setting in parameters_of(PipelineParams):
         name = MAIN.get(setting.path, setting.path.rpartition(".")[2].replace("_", " "))
-        assert any(label.startswith(name) for label in names), setting.path
-    assert names[0] == "Length-scale [m]"
+        starts = (name, f"automatic {name}")
+        assert any(label.startswith(starts) for label in names), setting.path
+    assert names[:2] == ["automatic Length-scale", "Length-scale [m]"]
 
 
 def test_units_docs_defaults_and_bounds_reach_the_widget(server: viser.ViserServer) -> None:
