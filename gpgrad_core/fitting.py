@@ -114,7 +114,7 @@ def fit_parameters(
     if not submaps:
         raise InputError("nothing to fit to: give one submap or more")
     start = start or TerrainParams()
-    chosen = _evenly_spaced(submaps)
+    chosen = [submaps[k] for k in representative(len(submaps))]
     with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
         evaluate = _Evaluate(executor, progress)
         params, areas = _search(chosen, start, fixed, np.random.default_rng(seed), evaluate)
@@ -157,9 +157,14 @@ def fitted_names(params: TerrainParams) -> tuple[str, ...]:
     return ("length_scale", "signal_std", *NOISE_PARAMETERS[params.noise_model])
 
 
-def _evenly_spaced(submaps: Sequence[Submap]) -> list[Submap]:
-    count = min(len(submaps), MOST_SUBMAPS)
-    return [submaps[k] for k in np.linspace(0, len(submaps) - 1, count).round().astype(int)]
+def representative(count: int) -> list[int]:
+    """Tell which of so many submaps a fit looks at: up to `MOST_SUBMAPS`, evenly spaced.
+
+    >>> representative(3)
+    [0, 1, 2]
+    """
+    chosen = np.linspace(0, count - 1, min(count, MOST_SUBMAPS))
+    return [int(k) for k in chosen.round()]
 
 
 def _common_signal_std(submaps: list[Submap], start: TerrainParams) -> float:

@@ -11,7 +11,7 @@ from app.cli.flags import Given
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.datasets import load_dataset
 from gpgrad_core.params.files import preferred_parameters, read_parameters
-from gpgrad_core.pipeline import PipelineParams, is_resolved, resolve_parameters
+from gpgrad_core.pipeline import PipelineParams, describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.types import Dataset, Submap
 
 DatasetPath: TypeAlias = Annotated[
@@ -63,17 +63,5 @@ def settled(params: PipelineParams, submaps: Sequence[Submap], name: str) -> Pip
         return params
     with progress_bar("fit") as progress:
         found = resolve_parameters(submaps, params, progress=progress)
-    say(f"fitted to {name}: {describe(found)}")
+    say(f"{name}: {describe_choice(params, found)}")
     return found
-
-
-def describe(params: PipelineParams) -> str:
-    """Name the parameters of the terrain with their values."""
-    of_map = params.map
-    values = {
-        "length-scale": of_map.length_scale,
-        "signal": of_map.signal_std,
-        "noise": of_map.noise_std,
-        "scale of comparison": of_map.scale,
-    }
-    return ", ".join(f"{name} {value:g} m" for name, value in values.items() if value is not None)

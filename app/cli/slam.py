@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import tyro
 from typing_extensions import Doc
 
@@ -16,6 +15,7 @@ from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import outline_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import check_directory
+from gpgrad_core.fitting import representative
 from gpgrad_core.outputs import read_closures, report_closures, restore_closures, write_closures
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.run.progress import part
@@ -37,9 +37,6 @@ from gpgrad_core.slam import (
     write_solution,
 )
 from gpgrad_core.types import LoopClosure
-
-FITTED_SUBMAPS = 4
-"""Submaps, spread over the traverse, that automatic parameters are fitted to."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +90,8 @@ class Slam:
             warn(note)
         params = self.pipeline.over(base_params(dataset, self.params))
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
-        spread = np.unique(np.linspace(0, len(dataset.submaps) - 1, FITTED_SUBMAPS).astype(int))
-        params = settled(params, [sessions.load(k)[0] for k in spread.tolist()], dataset.name)
+        some = [sessions.load(k)[0] for k in representative(len(dataset.submaps))]
+        params = settled(params, some, dataset.name)
         if self.closures:
             closures = restore_closures(read_closures(self.closures))
         else:

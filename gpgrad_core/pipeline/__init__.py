@@ -3,7 +3,7 @@
 Only this folder knows the order. What a changed parameter does not affect is not computed again.
 """
 
-from gpgrad_core.pipeline.automatic import is_resolved, resolve_parameters
+from gpgrad_core.pipeline.automatic import describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.pipeline.detection import (
     DetectionResult,
     ExtractedSubmap,
@@ -23,6 +23,7 @@ __all__ = [
     "MapDetector",
     "PairResult",
     "PipelineParams",
+    "describe_choice",
     "detect_loop_closures",
     "extract_kept",
     "infer_features",

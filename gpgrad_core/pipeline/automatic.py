@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpgrad_core.fitting import Hyperparameter, fit_parameters
+from gpgrad_core.fitting import Hyperparameter, fit_parameters, representative
 from gpgrad_core.gradient_map import MapParams, TerrainParams, ordinary_noise
 from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.pipeline.params import PipelineParams
@@ -38,7 +38,8 @@ def resolve_parameters(
     scale of comparison follows from the points alone: from a fit of everything, whatever is given.
 
     Args:
-        submaps: Of the dataset.
+        submaps: Of the dataset. Those that `fitting.representative` names are enough: with them
+            alone the answer is the same.
         params: What is given; None: nothing is.
         memo: Keeps the fits; asking again for the same submaps then costs nothing.
         progress: Called now and then; may raise Cancelled.
@@ -71,6 +72,28 @@ def resolve_parameters(
         of_map = _with(of_map, fitted, given)
     progress(1.0)
     return replace(params, map=of_map)
+
+
+def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
+    """Say in a line what was chosen; empty if nothing was.
+
+    Args:
+        asked: The parameters before `resolve_parameters`.
+        used: The parameters after it.
+    """
+    named = (
+        ("length-scale", "length_scale", " m"),
+        ("noise", "noise_std", " m"),
+        ("noise factor", "noise_factor", ""),
+        ("signal", "signal_std", " m"),
+        ("scale of comparison", "scale", " m"),
+    )
+    chosen = [
+        f"{name} {getattr(used.map, field):.3g}{unit}"
+        for name, field, unit in named
+        if getattr(used.map, field) != getattr(asked.map, field)
+    ]
+    return f"fitted: {', '.join(chosen)}" if chosen else ""
 
 
 def _given(asked: MapParams) -> tuple[Hyperparameter, ...]:
@@ -117,7 +140,7 @@ def _rounded(value: float, name: str) -> float:
 def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
     """Tell the scale of comparison from the fit of everything [m]: the middle of the submaps'."""
     found: list[float] = []
-    for submap in submaps:
+    for submap in (submaps[k] for k in representative(len(submaps))):
         width, height = np.ptp(submap.points[:, :2], axis=0).tolist()
         area, noise = width * height, ordinary_noise(submap, submap, fitted)
         count = len(noise) if fitted.max_points is None else min(len(noise), fitted.max_points)

@@ -7,7 +7,8 @@ import pytest
 
 import gpgrad_core as gg
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation import EvaluationParams, evaluate
+from gpgrad_core.evaluation import Accepted, EvaluationParams, evaluate, report_evaluation
+from gpgrad_core.evaluation.text import describe
 from gpgrad_core.pipeline import DetectionResult
 from gpgrad_core.types import Dataset
 from tests.core.evaluation.conftest import record, report
@@ -133,3 +134,30 @@ def test_names_for_files_are_plain_and_different(dataset: Dataset) -> None:
 def test_nothing_to_judge_is_refused(dataset: Dataset) -> None:
     with pytest.raises(InputError, match="nothing to evaluate"):
         evaluate(dataset, {})
+
+
+def test_a_closure_is_right_only_if_its_motion_is(
+    dataset: Dataset, result: DetectionResult
+) -> None:
+    judged = evaluate(dataset, {"mine": result}, EvaluationParams(num_resamples=0))
+    accepted = judged.methods[0].accepted
+    assert accepted == Accepted(right=2, wrong_motion=0, no_overlap=1)
+    assert accepted.count == 3
+    # A hand's breadth off is wrong for who asks for less.
+    strict = EvaluationParams(num_resamples=0, max_offset_error=0.02)
+    judged = evaluate(dataset, {"mine": result}, strict)
+    assert judged.methods[0].accepted == Accepted(right=1, wrong_motion=1, no_overlap=1)
+    strict = EvaluationParams(num_resamples=0, max_turn_error=0.5)
+    judged = evaluate(dataset, {"mine": result}, strict)
+    assert judged.methods[0].accepted == Accepted(right=1, wrong_motion=1, no_overlap=1)
+    assert not judged.methods[0].errors.near.all()
+
+
+def test_the_report_tells_right_motions_from_wrong_ones(
+    dataset: Dataset, result: DetectionResult
+) -> None:
+    judged = evaluate(dataset, {"mine": result}, EvaluationParams(num_resamples=0))
+    told = report_evaluation(judged)["methods"][0]
+    assert (told["accepted"], told["accepted_right"]) == (3, 2)
+    assert (told["accepted_wrong_motion"], told["accepted_no_overlap"]) == (0, 1)
+    assert "| mine | 3 | 2 | 0 | 1 |" in describe(judged, [])

@@ -7,7 +7,12 @@ import pytest
 from gpgrad_core.fitting import fit_parameters
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.methods import METHODS
-from gpgrad_core.pipeline import PipelineParams, is_resolved, resolve_parameters
+from gpgrad_core.pipeline import (
+    PipelineParams,
+    describe_choice,
+    is_resolved,
+    resolve_parameters,
+)
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Submap
 from tests.core.ground import submap
@@ -78,3 +83,13 @@ def test_only_the_methods_with_a_fitted_gp_fit(submaps: tuple[Submap, ...]) -> N
     assert METHODS["smoothed"].settle(submaps, asked, memo) == asked
     paper = METHODS["paper"].settle(submaps, asked, memo).map
     assert (paper.length_scale, paper.noise_std) == (0.316, 0.05)
+
+
+def test_what_was_chosen_is_said_in_a_line(submaps: tuple[Submap, ...]) -> None:
+    asked = PipelineParams(map=MapParams(noise_std=0.05))
+    used = resolve_parameters(submaps, asked)
+    said = describe_choice(asked, used)
+    assert said.startswith(f"fitted: length-scale {used.map.length_scale:.3g} m, signal ")
+    assert f"scale of comparison {used.map.scale:.3g} m" in said
+    assert "noise" not in said
+    assert describe_choice(used, used) == ""

@@ -56,6 +56,7 @@ def test_every_parameter_of_the_pipeline_has_a_widget(server: viser.ViserServer)
         name = MAIN.get(setting.path, setting.path.rpartition(".")[2].replace("_", " "))
         assert any(label.startswith(name) for label in names), setting.path
     assert names[0] == "Length-scale [m]"
+    assert "automatic length scale" in names  # in the folder of all, for the slider above it
 
 
 def test_units_docs_defaults_and_bounds_reach_the_widget(server: viser.ViserServer) -> None:
