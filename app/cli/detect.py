@@ -62,13 +62,13 @@ class Detect:
         if self.g2o:
             check_output(self.g2o, (".g2o",))
         dataset = load(self.dataset)
+        asked, whole = self.pipeline.over(base_params(dataset, self.params)), dataset.submaps
         if self.pair:
             dataset = _only(dataset, *self.pair)
-        asked = self.pipeline.over(base_params(dataset, self.params))
         if self.g2o:
             odometry_poses(dataset)  # refuses a dataset without odometry before the work
-        if method.fitted:
-            asked = settled(asked, dataset.submaps, dataset.name)
+        if method.fitted:  # to the whole dataset, so that a single pair gets the same verdict
+            asked = settled(asked, whole, dataset.name)
         params = method.adapt(asked)
         num_pairs = math.comb(len(dataset.submaps), 2)
         with progress_bar("pairs") as progress, workers(num_workers(), num_pairs) as executor:

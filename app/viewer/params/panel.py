@@ -79,8 +79,9 @@ class ParamsPanel(Generic[P]):
     def _add_groups(self, main: Collection[str]) -> None:
         """Add a folder for each group; of what stands above, it has the box "automatic" only."""
         groups: dict[str, list[Field]] = {}
-        for setting in self._settings.values():
-            groups.setdefault(setting.path.partition(".")[0], []).append(setting)
+        for path, setting in self._settings.items():
+            if path not in main or setting.optional:
+                groups.setdefault(path.partition(".")[0], []).append(setting)
         for group, members in groups.items():
             title = group.replace("_", " ").capitalize()
             others = [setting for setting in members if setting.path not in main]
@@ -88,7 +89,7 @@ class ParamsPanel(Generic[P]):
                 for setting in members:
                     if setting in others:
                         self._add(setting, None)
-                    elif setting.optional:
+                    else:
                         self._add_automatic(setting)
                 self._add_defaults(title, others)
 

@@ -88,7 +88,9 @@ def test_view_opens_the_demo_in_the_browser(
     assert stage.pages == ["http://127.0.0.1:8080"]
     assert viewer.closed
     said = capsys.readouterr()
-    assert said.out == "crater is at http://127.0.0.1:8080 (Ctrl-C ends)\n"
+    fitted, address = said.out.splitlines()
+    assert fitted.startswith("crater: fitted: noise ")
+    assert address == "crater is at http://127.0.0.1:8080 (Ctrl-C ends)"
     assert said.err.splitlines() == [f"gpgrad: {DATASET.notes[0]}", "gpgrad: interrupted"]
 
 
