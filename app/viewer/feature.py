@@ -6,7 +6,8 @@ feature needs to know another.
 """
 
 import threading
-from typing import Literal, TypeAlias, TypeVar
+from collections.abc import Callable
+from typing import Concatenate, Literal, ParamSpec, TypeAlias, TypeVar
 
 from app.viewer.capacity import Capacity
 from app.viewer.host import Host
@@ -95,6 +96,7 @@ class Feature:
 
 
 F = TypeVar("F", bound=Feature)
+P = ParamSpec("P")
 
 
 class Desk:
@@ -189,55 +191,22 @@ class Desk:
         for feature in self._features:
             feature.follow(state)
 
-    # News and requests, which reach the features by the methods of the same names.
+    # News and requests.
 
-    def show(self, state: ViewState, result: PairResult) -> None:
-        """Tell what the pipeline found."""
-        for feature in self._features:
-            feature.show(state, result)
+    def tell(
+        self, news: Callable[Concatenate[Feature, P], None], *args: P.args, **kwargs: P.kwargs
+    ) -> None:
+        """Pass news or a request on to every feature, such as ``Feature.show``.
 
-    def comparing(self, fraction: float | None, message: str = "") -> None:
-        """Tell how far the comparison of all pairs is."""
+        Args:
+            news: The method of `Feature` that it reaches; each feature has its own.
+            args: What it takes.
+            kwargs: What it takes by name.
+        """
         for feature in self._features:
-            feature.comparing(fraction, message)
-
-    def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
-        """Tell how the thresholds judge all pairs."""
-        for feature in self._features:
-            feature.judged(dataset, closures)
-
-    def compare_pairs(self) -> None:
-        """Ask for the comparison of all pairs."""
-        for feature in self._features:
-            feature.compare_pairs()
-
-    def stop_comparing(self) -> None:
-        """Ask to end the comparison of all pairs."""
-        for feature in self._features:
-            feature.stop_comparing()
-
-    def use_motion(self, query_id: str, database_id: str, registration: Registration) -> None:
-        """Hand the pose graph a registration that was set by hand."""
-        for feature in self._features:
-            feature.use_motion(query_id, database_id, registration)
-
-    def restore(self, saved: SavedSession) -> None:
-        """Ask for a saved session."""
-        for feature in self._features:
-            feature.restore(saved)
+            getattr(feature, news.__name__)(*args, **kwargs)
 
     def tune(self, query_id: str, database_id: str) -> None:
         """Show a pair in the mode in which it is tuned."""
         self.change(pair=(query_id, database_id))
-        for feature in self._features:
-            feature.tune()
-
-    def turn_to(self, subject: Subject) -> None:
-        """Ask to show the pair or the world."""
-        for feature in self._features:
-            feature.turn_to(subject)
-
-    def set_full_screen(self, full_screen: bool) -> None:
-        """Ask to put the panels away, or back."""
-        for feature in self._features:
-            feature.set_full_screen(full_screen)
+        self.tell(Feature.tune)

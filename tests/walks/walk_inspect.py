@@ -96,7 +96,7 @@ def test_matches_are_looked_at_one_by_one(tour: Tour) -> None:
     first = page.say("match")
     assert first.startswith("Association ")
     assert number_after("descriptor distance", first) > 0
-    assert 0 <= number_after("residual", first) <= number_after("m (", first)  # it is an inlier
+    assert 0 <= number_after("residual", first) <= number_after("at most", first)  # it is an inlier
     assert np.abs(tour.pane().astype(int) - flat).max() > 100
     tour.act(lambda: page.key("n"), "next_match")
     assert page.say("match") != first

@@ -231,7 +231,7 @@ def test_a_session_goes_out_as_a_command_and_a_file_and_comes_back(
     assert motion is not None
     for number in (
         f"inliers\t{found.num_inliers}",
-        f"score\t{found.score:.2f}",
+        f"score\t{found.score:.1f}",
         f"yaw\t{np.degrees(motion.yaw):+.1f}°",
         f"offset\t{motion.x:+.2f} m, {motion.y:+.2f} m",
         f"overlap\t{found.overlap_area:.1f} m²",
@@ -301,7 +301,7 @@ def test_files_are_taken_away(tour: Tour) -> None:
     assert drawn is not None
     assert drawn.std() > 5
     shutil.copy(path, tour.pictures / "21_exported_view.png")
-    assert "view.png" in tour.text("export")
+    assert "view.png" in tour.text("export-message")
     tour.snap("22_exported")
     assert page.get_by_role("button", name="Cancel export").count() == 0
 

@@ -57,7 +57,7 @@ class AllPairsTab(Feature):
             self._on_compared,
             slots=desk.capacity.long,
             name="all pairs",
-            watch=desk.comparing,
+            watch=lambda fraction, message: desk.tell(Feature.comparing, fraction, message),
         )
         self._judge: Runner[_Judging, JudgedPairs] = Runner(
             _judge,
@@ -122,7 +122,7 @@ class AllPairsTab(Feature):
         with host.atomic():
             self._panel.show(findings(judged, job.state))
         host.flush()
-        self._desk.judged(job.state.dataset, judged.closures)
+        self._desk.tell(Feature.judged, job.state.dataset, judged.closures)
 
 
 def _judge(job: _Judging, progress: Progress) -> JudgedPairs:

@@ -53,11 +53,11 @@ class DemoTab(Feature):
             desk.host,
             BOOKMARKS,
             DemoCalls(
-                on_subject=desk.turn_to,
+                on_subject=lambda subject: desk.tell(Feature.turn_to, subject),
                 on_bookmark=self._fly,
                 on_save_view=self._keep,
                 on_play=self._play,
-                on_full_screen=lambda: desk.set_full_screen(True),
+                on_full_screen=lambda: desk.tell(Feature.set_full_screen, True),
                 on_page=self._order,
             ),
         )
@@ -91,10 +91,10 @@ class DemoTab(Feature):
                 self._bar.failed("Optimise the pose graph in Explore first.")
                 return
             self._bar.idle()
-            self._desk.turn_to("world")
+            self._desk.tell(Feature.turn_to, "world")
             self._world.relax()
             return
-        self._desk.turn_to("pair")
+        self._desk.tell(Feature.turn_to, "pair")
         if client is not None:
             self._to(client, self._pair.camera(self._desk.state))
         with self._lock:

@@ -204,7 +204,7 @@ class NudgeTab(Feature):
     def _use(self) -> None:
         if self._refined is not None and self._shown is not None:
             state = self._shown[0]
-            self._desk.use_motion(state.query_id, state.database_id, self._refined)
+            self._desk.tell(Feature.use_motion, state.query_id, state.database_id, self._refined)
             self._panel.say("Accepted by hand: see the tab Pose graph in Explore.")
 
 

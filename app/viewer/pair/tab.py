@@ -161,7 +161,7 @@ class PairTab(Feature):
             self._verdict.show(state, result)
             newer_waits = self._runner.newer_waits
             self._status.finished(seconds, details(shown, state), newer_waits=newer_waits)
-            self._desk.show(state, result)
+            self._desk.tell(Feature.show, state, result)
         self._desk.host.flush()
 
     def _show_legend(self, shown: Shown) -> None:

@@ -79,7 +79,7 @@ class PoseGraphTab(Feature):
         self._panel = PoseGraphPanel(
             desk.host,
             PoseGraphCalls(
-                on_find=desk.compare_pairs,
+                on_find=lambda: desk.tell(Feature.compare_pairs),
                 on_optimise=self._optimise,
                 on_shown=lambda loops, refused: world.set_loops_shown(loops=loops, refused=refused),
                 on_choose=self._choose,
@@ -90,7 +90,7 @@ class PoseGraphTab(Feature):
             ),
         )
         self._bar = self._panel.work_bar
-        self._bar.on_cancel(desk.stop_comparing)
+        self._bar.on_cancel(lambda: desk.tell(Feature.stop_comparing))
         self._solver: Work[_Task, OptimisedGraph] = Work(
             self._bar,
             lambda _: "Optimising",

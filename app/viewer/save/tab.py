@@ -52,4 +52,4 @@ class SaveTab(Feature):
             self._panel.tell(str(error), bad=True)
             return
         self._panel.tell(f"Restoring {name} …")
-        self._desk.restore(saved)
+        self._desk.tell(Feature.restore, saved)

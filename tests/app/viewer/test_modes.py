@@ -84,7 +84,7 @@ def make_true_result(state: ViewState) -> PairResult:
 
 def judge(session: Session) -> None:
     """Let the session know all pairs as judged."""
-    session.desk.judged(DATASET, CLOSURES)
+    session.desk.tell(Feature.judged, DATASET, CLOSURES)
 
 
 @pytest.fixture

@@ -1,0 +1,67 @@
+from dataclasses import replace
+
+import pytest
+import viser
+
+from app.viewer.feature import Feature
+from app.viewer.opened import Opened
+from app.viewer.state import Probe, open_dataset, registered
+from gpgrad_core.errors import InputError
+from gpgrad_core.pipeline import PipelineParams
+from tests.app.desk import Recorder, make_desk
+from tests.app.synthetic import make_dataset, needing
+
+STATE = open_dataset(make_dataset(num_points=100), PipelineParams())
+
+
+def test_each_change_reaches_every_feature_once_and_in_order(server: viser.ViserServer) -> None:
+    first, second = Recorder(), Recorder()
+    desk = make_desk(server, STATE, first)
+    assert desk.join(second) is second
+    desk.change(pair=("002", "001"))
+    desk.change(params=needing(7))
+    desk.change(match=3, probe=Probe("query", 0.0, 0.0))
+    desk.change(probe=None)
+    desk.change(options=registered(STATE.options))
+    assert first.states == second.states
+    assert [state.query_id for state in first.states] == ["002"] * 5
+    assert [state.params == needing(7) for state in first.states] == [False] + [True] * 4
+    assert [state.match for state in first.states] == [0, 0, 3, 3, 3]
+    assert [state.probe is None for state in first.states] == [True, True, False, True, True]
+    assert desk.state is first.states[-1]
+    assert desk.state.options.layout == "registered"
+
+
+def test_a_refused_change_changes_nothing(server: viser.ViserServer) -> None:
+    recorder = Recorder()
+    desk = make_desk(server, STATE, recorder)
+    with pytest.raises(InputError, match="no submap"):
+        desk.change(pair=("999", "000"))
+    assert desk.state is STATE
+    assert recorder.states == []
+
+
+def test_another_dataset_keeps_the_view(server: viser.ViserServer) -> None:
+    recorder = Recorder()
+    desk = make_desk(server, STATE, recorder)
+    desk.change(options=replace(STATE.options, dark=True))
+    opened = Opened(make_dataset(num_points=100, name="other"), needing(3), "/data/other")
+    desk.open(opened)
+    assert recorder.datasets == [opened]
+    assert (desk.state.dataset.name, desk.state.params) == ("other", needing(3))
+    assert desk.state.options.dark
+
+
+def test_a_feature_may_answer_nothing(server: viser.ViserServer) -> None:
+    desk = make_desk(server, STATE)
+    feature = desk.join(Feature())
+    desk.tell(Feature.compare_pairs)
+    desk.tell(Feature.stop_comparing)
+    desk.tell(Feature.comparing, 0.5, "")
+    desk.tell(Feature.judged, STATE.dataset, ())
+    desk.tell(Feature.turn_to, "world")
+    desk.tell(Feature.set_full_screen, True)
+    desk.tune("001", "000")
+    assert (desk.state.query_id, desk.state.database_id) == ("001", "000")
+    assert feature.wait_idle(0.1)
+    feature.close()

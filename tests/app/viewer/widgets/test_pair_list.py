@@ -1,0 +1,27 @@
+import viser
+
+from app.viewer.widgets.pair_list import MOST_LISTED, PairList
+from tests.app.widgets import find, user_sets
+
+PAIRS = {f"{number}": (f"q{number}", "d") for number in range(MOST_LISTED + 5)}
+
+
+def test_a_long_list_is_cut_and_counted(server: viser.ViserServer) -> None:
+    chosen: list[tuple[str, str] | None] = []
+    pairs = PairList(server, "Loop", none="none", hint="", on_choose=chosen.append)
+    pairs.offer(PAIRS, ("q1", "d"))
+    handle = find(server, "Loop")
+    assert handle.options[0] == f"none (the first {MOST_LISTED} of {len(PAIRS)})"
+    assert len(handle.options) == MOST_LISTED + 1
+    assert (handle.value, pairs.chosen) == ("1", ("q1", "d"))
+    assert chosen == []  # nobody chose it
+    user_sets(find(server, "Step loop"), "previous")
+    user_sets(find(server, "Step loop"), "previous")  # round the end
+    user_sets(handle, handle.options[0])
+    user_sets(find(server, "Step loop"), "next")
+    last = MOST_LISTED - 1
+    assert chosen == [("q0", "d"), (f"q{last}", "d"), None, ("q0", "d")]
+    pairs.offer({}, None)
+    user_sets(find(server, "Step loop"), "next")
+    assert pairs.chosen is None
+    assert len(chosen) == 4
