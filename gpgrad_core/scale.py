@@ -5,7 +5,7 @@ the alignment and the evidence. It follows from the points, and never from the k
 that explains the points well may be much longer than the detail that they resolve.
 """
 
-from math import log, pi, sqrt
+from math import e, log, pi, sqrt
 
 import numpy as np
 from jaxtyping import Float
@@ -43,6 +43,22 @@ def resolved_scale(noise_density: float, slope_std: float, area: float) -> float
     across = sqrt(area)
     noisy = RESOLVED * (noise_density / max(slope_std, 1e-9) ** 2) ** 0.25
     return min(max(noisy, across / CELLS_ACROSS), across / FEWEST_ACROSS)
+
+
+def finest_of_kernel(noise_density: float, signal_std: float, length_scale: float) -> float:
+    """Tell the scale below which a fitted terrain holds less than the noise [m].
+
+    The power of the squared exponential, S₀ exp(-k² l² / 2), falls below the noise density N at
+    k = √(2 log(S₀ / N)) / l. Ground that is smoother than self-similar ground has nothing to
+    compare beyond that.
+
+    Args:
+        noise_density: N [m⁴].
+        signal_std: σ, fitted to the points [m]; S₀ = 2π σ² l².
+        length_scale: l, fitted to the points [m].
+    """
+    ratio = 2 * pi * (signal_std * length_scale) ** 2 / max(noise_density, 1e-300)
+    return length_scale / sqrt(2 * log(max(ratio, e)))
 
 
 def rounded_scale(scale: float) -> float:

@@ -11,7 +11,7 @@ from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.pipeline.params import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
-from gpgrad_core.scale import resolved_scale
+from gpgrad_core.scale import FEWEST_ACROSS, finest_of_kernel, resolved_scale
 from gpgrad_core.types import Submap
 
 DIGITS = 4
@@ -145,6 +145,8 @@ def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
         area, noise = width * height, ordinary_noise(submap, submap, fitted)
         count = len(noise) if fitted.max_points is None else min(len(noise), fitted.max_points)
         density = float(np.mean(noise**2)) * area / count
-        slope_std = (fitted.signal_std or 0.0) / fitted.length_scale
-        found.append(resolved_scale(density, slope_std, area))
+        signal_std, length_scale = fitted.signal_std or 0.0, fitted.length_scale
+        resolved = resolved_scale(density, signal_std / length_scale, area)
+        finest = finest_of_kernel(density, signal_std, length_scale)
+        found.append(min(max(resolved, finest), float(np.sqrt(area)) / FEWEST_ACROSS))
     return float(np.median(found))

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gradient_map import MapParams, infer_gradient_map
-from gpgrad_core.scale import noise_density, resolved_scale, rounded_scale, std_at_scale
+from gpgrad_core.scale import (
+    finest_of_kernel,
+    noise_density,
+    resolved_scale,
+    rounded_scale,
+    std_at_scale,
+)
 from gpgrad_core.types import Submap
 from tests.core.ground import Ground, scatter
 
@@ -32,6 +38,14 @@ def test_it_grows_with_the_whole_scene(factor: float) -> None:
     scale = resolved_scale(1e-4, 0.3, 120.0)
     grown = resolved_scale(1e-4 * factor**4, 0.3, 120.0 * factor**2)
     assert grown == pytest.approx(factor * scale)
+
+
+def test_smooth_ground_holds_nothing_below_the_scale_at_which_noise_takes_over() -> None:
+    density, signal, length = 1e-5, 0.5, 1.8
+    scale = finest_of_kernel(density, signal, length)
+    power = 2 * math.pi * (signal * length) ** 2 * math.exp(-0.5 * (length / scale) ** 2)
+    assert power == pytest.approx(density)
+    assert finest_of_kernel(0.0, signal, length) < scale
 
 
 def test_a_plane_has_one_too() -> None:

@@ -45,9 +45,9 @@ SPARSE = {
 }
 NOISY = {
     "marsyard2021": Asked(0.985, 0.90, 35),
-    "sthelens": Asked(0.975, 0.90, 26),
-    "apollo15": Asked(0.940, 0.65, 12),
-    "hillside": Asked(0.960, 0.90, 35),
+    "sthelens": Asked(0.985, 0.90, 30),
+    "apollo15": Asked(0.970, 0.75, 15),
+    "hillside": Asked(0.970, 0.90, 25),
 }
 KINDS = {"whole": (None, 0.0), "sparse": (1000, 0.0), "noisy": (5000, 0.1)}
 ASKED = {"whole": WHOLE, "sparse": SPARSE, "noisy": NOISY}
