@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import Bounds, minimize
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
@@ -258,6 +257,9 @@ def _maximum(
     evaluate: _Evaluate,
 ) -> TerrainParams:
     """Climb from params, whose signal is set, to a maximum of the likelihood of all areas."""
+    # Here, because it takes a while to load, and only a fit needs it.
+    from scipy.optimize import Bounds, minimize  # noqa: PLC0415
+
     patches = [patch for area in areas for patch in area.with_noise(params)]
     num_points = sum(map(len, patches))
 

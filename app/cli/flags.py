@@ -168,7 +168,7 @@ def _flag(one: Field) -> StructFieldSpec:
         metavar=f"{metavar}|None" if one.optional else metavar,
         instance_from_str=lambda words: _value(one, words[0]),
         is_instance=lambda _: True,
-        str_from_instance=lambda _: [str(one.default)],
+        str_from_instance=lambda _: [AUTOMATIC if one.default is None else str(one.default)],
         choices=choices,
     )
     return StructFieldSpec(one.name, cast("Any", Annotated[object, spec]), NOT_GIVEN, text)

@@ -1,8 +1,9 @@
 """Which points of a cloud are explained together, when its likelihood is taken patch by patch."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import KDTree
 
 from gpgrad_core.arrays import Array, NDArray
 
@@ -35,6 +36,9 @@ def draw_patches(
     if len(xy) <= PATCH_POINTS:
         return [np.arange(len(xy))]
     count = min(count, int(np.ceil(MOST_OFTEN * len(xy) / PATCH_POINTS)))
+    # Here, because it takes a while to load, and only a fit needs it.
+    from scipy.spatial import KDTree  # noqa: PLC0415
+
     tree = KDTree(xy)
     patches: list[Members] = []
     for centre in xy[_centres(tree, count, rng)]:
@@ -46,7 +50,7 @@ def draw_patches(
     return patches
 
 
-def _centres(tree: KDTree, count: int, rng: np.random.Generator) -> Members:
+def _centres(tree: Any, count: int, rng: np.random.Generator) -> Members:
     """Choose points evenly along the leaves of the tree, where neighbours are together.
 
     So every part of the cloud has its share, by its number of points.

@@ -20,8 +20,8 @@ DIGITS = 4
 
 def is_resolved(params: PipelineParams) -> bool:
     """Tell whether nothing is left to be chosen."""
-    of_map = params.map
-    return None not in (of_map.length_scale, of_map.noise_std, of_map.scale)
+    of_map, radius = params.map, params.registration.inlier_radius
+    return None not in (of_map.length_scale, of_map.noise_std, of_map.scale, radius)
 
 
 def resolve_parameters(
@@ -45,7 +45,8 @@ def resolve_parameters(
         progress: Called now and then; may raise Cancelled.
 
     Returns:
-        The same with numbers for ``map.length_scale``, ``map.noise_std`` and ``map.scale``.
+        The same with numbers for ``map.length_scale``, ``map.noise_std`` and ``map.scale``, and
+        for the inlier radius, which follows from the scale.
 
     Raises:
         InputError: If there is no submap, or none of the noise that the noise model wants.
@@ -71,7 +72,11 @@ def resolve_parameters(
         )
         of_map = _with(of_map, fitted, given)
     progress(1.0)
-    return replace(params, map=of_map)
+    radius = params.registration.radius(of_map.scale)
+    if params.registration.inlier_radius is None:
+        radius = float(f"{radius:.{DIGITS}g}")
+    registration = replace(params.registration, inlier_radius=radius)
+    return replace(params, map=of_map, registration=registration)
 
 
 def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
@@ -93,6 +98,8 @@ def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
         for name, field, unit in named
         if getattr(used.map, field) != getattr(asked.map, field)
     ]
+    if used.registration.inlier_radius != asked.registration.inlier_radius:
+        chosen.append(f"inlier radius {used.registration.inlier_radius:.3g} m")
     return f"fitted: {', '.join(chosen)}" if chosen else ""
 
 

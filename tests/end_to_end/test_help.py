@@ -36,7 +36,7 @@ def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
     named = [flag for flag in flags if not flag.startswith("--help")]
     assert named
     if verb == "detect":
-        assert "Range: 0.01 to 100 m. (default: 0.3)" in text
+        assert "Range: 0.01 to 100 m. (default: automatic)" in text
         assert "--closure.min-inliers" in text
     for flag in named:
         name = flag.split()[0].rstrip(",")

@@ -11,8 +11,7 @@ from app.viewer.params.undo import UndoTool
 from app.viewer.state import ViewState
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.commands import Commands
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.pipeline import PipelineParams, is_resolved
 
 MAIN_PARAMETERS = {
     "map.length_scale": "Length-scale",
@@ -63,7 +62,7 @@ class ParamsTab(Feature):
     def follow(self, state: ViewState) -> None:
         """Move the sliders to parameters that came from elsewhere; fit what was made automatic."""
         before, self._params = self._params, state.params
-        if _made_automatic(before.map, state.params.map):
+        if _made_automatic(before, state.params):
             self._fit.choose(state.params)
         if state.params != self._panel.value:
             self._panel.set(state.params)
@@ -73,9 +72,6 @@ class ParamsTab(Feature):
         self._panel.set_default(opened.params)
 
 
-def _made_automatic(before: MapParams, after: MapParams) -> bool:
+def _made_automatic(before: PipelineParams, after: PipelineParams) -> bool:
     """Tell whether a parameter that is fitted to the dataset had a value, and no longer has."""
-    return any(
-        getattr(before, name) is not None and getattr(after, name) is None
-        for name in ("length_scale", "noise_std", "scale")
-    )
+    return is_resolved(before) and not is_resolved(after)

@@ -13,6 +13,7 @@ from gpgrad_core.pipeline import (
     is_resolved,
     resolve_parameters,
 )
+from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Submap
 from tests.core.ground import submap
@@ -31,7 +32,11 @@ def test_what_is_not_given_is_fitted(submaps: tuple[Submap, ...]) -> None:
     assert chosen.map.length_scale == pytest.approx(fitted.length_scale, rel=1e-3)
     assert chosen.map.noise_std == pytest.approx(fitted.noise_std, rel=1e-3)
     assert chosen.map.signal_std == pytest.approx(fitted.signal_std, rel=1e-3)
-    assert replace(chosen, map=MapParams()) == PipelineParams()
+    assert chosen.registration.inlier_radius == pytest.approx(
+        PipelineParams().registration.radius(chosen.map.scale), rel=1e-3
+    )
+    untouched = replace(chosen.registration, inlier_radius=None)
+    assert replace(chosen, map=MapParams(), registration=untouched) == PipelineParams()
     assert resolve_parameters(submaps, chosen) is chosen
 
 
@@ -56,7 +61,10 @@ def test_the_scale_does_not_follow_the_length_scale(submaps: tuple[Submap, ...])
         for length in (0.2, 0.8)
     }
     assert scales == {resolve_parameters(submaps, memo=memo).map.scale}
-    given = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, scale=0.5))
+    given = PipelineParams(
+        map=MapParams(length_scale=0.3, noise_std=0.05, scale=0.5),
+        registration=RegistrationParams(inlier_radius=0.5),
+    )
     assert resolve_parameters(submaps, given) is given
 
 
