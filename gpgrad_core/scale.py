@@ -65,7 +65,7 @@ def rounded_scale(scale: float) -> float:
     """Round a scale to one of `STEPS_A_DOUBLING` steps in each doubling [m].
 
     >>> round(rounded_scale(0.3), 3)
-    0.25
+    0.354
     """
     return float(2.0 ** (round(STEPS_A_DOUBLING * log(scale, 2)) / STEPS_A_DOUBLING))
 
