@@ -67,6 +67,6 @@ def _why(registration: Registration) -> str:
     if area == 0:
         return ""
     return (
-        f": over {area:.0f} m² in common the slopes correlate by {registration.correlation:.2f}, "
-        f"with {registration.num_inliers} inliers"
+        f": slopes agree too weakly ({registration.correlation:.2f} over {area:.0f} m²), "
+        f"{registration.num_inliers} inliers"
     )

@@ -17,7 +17,7 @@ def registration(num_inliers: int, score: float, found: bool = True) -> Registra
     return Registration(SE2() if found else None, inliers, 1.0, 10.0, 0.8, score)
 
 
-LOW = "score 7 < 7: over 10 m² in common the slopes correlate by 0.80, with 20 inliers"
+LOW = "score 7 < 7: slopes agree too weakly (0.80 over 10 m²), 20 inliers"
 
 
 @pytest.mark.parametrize(
