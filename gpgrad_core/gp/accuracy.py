@@ -12,7 +12,7 @@ class Accuracy:
             (rms). The mean at the points is then no further off, for K (K + D)⁻¹ shrinks; but
             between the points, beside them, and where the noise differs from point to point, it
             can be off by more. At 0.01 it was, by up to 0.016 of the noise. At 0.003, over 300
-            random clouds with a noise of its own for each point, it is off by at most 0.003,
+            random clouds with a noise of its own for each point, it is off by at most 0.004,
             for one more step at the most (tests/quality/test_accuracy.py).
         ripple: Of the kernel that the lattice of the variance stands for, times the information
             of the data: the standard deviation is within 2 % (measured: half of this) of 0.03.
