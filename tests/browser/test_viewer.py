@@ -99,8 +99,13 @@ def test_a_missing_folder_is_told_and_the_sliders_still_work(page: "ViewerPage")
     error.wait_for(timeout=30_000)
     assert "/no/such/<b>folder</b>: no such file or folder" in error.inner_text()
     expect_change(page, lambda: page.drag("Variance mask", -15))
+    session = page.viewer.sessions[0]  # type: ignore[attr-defined]
+    before = session.state.dataset
     page.press("Load demo")
     error.wait_for(state="detached", timeout=30_000)
+    page.wait(lambda: session.state.dataset is not before, "the demo, read anew")
+    page.settle()
+    expect_change(page, lambda: page.drag("Variance mask", -15))
     expect_change(page, lambda: page.press("Reset parameters"))
     assert page.accepted()
     page.tab("View")
