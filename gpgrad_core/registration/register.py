@@ -6,12 +6,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.alignment import DRIFTED, Alignments, align
+from gpgrad_core.registration.alignment import Alignments, align
 from gpgrad_core.registration.dense_check import DenseCheck, ThinMap, thin_out
 from gpgrad_core.registration.evidence import closure_score, weigh
 from gpgrad_core.registration.params import RegistrationParams
+from gpgrad_core.registration.placement import Sharp, place, sharpen
 from gpgrad_core.registration.ransac import find_motions, one_to_one
-from gpgrad_core.registration.relief import Relief, make_relief, sharp_relief
+from gpgrad_core.registration.relief import Relief, make_relief
 from gpgrad_core.registration.search import Spectra, make_spectra, search_motions
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
@@ -31,8 +32,8 @@ TRIED = 12
 overlap, eight lost the right one now and then, and eighteen found no more than twelve."""
 TRIED_CELLS, TRIED_ITERATIONS = 600, 5
 """What these are aligned with."""
-PLACED_CELLS, PLACED_ITERATIONS = 3000, 8
-"""What the best of these is then aligned with."""
+REFINED_CELLS = 3000
+"""What a motion that was set by hand is aligned with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,7 @@ class Prepared:
     """What registration makes of one map, once for all its pairs."""
 
     relief: Relief
-    sharp: Relief
+    sharp: Sharp
     spectra: Spectra
     thin: ThinMap
 
@@ -55,7 +56,7 @@ def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> 
     relief = make_relief(gradient_map, max_std_ratio)
     return Prepared(
         relief,
-        sharp_relief(gradient_map, max_std_ratio),
+        sharpen(gradient_map, max_std_ratio),
         make_spectra(relief),
         thin_out(gradient_map, max_std_ratio),
     )
@@ -142,7 +143,7 @@ def refine(
     params = params or RegistrationParams()
     of_query, of_database = prepare(query), prepare(database)
     maps = of_query.relief, of_database.relief
-    tried = align(*maps, [start], num_cells=PLACED_CELLS, iterations=TRIED_ITERATIONS)
+    tried = align(*maps, [start], num_cells=REFINED_CELLS, iterations=TRIED_ITERATIONS)
     rough = _judge(tried, 0, maps, matches, params)
     return _finish(of_query, of_database, matches, rough, params)
 
@@ -156,14 +157,7 @@ def _finish(
 ) -> Registration:
     """Place the best motion to a few centimetres, on the unsmoothed maps."""
     maps = query.relief, database.relief
-    sharp = query.sharp, database.sharp
-    placed = align(
-        *sharp,
-        [rough.motion],
-        num_cells=PLACED_CELLS,
-        iterations=PLACED_ITERATIONS,
-        warp=DRIFTED,
-    )
+    placed = place(query.sharp, database.sharp, rough.motion)
     best = _judge(placed, 0, maps, matches, params)
     check = DenseCheck(query.thin, database.thin)
     area, correlation = check.compare(best.motion)

@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.uncertainty import NUM_BANDS, BandNoise
+from gpgrad_core.registration.uncertainty import BandNoise
 from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Grid, read_only
 
 Image: TypeAlias = NDArray[np.float32]
 
-FINE_CELL, CELL, SHARP_CELL = 0.25, 0.75, 0.35
-"""Sides of cells [scales]: of those that are smoothed, of those kept of these, of sharp ones."""
+FINE_CELL, CELL = 0.25, 0.75
+"""Sides of cells [scales]: of those that are smoothed, and of those kept of these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +50,13 @@ def make_relief(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO)
         max_std_ratio: The variance mask.
     """
     scale = gradient_map.scale
-    grid = _thin_grid(gradient_map.grid, FINE_CELL * scale)
-    fine = _thinned(gradient_map.grid, grid)
+    grid = thin_grid(gradient_map.grid, FINE_CELL * scale)
+    fine = thinned(gradient_map.grid, grid)
     trusted = gradient_map.trusted(max_std_ratio)[fine]
-    elevation, base = _above_mean(gradient_map.elevation[fine], trusted)
+    elevation, base = above_mean(gradient_map.elevation[fine], trusted)
     smooth = blur(elevation, trusted.astype(np.float32), scale / grid.resolution)
-    kept = _thin_grid(grid, CELL * scale)
-    coarse = _thinned(grid, kept)
+    kept = thin_grid(grid, CELL * scale)
+    coarse = thinned(grid, kept)
     smooth, trusted = smooth[coarse].copy(), trusted[coarse].copy()
     noise = BandNoise.of(gradient_map).at(gradient_map.variance[fine][coarse])
     along_y, along_x = (
@@ -68,23 +68,11 @@ def make_relief(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO)
     return Relief(kept, smooth, slope, terrain, trusted, noise, base, scale)
 
 
-def sharp_relief(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Relief:
-    """Thin a map without smoothing it: the last centimetres of a pose lie in the short waves."""
-    grid = _thin_grid(gradient_map.grid, SHARP_CELL * gradient_map.scale)
-    thin = _thinned(gradient_map.grid, grid)
-    trusted = gradient_map.trusted(max_std_ratio)[thin].copy()
-    elevation, base = _above_mean(gradient_map.elevation[thin], trusted)
-    slope = gradient_map.slope[thin].astype(np.float32)
-    nothing = np.zeros_like(elevation)
-    # Nobody asks for the terrain and the noise of a sharp one.
-    noise = np.zeros((*elevation.shape, NUM_BANDS), np.float32)
-    return Relief(grid, elevation, slope, nothing, trusted, noise, base, gradient_map.scale)
-
-
-def _above_mean(
+def above_mean(
     elevation: Float[NDArray[np.float64], "rows columns"],
     trusted: Bool[NDArray[np.bool_], "rows columns"],
 ) -> tuple[Float[Image, "rows columns"], float]:
+    """Give the elevation above the mean of its trusted cells, and that mean [m]."""
     base = float(elevation[trusted].mean()) if trusted.any() else 0.0
     return (elevation - base).astype(np.float32), base
 
@@ -137,14 +125,14 @@ def blur(
     return np.asarray(pair[..., 0] / np.maximum(pair[..., 1], 1e-6), np.float32)
 
 
-def _thin_grid(grid: Grid, cell: float) -> Grid:
+def thin_grid(grid: Grid, cell: float) -> Grid:
     """Keep every so manyth row and column, so that cells become about as large as asked."""
     stride = max(1, round(cell / grid.resolution))
     rows, columns = (-(-side // stride) for side in grid.shape)
     return Grid(grid.origin, stride * grid.resolution, (rows, columns))
 
 
-def _thinned(grid: Grid, thinner: Grid) -> tuple[slice, slice]:
+def thinned(grid: Grid, thinner: Grid) -> tuple[slice, slice]:
     """Rows and columns of a grid that the thinner one keeps."""
     stride = round(thinner.resolution / grid.resolution)
     return slice(None, None, stride), slice(None, None, stride)

@@ -1,0 +1,128 @@
+"""Lays one map on another: the cells in common, and the difference without the warp."""
+
+from dataclasses import dataclass
+from math import pi, sqrt
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.registration.relief import Relief
+from gpgrad_core.se2 import SE2
+
+TILT_STD, BEND_STD = 0.03, 0.005
+"""How far the drift of the odometry may tilt [rad] and bend [1/m] two submaps against each other;
+the alignment allows as much."""
+WARP_ROUNDS = 3
+"""Rounds of weighted least squares, which tell the warp apart from rocks."""
+WARP_CELLS = 600
+"""Cells that the warp is estimated from; it is smooth."""
+
+Pair: TypeAlias = Float32[NDArray[np.float32], "rows columns 2"]
+Mask: TypeAlias = Bool[NDArray[np.bool_], "rows columns"]
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """Two maps on the database's cells, cut to the box around what they have in common.
+
+    Attributes:
+        common: The cells that both maps trust.
+        heights: Elevation of the query and of the database there [m].
+        noise: Half the variance of what both maps leave unknown of each band [m²].
+        step: Side of a cell [m].
+        scale: Scale of comparison [m].
+    """
+
+    common: Mask
+    heights: Pair
+    noise: Float32[NDArray[np.float32], "rows columns bands"]
+    step: float
+    scale: float
+
+    @property
+    def count(self) -> int:
+        """Number of cells in common."""
+        return int(np.count_nonzero(self.common))
+
+
+def overlay(query: Relief, database: Relief, T_database_query: SE2) -> Overlay:
+    """Lay the query on the database's cells."""
+    inverse, step = T_database_query.inverse(), database.grid.resolution
+    corner = query.grid.to_pixel(inverse.apply(np.array([database.grid.origin])))[0]
+    onto = np.column_stack([inverse.rotation * (step / query.grid.resolution), corner])
+    moved = cv2.warpAffine(
+        np.dstack([query.elevation, query.trusted.astype(np.float32), query.noise]),
+        onto,
+        database.grid.shape[::-1],
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+    )
+    common = (moved[..., 1] > 0.999) & database.trusted
+    rows, columns = np.flatnonzero(common.any(axis=1)), np.flatnonzero(common.any(axis=0))
+    if not len(rows):
+        rows = columns = np.zeros(1, int)
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    heights = np.asarray(np.dstack([moved[..., 0], database.elevation])[box], np.float32)
+    noise = np.float32(0.5) * (moved[..., 2:] + database.noise)[box]
+    return Overlay(common[box], heights, np.asarray(noise, np.float32), step, database.scale)
+
+
+def take_warp_out(laid: Overlay) -> Pair:
+    """Take offset, tilt and bend of the difference out, half from each map, and the mean from both.
+
+    Args:
+        laid: At least one cell must be common.
+
+    Returns:
+        The heights of both maps [m], 0 where they are not common.
+    """
+    common, step = laid.common, laid.step
+    row, column = np.nonzero(common)
+    x, y = (column - column.mean()) * step, (row - row.mean()) * step
+    bends = np.stack([x * x, x * y, y * y])
+    columns = np.vstack([np.ones((1, len(x))), x, y, bends - bends.mean(axis=1, keepdims=True)])
+    precision = np.array([0.0] + 2 * [TILT_STD**-2] + 3 * [BEND_STD**-2])
+    both = laid.heights[common].astype(np.float64)
+    every = max(1, len(x) // WARP_CELLS)
+    some, difference = columns[:, ::every], (both[:, 0] - both[:, 1])[::every]
+    left = difference - np.median(difference)
+    cells_a_patch = max(1.0, 2 * pi * laid.scale**2 / (every * step**2))
+    coefficients = np.zeros(len(precision))
+    weight = np.ones_like(difference)
+    for _ in range(WARP_ROUNDS):
+        variance = float(np.median(left * left)) / 0.455 + 1e-12
+        weighed = some * weight
+        normal = weighed @ some.T
+        normal += np.diag(precision * variance * cells_a_patch + 1e-9 * np.diagonal(normal))
+        coefficients = np.linalg.solve(normal, weighed @ difference)
+        left = difference - coefficients @ some
+        weight = 1 / (1 + left * left / variance)
+    warp = coefficients @ columns
+    both[:, 0] -= warp / 2
+    both[:, 1] += warp / 2
+    flat = np.zeros_like(laid.heights)
+    flat[common] = both - both.mean(axis=0)
+    return flat
+
+
+def smooth_between(pair: Pair, common: Mask, edges: tuple[float, float], step: float) -> Pair:
+    """Smooth heights that are smoothed over the finer edge, until they are so over the coarser one.
+
+    Args:
+        pair: Heights of both maps [m].
+        common: The cells that count.
+        edges: Widths of the two Gaussians [m]; their variances add up.
+        step: Side of a cell [m].
+    """
+    fine, coarse = edges
+    weight = common.astype(np.float32)
+    blurred = cv2.GaussianBlur(
+        np.dstack([pair, weight]),
+        (0, 0),
+        sqrt(coarse**2 - fine**2) / step,
+        borderType=cv2.BORDER_CONSTANT,
+    )
+    share = np.maximum(blurred[..., 2:], 1e-6)
+    return np.where(common[..., None], blurred[..., :2] / share, np.float32(0))
