@@ -15,6 +15,7 @@ from gpgrad_core.features.interpolation import interpolate
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.matching import MatchParams, match_features
 from gpgrad_core.pipeline import PipelineParams, extract_kept, infer_map
+from gpgrad_core.pipeline.all_pairs import StagedDetector
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2, fit_se2
@@ -74,7 +75,7 @@ class PaperSubmap:
 
 
 @dataclass(frozen=True, eq=False)
-class PaperDetector:
+class PaperDetector(StagedDetector):
     """The paper as a `LoopDetector`: the pipeline's maps and keypoints, its own Algorithm 1.
 
     Attributes:
@@ -84,10 +85,6 @@ class PaperDetector:
 
     params: PipelineParams
     memo: Memo
-
-    def __call__(self, query: Submap, database: Submap) -> Registration:
-        """Register the query to the database."""
-        return self.compare(self.extract(self.infer(query)), self.extract(self.infer(database)))
 
     def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
         """Make the map."""

@@ -11,7 +11,7 @@ from gpgrad_core.gp.inference import Posterior
 from gpgrad_core.gradient_map import fit_terrain, map_grid, sample_map
 from gpgrad_core.loop_closure import classify
 from gpgrad_core.matching import match_features
-from gpgrad_core.pipeline.all_pairs import compare_all
+from gpgrad_core.pipeline.all_pairs import StagedDetector, compare_all
 from gpgrad_core.pipeline.automatic import is_resolved, resolve_parameters
 from gpgrad_core.pipeline.params import PipelineParams
 from gpgrad_core.registration import (
@@ -202,7 +202,7 @@ class ExtractedSubmap:
 
 
 @dataclass(frozen=True, eq=False)
-class MapDetector:
+class MapDetector(StagedDetector):
     """The pipeline as a `LoopDetector`; with other maps or images, it is also some of its rivals.
 
     Attributes:
@@ -217,10 +217,6 @@ class MapDetector:
     memo: Memo
     make_map: MapMaker = infer_map
     drawn_from: Callable[[GradientMap], GradientMap] | None = None
-
-    def __call__(self, query: Submap, database: Submap) -> Registration:
-        """Register the query to the database."""
-        return self.compare(self.extract(self.infer(query)), self.extract(self.infer(database)))
 
     def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
         """Make the map."""
