@@ -39,7 +39,17 @@ FIT_SHARE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class PairResult:
-    """The results of all stages for one pair of submaps."""
+    """The results of all stages for one pair of submaps.
+
+    Attributes:
+        query_map: Gradient map of the query.
+        database_map: Gradient map of the database.
+        query_features: Keypoints of the query's map.
+        database_features: Keypoints of the database's map.
+        matches: Associations between the keypoints.
+        registration: The registration of the query to the database.
+        closure: The verdict.
+    """
 
     query_map: GradientMap
     database_map: GradientMap
@@ -56,10 +66,10 @@ class DetectionResult:
 
     Attributes:
         closures: Every unordered pair once; the database submap is the earlier one.
-        seconds: Time spent, by stage: maps, features, pairs, total; and fit, where parameters
+        seconds: Time of each stage [s]: maps, features, pairs and total; and fit, if parameters
             were fitted.
-        params: What the pipeline ran with: what was automatic has its number here. None where
-            another detector ran.
+        params: The parameters that the pipeline used, with numbers for all automatic ones; None
+            if another detector ran.
     """
 
     closures: tuple[LoopClosure, ...]
