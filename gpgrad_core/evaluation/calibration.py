@@ -93,13 +93,13 @@ def calibrate(
         fitted = {one.name: getattr(found.params, one.name) for one in fields(found.params)}
         kinds[f"{name} noise, fitted"] = replace(start, **fitted)
     kinds["smoothed grid"] = None
-    judged: list[Calibration] = []
+    calibrations: list[Calibration] = []
     for k, (name, of_map) in enumerate(kinds.items()):
         predicted = [_predict(*pair, of_map, params) for pair in split]
         error, std = (np.concatenate(values) for values in zip(*predicted, strict=True))
-        judged.append(judge_errors(name, error, std, of_map))
+        calibrations.append(judge_errors(name, error, std, of_map))
         progress(0.4 + 0.6 * (k + 1) / len(kinds))
-    return tuple(judged)
+    return tuple(calibrations)
 
 
 def _split(submap: Submap, seed: int) -> tuple[Submap, Submap]:
