@@ -27,9 +27,9 @@ if os.environ.get("GPGRAD_SHAPE_CHECKS", "1") == "1":
     )
 
 # There is no deadline, because the time of an example depends mostly on the machine's load. A
-# failed run can be repeated on its machine, but other machines draw other examples: Hypothesis also draws
-# constants from the modules that are loaded, and changes with its releases. So a law must hold for
-# every example, and an example that must always be tried belongs into an @example.
+# failed run can be repeated on its machine, but other machines draw other examples: Hypothesis also
+# draws constants from the modules that are loaded, and changes with its releases. So a law must
+# hold for every example, and an example that must always be tried belongs into an @example.
 # GPGRAD_EXPLORE=1 draws new examples.
 settings.register_profile("repeat", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None)
