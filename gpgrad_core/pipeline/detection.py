@@ -11,7 +11,7 @@ from gpgrad_core.gp.inference import Posterior
 from gpgrad_core.gradient_map import fit_terrain, map_grid, sample_map
 from gpgrad_core.loop_closure import classify
 from gpgrad_core.matching import match_features
-from gpgrad_core.pipeline.all_pairs import compare_all
+from gpgrad_core.pipeline.all_pairs import StagedDetector, compare_all
 from gpgrad_core.pipeline.automatic import is_resolved, resolve_parameters
 from gpgrad_core.pipeline.params import PipelineParams
 from gpgrad_core.registration import (
@@ -39,7 +39,17 @@ FIT_SHARE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class PairResult:
-    """The results of all stages for one pair of submaps."""
+    """The results of all stages for one pair of submaps.
+
+    Attributes:
+        query_map: Gradient map of the query.
+        database_map: Gradient map of the database.
+        query_features: Keypoints of the query's map.
+        database_features: Keypoints of the database's map.
+        matches: Associations between the keypoints.
+        registration: The registration of the query to the database.
+        closure: The verdict.
+    """
 
     query_map: GradientMap
     database_map: GradientMap
@@ -56,10 +66,10 @@ class DetectionResult:
 
     Attributes:
         closures: Every unordered pair once; the database submap is the earlier one.
-        seconds: Time spent, by stage: maps, features, pairs, total; and fit, where parameters
+        seconds: Time of each stage [s]: maps, features, pairs and total; and fit, if parameters
             were fitted.
-        params: What the pipeline ran with: what was automatic has its number here. None where
-            another detector ran.
+        params: The parameters that the pipeline used, with numbers for all automatic ones; None
+            if another detector ran.
     """
 
     closures: tuple[LoopClosure, ...]
@@ -202,7 +212,7 @@ class ExtractedSubmap:
 
 
 @dataclass(frozen=True, eq=False)
-class MapDetector:
+class MapDetector(StagedDetector):
     """The pipeline as a `LoopDetector`; with other maps or images, it is also some of its rivals.
 
     Attributes:
@@ -217,10 +227,6 @@ class MapDetector:
     memo: Memo
     make_map: MapMaker = infer_map
     drawn_from: Callable[[GradientMap], GradientMap] | None = None
-
-    def __call__(self, query: Submap, database: Submap) -> Registration:
-        """Register the query to the database."""
-        return self.compare(self.extract(self.infer(query)), self.extract(self.infer(database)))
 
     def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
         """Make the map."""

@@ -13,12 +13,12 @@ from gpgrad_core.registration.relief import Relief
 from gpgrad_core.se2 import SE2
 
 TILT_STD, BEND_STD = 0.03, 0.005
-"""How far the drift of the odometry may tilt [rad] and bend [1/m] two submaps against each other;
-the alignment allows as much."""
+"""Standard deviations of the tilt [rad] and the bend [1/m] between two submaps, which drift brings
+about while they are built. They are the same as in the alignment."""
 WARP_ROUNDS = 3
-"""Rounds of weighted least squares, which tell the warp apart from rocks."""
+"""Rounds of weighted least squares, which separate the warp from rocks."""
 WARP_CELLS = 600
-"""Cells that the warp is estimated from; it is smooth."""
+"""Number of cells that the warp is fitted to; it is smooth, so a few are enough."""
 
 Pair: TypeAlias = Float32[NDArray[np.float32], "rows columns 2"]
 Mask: TypeAlias = Bool[NDArray[np.bool_], "rows columns"]
