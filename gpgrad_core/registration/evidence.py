@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from math import exp, expm1, log, log1p, pi, sqrt
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Float
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array
+from gpgrad_core.registration.overlay import overlay, smooth_between, take_warp_out
 from gpgrad_core.registration.relief import Relief
 from gpgrad_core.registration.uncertainty import NUM_BANDS, band_edges
 from gpgrad_core.se2 import SE2
@@ -15,13 +15,6 @@ from gpgrad_core.types import Agreement
 
 FEWEST_CELLS = 30
 """Smallest number of common cells that are compared."""
-TILT_STD, BEND_STD = 0.03, 0.005
-"""Standard deviations of the tilt [rad] and the bend [1/m] between two submaps, which drift brings
-about while they are built. They are the same as in the alignment."""
-WARP_ROUNDS = 3
-"""Rounds of weighted least squares, which separate the warp from rocks."""
-WARP_CELLS = 600
-"""Number of cells that the warp is fitted to; it is smooth, so a few are enough."""
 DRIFT_SHARE = 0.04
 """Share of a band's relief that drift within a submap and a slightly wrong motion may change. On
 true pairs of dense clouds the differences are 3 to 5 per cent larger than noise alone makes
@@ -39,9 +32,6 @@ such pairs of 20 datasets (real and simulated; whole, thinned and noisy; flat an
 score of 2 and none reaches 3. Slightly wrong motions on steep smooth ground do not reach 3 either.
 Fits to the upper quarter of all datasets but one give levels of 1.7 to 2.3 and spreads of 2.0 to
 2.2."""
-
-Pair = Float32[NDArray[np.float32], "rows columns 2"]
-Mask = Bool[NDArray[np.bool_], "rows columns"]
 
 
 @dataclass(frozen=True)
@@ -81,21 +71,17 @@ def weigh(query: Relief, database: Relief, T_database_query: SE2) -> Evidence:
     Returns:
         The evidence; its log ratios are 0 if fewer than `FEWEST_CELLS` cells are common.
     """
-    step = database.grid.resolution
-    common, heights, noise = _overlap(query, database, T_database_query)
-    count = int(np.count_nonzero(common))
-    patches = count * step**2 / (2 * pi * database.scale**2)
+    laid = overlay(query, database, T_database_query)
+    count, common = laid.count, laid.common
+    patches = count * laid.step**2 / (2 * pi * laid.scale**2)
     if count < FEWEST_CELLS:
         return Evidence(patches, (0.0,) * NUM_BANDS)
-    rows, columns = np.flatnonzero(common.any(axis=1)), np.flatnonzero(common.any(axis=0))
-    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    common = common[box]
-    unknown = noise[box][common].astype(np.float64)
-    pair = _unwarped(heights[box], common, step, database.scale)
+    unknown = laid.noise[common].astype(np.float64)
+    pair = take_warp_out(laid)
     log_ratios: list[float] = []
     difference = possible = relief = 0.0
     for band in range(NUM_BANDS):
-        smoother = _smoothed(pair, common, band_edges(database.scale, band), step)
+        smoother = smooth_between(pair, common, band_edges(laid.scale, band), laid.step)
         a, b = (pair - smoother)[common].astype(np.float64).T
         pair = smoother
         squared = 0.5 * np.square(a - b)
@@ -145,74 +131,6 @@ def total_evidence(evidence: Evidence, num_inliers: int) -> float:
     for band, (weight, ratio) in enumerate(zip(BAND_WEIGHTS, evidence.log_ratios, strict=True)):
         total += weight * sqrt(evidence.patches) / 2**band * ratio
     return total
-
-
-def _overlap(
-    query: Relief, database: Relief, T_database_query: SE2
-) -> tuple[Mask, Pair, Float32[NDArray[np.float32], "rows columns bands"]]:
-    """Resample the query on the database's cells.
-
-    Returns:
-        Which cells both maps trust; the heights of both [m]; and half the variance of the
-        uncertainty of both in each band [m²].
-    """
-    inverse, step = T_database_query.inverse(), database.grid.resolution
-    corner = query.grid.to_pixel(inverse.apply(np.array([database.grid.origin])))[0]
-    onto = np.column_stack([inverse.rotation * (step / query.grid.resolution), corner])
-    moved = cv2.warpAffine(
-        np.dstack([query.elevation, query.trusted.astype(np.float32), query.noise]),
-        onto,
-        database.grid.shape[::-1],
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-    )
-    common = (moved[..., 1] > 0.999) & database.trusted
-    heights = np.asarray(np.dstack([moved[..., 0], database.elevation]), np.float32)
-    noise = np.float32(0.5) * (moved[..., 2:] + database.noise)
-    return common, heights, np.asarray(noise, np.float32)
-
-
-def _unwarped(heights: Pair, common: Mask, step: float, scale: float) -> Pair:
-    """Remove the offset, tilt and bend of the difference, half from each map, and the mean."""
-    row, column = np.nonzero(common)
-    x, y = (column - column.mean()) * step, (row - row.mean()) * step
-    bends = np.stack([x * x, x * y, y * y])
-    columns = np.vstack([np.ones((1, len(x))), x, y, bends - bends.mean(axis=1, keepdims=True)])
-    precision = np.array([0.0] + 2 * [TILT_STD**-2] + 3 * [BEND_STD**-2])
-    both = heights[common].astype(np.float64)
-    every = max(1, len(x) // WARP_CELLS)
-    some, difference = columns[:, ::every], (both[:, 0] - both[:, 1])[::every]
-    left = difference - np.median(difference)
-    cells_a_patch = max(1.0, 2 * pi * scale**2 / (every * step**2))
-    coefficients = np.zeros(len(precision))
-    weight = np.ones_like(difference)
-    for _ in range(WARP_ROUNDS):
-        variance = float(np.median(left * left)) / 0.455 + 1e-12
-        weighed = some * weight
-        normal = weighed @ some.T
-        normal += np.diag(precision * variance * cells_a_patch + 1e-9 * np.diagonal(normal))
-        coefficients = np.linalg.solve(normal, weighed @ difference)
-        left = difference - coefficients @ some
-        weight = 1 / (1 + left * left / variance)
-    warp = coefficients @ columns
-    both[:, 0] -= warp / 2
-    both[:, 1] += warp / 2
-    flat = np.zeros_like(heights)
-    flat[common] = both - both.mean(axis=0)
-    return flat
-
-
-def _smoothed(pair: Pair, common: Mask, edges: tuple[float, float], step: float) -> Pair:
-    """Smooth from the finer edge of a band to the coarser one; variances of Gaussians add up."""
-    fine, coarse = edges
-    weight = common.astype(np.float32)
-    blurred = cv2.GaussianBlur(
-        np.dstack([pair, weight]),
-        (0, 0),
-        sqrt(coarse**2 - fine**2) / step,
-        borderType=cv2.BORDER_CONSTANT,
-    )
-    share = np.maximum(blurred[..., 2:], 1e-6)
-    return np.where(common[..., None], blurred[..., :2] / share, np.float32(0))
 
 
 def _log_t(squared: Float[Array, "n"], variance: Float[Array, "n"]) -> Float[Array, "n"]:

@@ -6,12 +6,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.alignment import DRIFTED, Alignments, align
+from gpgrad_core.registration.alignment import Alignments, align
 from gpgrad_core.registration.dense_check import DenseCheck, ThinMap, thin_out
 from gpgrad_core.registration.evidence import closure_score, weigh
 from gpgrad_core.registration.params import RegistrationParams
+from gpgrad_core.registration.placement import Sharp, place, sharpen
 from gpgrad_core.registration.ransac import find_motions, one_to_one
-from gpgrad_core.registration.relief import Relief, make_relief, sharp_relief
+from gpgrad_core.registration.relief import Relief, make_relief
 from gpgrad_core.registration.search import Spectra, make_spectra, search_motions
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
@@ -31,8 +32,8 @@ TRIED = 12
 hardly overlap was sometimes lost; eighteen found no more than twelve."""
 TRIED_CELLS, TRIED_ITERATIONS = 600, 5
 """Number of cells and of steps with which these are aligned."""
-PLACED_CELLS, PLACED_ITERATIONS = 3000, 8
-"""Number of cells and of steps with which the best of these is finally aligned."""
+REFINED_CELLS = 3000
+"""Number of cells with which a motion that a person has set is aligned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +42,13 @@ class Prepared:
 
     Attributes:
         relief: The elevation, smoothed over the scale of comparison.
-        sharp: The elevation without smoothing, for the final alignment.
+        sharp: The elevation without smoothing, and its long waves, for the final alignment.
         spectra: Fourier transforms for the exhaustive search.
         thin: The cells for the dense check.
     """
 
     relief: Relief
-    sharp: Relief
+    sharp: Sharp
     spectra: Spectra
     thin: ThinMap
 
@@ -62,7 +63,7 @@ def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> 
     relief = make_relief(gradient_map, max_std_ratio)
     return Prepared(
         relief,
-        sharp_relief(gradient_map, max_std_ratio),
+        sharpen(gradient_map, max_std_ratio),
         make_spectra(relief),
         thin_out(gradient_map, max_std_ratio),
     )
@@ -150,7 +151,7 @@ def refine(
     params = params or RegistrationParams()
     of_query, of_database = prepare(query), prepare(database)
     maps = of_query.relief, of_database.relief
-    tried = align(*maps, [start], num_cells=PLACED_CELLS, iterations=TRIED_ITERATIONS)
+    tried = align(*maps, [start], num_cells=REFINED_CELLS, iterations=TRIED_ITERATIONS)
     rough = _judge(tried, 0, maps, matches, params)
     return _finish(of_query, of_database, matches, rough, params)
 
@@ -164,14 +165,7 @@ def _finish(
 ) -> Registration:
     """Align the best motion to a few centimetres on the unsmoothed maps."""
     maps = query.relief, database.relief
-    sharp = query.sharp, database.sharp
-    placed = align(
-        *sharp,
-        [rough.motion],
-        num_cells=PLACED_CELLS,
-        iterations=PLACED_ITERATIONS,
-        warp=DRIFTED,
-    )
+    placed = place(query.sharp, database.sharp, rough.motion)
     best = _judge(placed, 0, maps, matches, params)
     check = DenseCheck(query.thin, database.thin)
     area, correlation = check.compare(best.motion)

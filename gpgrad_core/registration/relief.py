@@ -10,21 +10,22 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.uncertainty import NUM_BANDS, BandNoise
+from gpgrad_core.registration.uncertainty import BandNoise
 from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Grid, read_only
 
 Image: TypeAlias = NDArray[np.float32]
 
-FINE_CELL, CELL, SHARP_CELL = 0.25, 0.75, 0.35
-"""Sides of cells [scales of comparison]: while smoothing, after it, and without smoothing."""
+FINE_CELL, CELL = 0.25, 0.75
+"""Sides of cells [scales of comparison]: while smoothing, and after it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """The elevation of a map, smoothed over one scale of comparison unless it is sharp.
+    """The elevation of a map, smoothed over one scale of comparison.
 
     Shorter waves are mostly noise. The longer ones agree between two visits of a place to a few
-    per cent, so they distinguish places and align one map with the other.
+    per cent, so they distinguish places and align one map with the other. Only the relief of
+    `placement.Sharp` is not smoothed.
 
     Attributes:
         grid: Grid of the thinned cells.
@@ -61,13 +62,13 @@ def make_relief(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO)
         max_std_ratio: Threshold of the variance mask.
     """
     scale = gradient_map.scale
-    grid = _thin_grid(gradient_map.grid, FINE_CELL * scale)
-    fine = _thinned(gradient_map.grid, grid)
+    grid = thin_grid(gradient_map.grid, FINE_CELL * scale)
+    fine = thinned(gradient_map.grid, grid)
     trusted = gradient_map.trusted(max_std_ratio)[fine]
-    elevation, base = _above_mean(gradient_map.elevation[fine], trusted)
+    elevation, base = above_mean(gradient_map.elevation[fine], trusted)
     smooth = blur(elevation, trusted.astype(np.float32), scale / grid.resolution)
-    kept = _thin_grid(grid, CELL * scale)
-    coarse = _thinned(grid, kept)
+    kept = thin_grid(grid, CELL * scale)
+    coarse = thinned(grid, kept)
     smooth, trusted = smooth[coarse].copy(), trusted[coarse].copy()
     noise = BandNoise.of(gradient_map).at(gradient_map.variance[fine][coarse])
     along_y, along_x = (
@@ -79,30 +80,11 @@ def make_relief(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO)
     return Relief(kept, smooth, slope, terrain, trusted, noise, base, scale)
 
 
-def sharp_relief(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Relief:
-    """Thin a map without smoothing it; its short waves give the last centimetres of a motion.
-
-    Args:
-        gradient_map: The map.
-        max_std_ratio: Threshold of the variance mask.
-
-    Returns:
-        The relief; its terrain and noise are 0, because the final alignment does not use them.
-    """
-    grid = _thin_grid(gradient_map.grid, SHARP_CELL * gradient_map.scale)
-    thin = _thinned(gradient_map.grid, grid)
-    trusted = gradient_map.trusted(max_std_ratio)[thin].copy()
-    elevation, base = _above_mean(gradient_map.elevation[thin], trusted)
-    slope = gradient_map.slope[thin].astype(np.float32)
-    nothing = np.zeros_like(elevation)
-    noise = np.zeros((*elevation.shape, NUM_BANDS), np.float32)
-    return Relief(grid, elevation, slope, nothing, trusted, noise, base, gradient_map.scale)
-
-
-def _above_mean(
+def above_mean(
     elevation: Float[NDArray[np.float64], "rows columns"],
     trusted: Bool[NDArray[np.bool_], "rows columns"],
 ) -> tuple[Float[Image, "rows columns"], float]:
+    """Give the elevation above the mean of its trusted cells, and that mean [m]."""
     base = float(elevation[trusted].mean()) if trusted.any() else 0.0
     return (elevation - base).astype(np.float32), base
 
@@ -155,14 +137,14 @@ def blur(
     return np.asarray(pair[..., 0] / np.maximum(pair[..., 1], 1e-6), np.float32)
 
 
-def _thin_grid(grid: Grid, cell: float) -> Grid:
+def thin_grid(grid: Grid, cell: float) -> Grid:
     """Keep every n-th row and column, so that cells become about as large as wanted [m]."""
     stride = max(1, round(cell / grid.resolution))
     rows, columns = (-(-side // stride) for side in grid.shape)
     return Grid(grid.origin, stride * grid.resolution, (rows, columns))
 
 
-def _thinned(grid: Grid, thinner: Grid) -> tuple[slice, slice]:
+def thinned(grid: Grid, thinner: Grid) -> tuple[slice, slice]:
     """Slices of the rows and columns that the thinner grid keeps."""
     stride = round(thinner.resolution / grid.resolution)
     return slice(None, None, stride), slice(None, None, stride)
