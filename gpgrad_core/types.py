@@ -483,7 +483,7 @@ class LoopClosure:
 
 @runtime_checkable
 class LoopDetector(Protocol):
-    """A function that registers a pair of submaps; the pipeline and all other methods are one."""
+    """A callable that registers a pair of submaps, like the pipeline and all other methods."""
 
     def __call__(self, query: Submap, database: Submap) -> Registration:
         """Register the query to the database.

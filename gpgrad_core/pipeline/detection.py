@@ -167,6 +167,9 @@ def register_pair(
         progress: Called with the fraction done; may raise Cancelled.
         helper: Takes over one of the submaps if both are new; the result is the same.
 
+    Returns:
+        The results of all stages.
+
     Raises:
         InputError: If a submap's map cannot be made.
     """
@@ -205,7 +208,12 @@ MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], Gradien
 
 @dataclass(frozen=True, eq=False)
 class ExtractedSubmap:
-    """What the comparison needs of one submap; it is small, because processes exchange it."""
+    """What the comparison needs of one submap; it is small, because processes exchange it.
+
+    Attributes:
+        features: Keypoints of its map.
+        prepared: Its map, prepared for registration.
+    """
 
     features: Features
     prepared: Prepared
@@ -275,6 +283,9 @@ def detect_loop_closures(
         memo: Shares results with other calls; None keeps what this call needs. Other processes do
             not fill it.
         progress: Called from this thread from time to time; may raise Cancelled.
+
+    Returns:
+        The verdict on every pair, sorted by query and then by database.
 
     Raises:
         InputError: If a submap's map cannot be made.

@@ -1,4 +1,4 @@
-"""Lays one map on another: the cells in common, and the difference without the warp."""
+"""Overlays two maps under a motion: their common cells, and the difference without the warp."""
 
 from dataclasses import dataclass
 from math import pi, sqrt
@@ -26,12 +26,13 @@ Mask: TypeAlias = Bool[NDArray[np.bool_], "rows columns"]
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Two maps on the database's cells, cut to the box around what they have in common.
+    """Two maps on the database's cells, cropped to the box around their common cells.
 
     Attributes:
-        common: The cells that both maps trust.
-        heights: Elevation of the query and of the database there [m].
-        noise: Half the variance of what both maps leave unknown of each band [m²].
+        common: Cells that both maps trust (rows, columns).
+        heights: Elevation of the query and of the database (rows, columns, 2) [m].
+        noise: Half the variance of the uncertainty of both maps in each band
+            (rows, columns, bands) [m²].
         step: Side of a cell [m].
         scale: Scale of comparison [m].
     """
@@ -44,12 +45,18 @@ class Overlay:
 
     @property
     def count(self) -> int:
-        """Number of cells in common."""
+        """Number of common cells."""
         return int(np.count_nonzero(self.common))
 
 
 def overlay(query: Relief, database: Relief, T_database_query: SE2) -> Overlay:
-    """Lay the query on the database's cells."""
+    """Resample the query on the database's cells.
+
+    Args:
+        query: The map to be placed.
+        database: The map on which it is placed.
+        T_database_query: The motion.
+    """
     inverse, step = T_database_query.inverse(), database.grid.resolution
     corner = query.grid.to_pixel(inverse.apply(np.array([database.grid.origin])))[0]
     onto = np.column_stack([inverse.rotation * (step / query.grid.resolution), corner])
@@ -70,13 +77,13 @@ def overlay(query: Relief, database: Relief, T_database_query: SE2) -> Overlay:
 
 
 def take_warp_out(laid: Overlay) -> Pair:
-    """Take offset, tilt and bend of the difference out, half from each map, and the mean from both.
+    """Remove the offset, tilt and bend of the difference, half from each map, and the mean.
 
     Args:
-        laid: At least one cell must be common.
+        laid: The two maps; they must have a common cell.
 
     Returns:
-        The heights of both maps [m], 0 where they are not common.
+        The heights of both maps (rows, columns, 2) [m]; 0 outside of the common cells.
     """
     common, step = laid.common, laid.step
     row, column = np.nonzero(common)
@@ -108,10 +115,10 @@ def take_warp_out(laid: Overlay) -> Pair:
 
 
 def smooth_between(pair: Pair, common: Mask, edges: tuple[float, float], step: float) -> Pair:
-    """Smooth heights that are smoothed over the finer edge, until they are so over the coarser one.
+    """Smooth from the finer edge of a band to the coarser one.
 
     Args:
-        pair: Heights of both maps [m].
+        pair: Heights of both maps [m], already smoothed over the finer edge.
         common: The cells that count.
         edges: Widths of the two Gaussians [m]; their variances add up.
         step: Side of a cell [m].

@@ -1,4 +1,4 @@
-"""Places a motion to a few centimetres, on the unsmoothed maps."""
+"""Aligns two maps to a few centimetres, without smoothing them."""
 
 from dataclasses import dataclass, replace
 from math import sqrt
@@ -15,23 +15,23 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import MAX_STD_RATIO, GradientMap
 
 SHARP_CELL = 0.35
-"""Side of a cell [scales]."""
+"""Side of a cell [scales of comparison]."""
 ROUGH_CELLS, ROUGH_ITERATIONS = 3000, 8
-"""What the whole elevation is aligned with."""
+"""Number of cells and of steps with which the whole elevation is aligned."""
 FINE_CELLS, FINE_ITERATIONS = 6000, 8
-"""What short waves and long ones are then aligned with."""
+"""Number of cells and of steps with which the weighted waves are then aligned."""
 MOST_TAKEN = 0.9
-"""Share of the long waves that is taken away at the most: beyond it the yaw gets worse."""
+"""Largest share of the long waves that is removed; with more, the yaw gets worse."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sharp:
-    """A map's elevation for the last centimetres of a pose.
+    """A map's elevation without smoothing, for the last centimetres of a motion.
 
     Attributes:
-        whole: The elevation, unsmoothed.
-        long_elevation: The same, smoothed over one scale of comparison [m].
-        long_slope: Its slope [m/m].
+        whole: The elevation without smoothing.
+        long_elevation: Its long waves (rows, columns) [m]: smoothed over the scale of comparison.
+        long_slope: Slope of the long waves (rows, columns, 2) [m/m].
     """
 
     whole: Relief
@@ -39,7 +39,7 @@ class Sharp:
     long_slope: Float[Image, "rows columns 2"]
 
     def less(self, share: float) -> Relief:
-        """Take a share of the long waves away."""
+        """Remove a share of the long waves."""
         return replace(
             self.whole,
             elevation=self.whole.elevation - np.float32(share) * self.long_elevation,
@@ -48,18 +48,18 @@ class Sharp:
 
 
 def sharpen(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Sharp:
-    """Thin a map without smoothing it.
+    """Thin a map without smoothing it, and extract its long waves.
 
     Args:
         gradient_map: The map.
-        max_std_ratio: The variance mask; other cells take no part.
+        max_std_ratio: Threshold of the variance mask; other cells take no part.
     """
     grid = thin_grid(gradient_map.grid, SHARP_CELL * gradient_map.scale)
     thin = thinned(gradient_map.grid, grid)
     trusted = gradient_map.trusted(max_std_ratio)[thin].copy()
     elevation, base = above_mean(gradient_map.elevation[thin], trusted)
     slope = gradient_map.slope[thin].astype(np.float32)
-    # Nobody asks for the terrain and the noise of a sharp one.
+    # The final alignment uses neither the terrain nor the noise.
     nothing, noise = np.zeros_like(elevation), np.zeros((*elevation.shape, NUM_BANDS), np.float32)
     weight, sigma = trusted.astype(np.float32), gradient_map.scale / grid.resolution
     along: list[NDArray[np.float32]] = [
@@ -73,21 +73,20 @@ def sharpen(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> 
 
 
 def place(query: Sharp, database: Sharp, start: SE2) -> Alignments:
-    """Align the whole elevation, then short waves and long ones, each by its own noise.
+    """Align two maps: first the whole elevation, then with short and long waves weighted.
 
-    Drift within a submap makes long waves differ more than short ones; noise does the reverse. The
-    least squares of a difference that has more of one than of the other are those of the filtered
-    difference that has as much of both. So a share of the long waves is taken away, and never any
-    of the short ones. On dense clouds this moves a right motion a fifth nearer to the truth; on
-    noisy ones it changes nothing.
+    Drift within a submap makes long waves differ more than short ones; noise does the opposite.
+    For least squares, both should differ equally. So a share of the long waves is removed if they
+    differ more, but never a share of the short waves. On dense clouds this brings a right motion
+    a fifth closer to the truth; on noisy clouds it changes nothing.
 
     Args:
-        query: Map to be placed.
-        database: Map it is placed on.
+        query: The map to be placed.
+        database: The map on which it is placed.
         start: ``T_database_query``, up to a few scales of comparison off.
 
     Returns:
-        One motion. Its offset and its covariances are those of the whole elevation.
+        One motion. Its height offset and its covariance are those of the whole elevation.
     """
     rough = align(
         query.whole,
@@ -113,9 +112,10 @@ def place(query: Sharp, database: Sharp, start: SE2) -> Alignments:
 
 
 def _taken(query: Relief, database: Relief, motion: SE2) -> float:
-    """Tell which share of the long waves is to be taken away: what leaves as much as of the short.
+    """Compute the share of the long waves to remove, so that long and short waves differ equally.
 
-    The variances are robust ones, for rocks hide the ground behind them from one side only.
+    The variances are estimated from medians, because rocks hide the ground behind them from one
+    side only.
     """
     laid = overlay(query, database, motion)
     if laid.count < FEWEST_CELLS:

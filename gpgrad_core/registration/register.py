@@ -33,7 +33,7 @@ hardly overlap was sometimes lost; eighteen found no more than twelve."""
 TRIED_CELLS, TRIED_ITERATIONS = 600, 5
 """Number of cells and of steps with which these are aligned."""
 REFINED_CELLS = 3000
-"""Number of cells with which a motion that was set by hand is aligned."""
+"""Number of cells with which a motion that a person has set is aligned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Prepared:
 
     Attributes:
         relief: The elevation, smoothed over the scale of comparison.
-        sharp: The elevation without smoothing, for the final alignment.
+        sharp: The elevation without smoothing, and its long waves, for the final alignment.
         spectra: Fourier transforms for the exhaustive search.
         thin: The cells for the dense check.
     """

@@ -21,10 +21,11 @@ FINE_CELL, CELL = 0.25, 0.75
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """The elevation of a map, smoothed over one scale of comparison unless it is sharp.
+    """The elevation of a map, smoothed over one scale of comparison.
 
     Shorter waves are mostly noise. The longer ones agree between two visits of a place to a few
-    per cent, so they distinguish places and align one map with the other.
+    per cent, so they distinguish places and align one map with the other. Only the relief of
+    `placement.Sharp` is not smoothed.
 
     Attributes:
         grid: Grid of the thinned cells.
