@@ -5,7 +5,7 @@ from typing import Annotated
 
 from typing_extensions import Doc
 
-from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.bounds import SEEDS, Bounds
 from gpgrad_core.params.fields import check_bounds
 
 RADIUS_IN_SCALES = 1.25
@@ -42,7 +42,9 @@ class RegistrationParams:
         Bounds(0, 100, 1, "", slider=(0, 20)),
         Doc("Motions that an exhaustive search, which needs no keypoints, adds to these."),
     ] = 6
-    seed: Annotated[int, Doc("Of the random choices; the same seed gives the same answer.")] = 0
+    seed: Annotated[
+        int, SEEDS, Doc("Of the random choices; the same seed gives the same answer.")
+    ] = 0
 
     def __post_init__(self) -> None:
         """Check the bounds."""
