@@ -177,6 +177,11 @@ class DataTab(Feature):
         cloud = folder / name
         if cloud.exists():
             raise InputError(f"{name}: was uploaded before; rename one of them")
+        if len(content) + sum(one.stat().st_size for one in folder.iterdir()) > most:
+            raise InputError(
+                f"{name}: the uploaded clouds would have more than {most / 1e6:,.0f} MB together; "
+                "open another dataset to begin anew"
+            )
         cloud.write_bytes(content)
         try:
             check_cloud(cloud, most)

@@ -161,6 +161,17 @@ def test_clouds_gather_in_one_dataset(
     assert len(opened) == 2
 
 
+def test_the_clouds_together_have_a_bound(
+    make: Make, server: viser.ViserServer, data: Path, opened: list[Opened]
+) -> None:
+    cloud = (data / "hills" / "submaps" / "000.ply").read_bytes()
+    opening = make(max_upload=len(cloud) // 4 + 1)  # eight times as much may lie there
+    for number in range(3):
+        upload(server, opening, f"{number:03}.ply", cloud)
+    assert len(opened) == 2
+    assert "together" in said(opening)
+
+
 def test_a_file_that_was_not_taken_is_told(make: Make, opened: list[Opened]) -> None:
     opening = make()
     opening.refuse("big.ply: has 3 MB; up to 1 MB can be uploaded")
