@@ -26,6 +26,7 @@ from gpgrad_core.evaluation import (
     write_report,
 )
 from gpgrad_core.methods import METHODS, find_method
+from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
@@ -74,6 +75,8 @@ class Evaluate:
 
     def run(self) -> None:
         """Detect with each method, judge and write."""
+        if self.seed is not None:
+            SEEDS.check("--seed", self.seed)
         names = self.method if self.method or self.closures else ("gradient",)
         methods = [find_method(name) for name in names]
         check_directory(self.out)

@@ -10,10 +10,10 @@ from typing_extensions import Doc
 from app.cli.flags import Given
 from app.cli.inputs import ParamsFile, base_params, load
 from app.cli.terminal import count, progress_bar, say
-from gpgrad_core.errors import InputError
 from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.gradient_map import TerrainParams
 from gpgrad_core.outputs import check_output, write_fitted
+from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.params.fields import bounds_of
 
 
@@ -41,8 +41,7 @@ class Fit:
         """Fit, print and write."""
         if self.out:
             check_output(self.out, (".toml",))
-        if self.seed < 0:
-            raise InputError(f"--seed must be 0 or more, got {self.seed}")
+        SEEDS.check("--seed", self.seed)
         dataset = load(self.dataset)
         start = self.map.over(base_params(dataset, self.params).map.terrain)
         with progress_bar("fit") as progress:

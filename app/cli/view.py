@@ -11,7 +11,8 @@ from platformdirs import user_config_path
 from typing_extensions import Doc
 
 from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load, settled
-from app.cli.terminal import say
+from app.cli.terminal import say, warn
+from app.viewer.door.admission import Admission, as_origin, check_token, is_loopback
 from app.viewer.permissions import Permissions
 from app.viewer.server import Viewer
 from app.viewer.session_file import read_session
@@ -31,12 +32,35 @@ class View:
     ] = None
     host: Annotated[
         str,
-        Doc("Address to serve on. With 0.0.0.0, anyone who can reach the port can use the viewer."),
+        Doc(
+            "Address to serve on. With 0.0.0.0, whoever has the link that is printed can use the "
+            "viewer."
+        ),
     ] = "127.0.0.1"
     port: Annotated[
         int,
         Doc("Port to serve on. If it is taken, the next free one is used. 0 chooses any free one."),
     ] = 8080
+    token: Annotated[
+        str | None,
+        Doc(
+            "Whoever opens the viewer must bring this token. The printed link ends with it. A "
+            "--host that other machines can reach gets a new one at each start."
+        ),
+        tyro.conf.arg(metavar="TEXT", help_behavior_hint="(default: made where it is needed)"),
+    ] = None
+    no_token: Annotated[
+        tyro.conf.FlagCreatePairsOff[bool],
+        Doc("Ask nobody for a token: whoever can reach the port can use the viewer."),
+    ] = False
+    allow_origin: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        Doc(
+            "Also serve a page of this origin, such as https://viewer.lab.org behind a proxy, or "
+            "http://localhost:9000 at the end of a tunnel."
+        ),
+        tyro.conf.arg(metavar="ORIGIN", help_behavior_hint="(default: none; can be repeated)"),
+    ] = ()
     open: Annotated[bool, Doc("Open the browser.")] = True
     sessions: Annotated[
         Literal["shared", "separate"],
@@ -68,6 +92,7 @@ class View:
     def run(self) -> None:
         """Serve until interrupted."""
         _check_address(self.host, self.port)
+        admission = self._admission()
         if self.root is not None and not self.root.is_dir():
             raise InputError(f"--root {self.root}: there is no such folder")
         if self.max_upload < 1:
@@ -94,14 +119,26 @@ class View:
                 root=self.root,
                 max_upload=1_000_000 * self.max_upload,
             ),
+            admission=admission,
         )
         try:
-            say(f"{dataset.name} is at {viewer.url} (Ctrl-C ends)")
+            say(f"{dataset.name} is at {viewer.link} (Ctrl-C ends)")
+            if self.no_token and not is_loopback(self.host):
+                warn("no token is asked for: whoever can reach the port can use the viewer")
             if self.open:
-                webbrowser.open(viewer.url)
+                webbrowser.open(viewer.link)
             viewer.run_forever()
         finally:
             viewer.close()
+
+    def _admission(self) -> Admission:
+        if self.no_token and self.token is not None:
+            raise InputError("--no-token and --token exclude each other")
+        return Admission(
+            tuple(as_origin(one) for one in self.allow_origin),
+            None if self.token is None else check_token(self.token),
+            self.no_token,
+        )
 
 
 def _check_address(host: str, port: int) -> None:

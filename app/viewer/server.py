@@ -11,6 +11,9 @@ from typing import Literal, TypeAlias
 import viser
 
 from app.viewer.capacity import Capacity
+from app.viewer.door.admission import Admission
+from app.viewer.door.limits import Limits
+from app.viewer.door.server import Told, open_server
 from app.viewer.host import set_theme
 from app.viewer.opened import Opened
 from app.viewer.permissions import READ_ALL, Permissions
@@ -23,6 +26,9 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset
 
 MEMO_BYTES = 1_500_000_000
+
+EVERYWHERE = ("0.0.0.0", "::")
+"""Hosts that stand for all addresses of the machine."""
 
 Sharing: TypeAlias = Literal["shared", "separate"]
 
@@ -41,6 +47,8 @@ class Viewer:
         saved: SavedSession | None = None,
         sessions: Sharing = "shared",
         permissions: Permissions = READ_ALL,
+        admission: Admission | None = None,
+        limits: Limits | None = None,
     ) -> None:
         """Start serving; returns at once.
 
@@ -48,8 +56,8 @@ class Viewer:
             dataset: What to open with.
             params: What to start with and to reset to; None takes what the dataset prefers. What is
                 automatic is fitted to the dataset.
-            host: Address to listen on. There is no password: anyone who can reach the
-                port can use the viewer.
+            host: Address to listen on. If other machines can reach it, everybody must bring the
+                token that `link` ends with.
             port: Port to listen on; if it is taken, the next free one. 0 takes any.
             source: Path of the dataset, for the box in which it can be changed.
             saved: What to begin with in place of that.
@@ -57,6 +65,9 @@ class Viewer:
                 session of its own, which ends with it; what one has computed serves all.
             permissions: What pages may have read and written; uploads get a folder that ends with
                 the viewer.
+            admission: Who may come in; None lets in the viewer's own pages only, with a token where
+                other machines can reach the host.
+            limits: How much pages may ask.
 
         Raises:
             InputError: If the dataset prefers parameters that there are not.
@@ -70,9 +81,9 @@ class Viewer:
         self._capacity = Capacity(helper=start_helper())
         self._lock = threading.Lock()
         self._closed = threading.Event()
-        # viser prints a box with its addresses; the command line says ours.
-        with contextlib.redirect_stdout(io.StringIO()):
-            self._server = viser.ViserServer(host=host, port=port, verbose=False)
+        self._server, self._door = open_server(
+            host, port, admission, max_upload=self._permissions.max_upload, limits=limits
+        )
         set_theme(self._server, dark=False)
         self._shared: Session | None = None
         self._separate: dict[int, Session] = {}
@@ -80,15 +91,22 @@ class Viewer:
             self._shared = Session(
                 self._server, self._opened, self._memo, self._capacity, self._permissions
             )
+        self._door.told = Told(self._say_refused, self._say_upload_refused)
         self._server.on_client_connect(self._enter)
         self._server.on_client_disconnect(self._leave)
 
     @property
     def url(self) -> str:
-        """Address of the page."""
+        """Address of the page, without the token."""
         host = self._server.get_host()
-        shown = "localhost" if host == "0.0.0.0" else host
+        shown = "localhost" if host in EVERYWHERE else f"[{host}]" if ":" in host else host
         return f"http://{shown}:{self._server.get_port()}"
+
+    @property
+    def link(self) -> str:
+        """Address that lets in whoever has it: with the token, if one is asked for."""
+        token = self._door.gate.token
+        return self.url if token is None else f"{self.url}/?token={token}"
 
     @property
     def sessions(self) -> tuple[Session, ...]:
@@ -141,6 +159,21 @@ class Viewer:
             session = self._separate.pop(client.client_id, None)
         if session is not None:
             session.close()
+
+    def _session_of(self, page: int) -> Session | None:
+        """Give the session that a page shows, if it has one yet."""
+        with self._lock:
+            return self._shared or self._separate.get(page)
+
+    def _say_refused(self, page: int, text: str) -> None:
+        session = self._session_of(page)
+        if session is not None:
+            session.pair.refuse(text)
+
+    def _say_upload_refused(self, page: int, text: str) -> None:
+        session = self._session_of(page)
+        if session is not None:
+            session.data.refuse(text)
 
     def _count(self) -> None:
         assert self._shared is not None

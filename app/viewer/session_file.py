@@ -1,7 +1,6 @@
 """A session as a file: dataset, pair, parameters, view and camera."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ from app.viewer.state import ViewOptions, ViewState, with_options, with_pair, wi
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import to_tables, with_tables
+from gpgrad_core.params.toml import load_toml_text, read_toml
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset
 
@@ -85,27 +85,26 @@ def read_session(path: Path) -> SavedSession:
         InputError: If it cannot be read, is no such file, or names what there is not.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "is not a text in UTF-8"
-        raise InputError(f"{path}: cannot be read: {reason}") from error
-    return parse_session(text, str(path))
+        table = read_toml(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    return _session(table, str(path))
 
 
-def parse_session(text: str, where: str) -> SavedSession:
+def parse_session(text: str | bytes, where: str) -> SavedSession:
     """Parse the text of a saved session.
 
     Args:
-        text: TOML.
+        text: TOML, in UTF-8 if it is not decoded yet.
         where: Name of the file, for the message.
 
     Raises:
         InputError: As `read_session`.
     """
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{where}: is not TOML: {error}") from error
+    return _session(load_toml_text(text, where), where)
+
+
+def _session(table: Mapping[str, object], where: str) -> SavedSession:
     unknown = [key for key in table if key not in KEYS]
     if unknown:
         raise InputError(

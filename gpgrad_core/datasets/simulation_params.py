@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from typing_extensions import Doc
 
-from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.bounds import SEEDS, Bounds
 from gpgrad_core.params.fields import check_bounds
 
 
@@ -21,7 +21,7 @@ class SimulationParams:
 
     seed: Annotated[
         int,
-        Bounds(0, 2**32 - 1, 1),
+        SEEDS,
         Doc("Seed of all random choices. The same seed gives the same dataset, bit for bit."),
     ] = 0
     num_submaps: Annotated[

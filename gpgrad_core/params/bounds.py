@@ -34,7 +34,7 @@ class Bounds:
         >>> Bounds(0.0, 1.0, 0.05).round(0.30000000000000004)
         0.3
         """
-        return float(f"{round(value / self.step) * self.step:.9g}")
+        return float(f"{round(value / self.step) * self.step:.12g}")
 
     def check(self, name: str, value: float) -> None:
         """Check that a value lies within the bounds.
@@ -50,5 +50,9 @@ class Bounds:
         if not self.low <= value <= self.high:
             unit = f" {self.unit}" if self.unit else ""
             raise InputError(
-                f"{name} must be from {self.low:g} to {self.high:g}{unit}, got {value!r}"
+                f"{name} must be from {self.low:.10g} to {self.high:.10g}{unit}, got {value!r}"
             )
+
+
+SEEDS = Bounds(0, 2**32 - 1, 1)
+"""Of random choices: what every generator takes, and every file and message can hold."""

@@ -1,7 +1,6 @@
 """Reads and writes params as TOML: ``[map] length_scale = 0.3`` sets the field of that name."""
 
 import difflib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any, TypeVar, cast
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.fields import AUTOMATIC, Field, fields_of
+from gpgrad_core.params.toml import read_toml
 from gpgrad_core.types import Dataset
 
 P = TypeVar("P")
@@ -30,11 +30,7 @@ def read_parameters(path: Path | str, base: P) -> P:
         OSError: If the file cannot be read.
     """
     path = Path(path)
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a TOML file: {_one_line(error)}") from error
-    return with_tables(base, tables, str(path))
+    return with_tables(base, read_toml(path), str(path))
 
 
 def preferred_parameters(dataset: Dataset, base: P) -> P:
@@ -138,7 +134,3 @@ def _suggestion(name: str, known: list[str], prefix: str) -> str:
     if close:
         return f"did you mean {prefix}{close[0]}?"
     return f"known: {', '.join(prefix + one for one in known)}"
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

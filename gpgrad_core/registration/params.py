@@ -5,7 +5,7 @@ from typing import Annotated
 
 from typing_extensions import Doc
 
-from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.bounds import SEEDS, Bounds
 from gpgrad_core.params.fields import check_bounds
 
 RADIUS_IN_SCALES = 1.25
@@ -45,7 +45,9 @@ class RegistrationParams:
         ),
     ] = 6
     seed: Annotated[
-        int, Doc("Seed of RANSAC's random choices. The same seed gives the same result.")
+        int,
+        SEEDS,
+        Doc("Seed of RANSAC's random choices. The same seed gives the same result."),
     ] = 0
 
     def __post_init__(self) -> None:

@@ -9,7 +9,8 @@ module again in its workers. It and `loky`, which does not, leave their workers 
 process is killed, have no way to report progress or to cancel a running call, and pass every result
 through further threads. A submap sent there and its maps of 11 MB sent back took 10 ms here, 29 ms
 with loky and 50 ms with the pool. So this is a plain subprocess: it ends when its pipe closes, and
-it is started again when it has died.
+it is started again when it has died. It gives a sign of life twice a second; when it falls silent,
+because it was stopped or hangs, it is killed, which is a death like any other.
 """
 
 import contextlib
@@ -20,6 +21,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -34,6 +36,10 @@ LISTEN_EVERY = 0.02
 """Seconds between two progress reports while this process waits for the other."""
 CLOSE_SECONDS = 2.0
 """Time that the process has to end by itself [s]."""
+BEAT_EVERY = 0.5
+"""Seconds between two signs of life of the other process."""
+SILENCE = 5.0
+"""The other process is killed when it has given no sign of life for so long [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +52,7 @@ class _Question:
 @dataclass(frozen=True, eq=False)
 class _Reply:
     number: int
-    kind: Literal["fraction", "result", "error"]
+    kind: Literal["alive", "fraction", "result", "error"]
     value: Any
 
 
@@ -111,7 +117,7 @@ class Helper:
     It never makes its caller wait. `ask` returns None while the process starts, which takes about
     a second, and while it works on another question; the caller then does the work itself. A
     process that dies is started again, unless it died before it was ready: then it would die
-    again.
+    again. One that falls silent is killed.
     """
 
     def __init__(self) -> None:
@@ -126,6 +132,9 @@ class Helper:
         self._current: Answer[Any] | None = None
         self._free = False  # until the process says that it is ready
         self._closed = False
+        self._num_heard = 0
+        self._ended = threading.Event()
+        threading.Thread(target=self._watch, name="helper-watch", daemon=True).start()
         self._listener = threading.Thread(target=self._listen, name="helper", daemon=True)
         self._listener.start()
 
@@ -165,6 +174,7 @@ class Helper:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+        self._ended.set()
         self._listener.join()  # its pipe has ended
         _pipe(process.stdout).close()
 
@@ -176,9 +186,26 @@ class Helper:
             return False
         return True
 
+    def _watch(self) -> None:
+        """Kill the process when it has fallen silent; the listener does the rest.
+
+        Silence is counted in rounds of this loop: after this process itself was stopped, or the
+        machine slept, it begins anew.
+        """
+        num_heard, silent_for = 0, 0.0
+        while not self._ended.wait(BEAT_EVERY):
+            with self._lock:
+                was_ready = self._free or self._current is not None
+                heard, num_heard = self._num_heard != num_heard, self._num_heard
+                silent_for = 0.0 if heard or not was_ready else silent_for + BEAT_EVERY
+                if silent_for > SILENCE:
+                    self._process.kill()  # also ends a process that was stopped
+                    silent_for = 0.0
+
     def _listen(self) -> None:
         while self._hear_all() and self._start_again():
             pass
+        _bury(self._process)
 
     def _hear_all(self) -> bool:
         """Pass on replies until the process ends; say whether it was ever ready."""
@@ -190,10 +217,11 @@ class Helper:
                 reply = None
             with self._lock:
                 answer = self._current
-                if reply is None or reply.kind != "fraction":
+                self._num_heard += 1
+                if reply is None or reply.kind in ("result", "error"):
                     self._current = None
                     self._free = reply is not None and not self._closed
-            if answer is not None:
+            if answer is not None and (reply is None or reply.kind != "alive"):
                 answer.hear(reply)
             if reply is None:
                 return was_ready
@@ -209,12 +237,17 @@ class Helper:
                 self._process = _start_process()
             except OSError:
                 return False
-        died.kill()  # it may have closed its pipe and still live
-        died.wait()
-        for pipe in (died.stdin, died.stdout):
-            with contextlib.suppress(OSError):
-                _pipe(pipe).close()
+        _bury(died)
         return True
+
+
+def _bury(died: "subprocess.Popen[bytes]") -> None:
+    """Leave nothing of a process that has closed its pipe."""
+    died.kill()  # it may still live
+    died.wait()
+    for pipe in (died.stdin, died.stdout):
+        with contextlib.suppress(OSError):
+            _pipe(pipe).close()
 
 
 def _start_process() -> "subprocess.Popen[bytes]":
@@ -307,8 +340,15 @@ def _serve(questions: IO[bytes], replies: IO[bytes]) -> None:
             else:
                 waiting.put(message)
 
-    threading.Thread(target=read, daemon=True).start()
+    def beat() -> None:
+        with contextlib.suppress(OSError, ValueError):  # the end is noticed elsewhere
+            while True:
+                time.sleep(BEAT_EVERY)
+                _write(replies, _Reply(0, "alive", None), lock)
+
     _write(replies, _Reply(0, "result", None), lock)  # says that it is ready
+    for endless in (read, beat):
+        threading.Thread(target=endless, daemon=True).start()
     while (question := waiting.get()) is not None:
         number = question.number
 

@@ -14,7 +14,7 @@ import viser
 import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
-from websockets.typing import Subprotocol
+from websockets.typing import Origin, Subprotocol
 
 
 class FakePage(viser.ClientHandle):
@@ -61,13 +61,15 @@ CAMERA = {
 class ProtocolPage:
     """Connects as a page does; its widgets and nodes are as the last message described them."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, cookie: str = "") -> None:
         self.widgets: dict[str, dict[str, Any]] = {}  # by uuid
         self.nodes: dict[str, dict[str, Any]] = {}  # by name; arrays as their digests
         self.received: list[tuple[float, str]] = []  # when each message came, for latencies
         self.num_bytes = 0
         self._socket = connect(
             url.replace("http", "ws"),
+            origin=Origin(url),
+            additional_headers={"Cookie": cookie} if cookie else {},
             subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
             max_size=None,
             compression=None,

@@ -50,10 +50,12 @@ def find_chromium() -> str | None:
 
 
 @contextmanager
-def launch(executable: str) -> Iterator[Browser]:
-    """Start the browser, and end it."""
+def launch(executable: str, flags: tuple[str, ...] = ()) -> Iterator[Browser]:
+    """Start the browser, with further flags, and end it."""
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=executable, headless=True, args=FLAGS)
+        browser = playwright.chromium.launch(
+            executable_path=executable, headless=True, args=[*FLAGS, *flags]
+        )
         try:
             yield browser
         finally:

@@ -161,3 +161,28 @@ def test_a_dataset_that_prefers_what_there_is_not(
     line = gpgrad("detect", dataset, "--out", tmp_path / "a.json").refusal
     assert "dataset.toml" in line
     assert "map.length_scale must be from 0.01 to 100 m, got -1" in line
+
+
+@pytest.mark.parametrize(
+    ("verb", "flag"),
+    [("detect", "--registration.seed"), ("evaluate", "--seed"), ("fit", "--seed")],
+)
+@pytest.mark.parametrize("seed", ["-1", "4294967296", "99999999999999999999", "1.5", "nan"])
+def test_a_seed_has_bounds(traverse: Path, tmp_path: Path, verb: str, flag: str, seed: str) -> None:
+    out = [] if verb == "fit" else ["--out", str(tmp_path / "out")]
+    refused = run_here(verb, traverse, *out, flag, seed).refusal
+    assert "from 0 to 4294967295" in refused or "a whole number" in refused
+    assert "seed" in refused
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--allow-origin", "*"), "--allow-origin *: must be http://HOST"),
+        (("--allow-origin", "null"), "--allow-origin null: must be http://HOST"),
+        (("--token", "short"), "--token must have 8 to 200"),
+        (("--token", "long-enough", "--no-token"), "--no-token and --token exclude each other"),
+    ],
+)
+def test_who_may_come_in_is_said_in_the_right_words(arguments: tuple[str, ...], words: str) -> None:
+    assert words in run_here("view", "--no-open", *arguments).refusal

@@ -4,6 +4,7 @@ import re
 import signal
 import subprocess
 import sys
+import urllib.error
 import urllib.request
 from pathlib import Path
 
@@ -39,6 +40,28 @@ def test_the_page_is_served_until_interrupted(traverse: Path, built_in: bool) ->
             process.kill()
     assert process.returncode == 130
     assert err.splitlines() == ["gpgrad: interrupted"]
+
+
+def test_on_a_network_the_token_is_printed_and_asked_for() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "app", "view", "--host", "0.0.0.0", "--port", "0", "--no-open"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(),
+        cwd=ROOT,
+    ) as process:
+        try:
+            assert process.stdout is not None
+            link = re.search(r"(http://localhost:\d+)/\?token=(\S+)", process.stdout.readline())
+            assert link
+            with urllib.request.urlopen(link[0], timeout=30) as page:
+                assert page.status == 200
+                assert link[2] in page.headers["Set-Cookie"]
+            with pytest.raises(urllib.error.HTTPError, match="403"):
+                urllib.request.urlopen(link[1], timeout=30)
+        finally:
+            process.kill()
 
 
 def test_a_dataset_that_is_not_there_is_refused(gpgrad: Run, tmp_path: Path) -> None:

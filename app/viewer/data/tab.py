@@ -9,7 +9,6 @@ from app.viewer.data.folders import check_inside, list_folder
 from app.viewer.data.panel import UP, Choices, DatasetPanel, FolderCalls
 from app.viewer.data.recent import recent_datasets, remember_dataset
 from app.viewer.data.unpacking import MOST_GROWTH, check_cloud, unpack
-from app.viewer.data.upload_limit import limit_uploads
 from app.viewer.feature import Desk, Feature
 from app.viewer.opened import Opened
 from app.viewer.session_file import SavedSession
@@ -60,7 +59,6 @@ class DataTab(Feature):
             uploaded=None if allowed.uploads is None else self._upload,
             upload_hint=f"Up to {allowed.max_upload / 1e6:,.0f} MB.",
         )
-        limit_uploads(desk.host, allowed.max_upload, self._refuse)
         self._panel.show(desk.state.source)
         self._show_recent()
         self._loader: Work[Request, Opened] = Work(
@@ -77,6 +75,10 @@ class DataTab(Feature):
     def restore(self, saved: SavedSession) -> None:
         """Open what a saved session had open, with all that it had set."""
         self._start(Request(path=saved.dataset, saved=saved))
+
+    def refuse(self, message: str) -> None:
+        """Say why a file that a page sends was not taken."""
+        self._panel.work_bar.failed(message)
 
     def close(self) -> None:
         """Stop, and remove what was uploaded."""
@@ -98,16 +100,7 @@ class DataTab(Feature):
     def _start(self, request: Request) -> None:
         self._loader.start(request)
 
-    def _refuse(self, name: str, size: int) -> None:
-        self._panel.work_bar.failed(
-            f"{name}: has {size / 1e6:,.0f} MB; up to {self._permissions.max_upload / 1e6:,.0f} MB "
-            "can be uploaded"
-        )
-
     def _upload(self, name: str, content: bytes) -> None:
-        if len(content) > self._permissions.max_upload:
-            self._refuse(name, len(content))
-            return
         self._start(Request(upload=(name, content)))
 
     def _enter(self, name: str) -> None:
@@ -184,6 +177,11 @@ class DataTab(Feature):
         cloud = folder / name
         if cloud.exists():
             raise InputError(f"{name}: was uploaded before; rename one of them")
+        if len(content) + sum(one.stat().st_size for one in folder.iterdir()) > most:
+            raise InputError(
+                f"{name}: the uploaded clouds would have more than {most / 1e6:,.0f} MB together; "
+                "open another dataset to begin anew"
+            )
         cloud.write_bytes(content)
         try:
             check_cloud(cloud, most)

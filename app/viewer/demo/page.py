@@ -12,6 +12,8 @@ from html import escape
 
 import viser
 
+from app.viewer.door.limits import Limits
+from app.viewer.door.server import open_server
 from app.viewer.draw.animation import Animation, frames
 from app.viewer.draw.cameras import set_start
 from app.viewer.draw.placement import Camera
@@ -52,9 +54,7 @@ def save_page(
         dark: Light writing on a dark ground.
         progress: Called once a picture of what moves; may raise Cancelled.
     """
-    # viser prints when a server starts and stops; that is of no interest here.
-    with contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    server, _ = open_server("127.0.0.1", 0, limits=Limits(pages=0))
     try:
         server.scene.set_up_direction("+z")
         server.scene.configure_environment_map(None)
@@ -69,6 +69,7 @@ def save_page(
                 progress(0.9 * min(passed / total, 1.0))
         page = serializer.as_html(dark_mode=dark)
     finally:
+        # viser prints when a server stops; that is of no interest here.
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
     return with_title(page, title, caption, composed.legend, dark=dark).encode("utf-8")

@@ -111,7 +111,7 @@ class PairTab(Feature):
 
     def refuse(self, message: str) -> None:
         """Say why a value was not taken."""
-        self._status.line.error(message)
+        self._status.line.refused(message)
 
     def _cancel(self) -> None:
         self._runner.cancel()

@@ -13,6 +13,9 @@ from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path,
 
 P = TypeVar("P")
 
+MOST_STEPS = 1_000_000
+"""Of a slider; what has more, such as a seed, is typed."""
+
 
 class ParamsPanel(Generic[P]):
     """A widget for each parameter of a params object; reports the whole new value.
@@ -118,8 +121,13 @@ class ParamsPanel(Generic[P]):
             )
         elif setting.kind is bool:
             handle = gui.add_checkbox(label, bool(current), hint=setting.doc)
-        elif setting.bounds is None:
-            handle = gui.add_number(label, current, hint=setting.doc)
+        elif setting.bounds is None or _is_too_wide(setting.bounds):
+            low, high = (
+                (None, None)
+                if setting.bounds is None
+                else map(setting.kind, (setting.bounds.low, setting.bounds.high))
+            )
+            handle = gui.add_number(label, current, min=low, max=high, hint=setting.doc)
         else:
             if setting.optional and name is None:
                 self._add_automatic(setting)
@@ -194,6 +202,12 @@ class ParamsPanel(Generic[P]):
             handle.min = min(handle.min, value)
             handle.max = max(handle.max, value)
         handle.value = value
+
+
+def _is_too_wide(bounds: Bounds) -> bool:
+    """Say whether a slider would skip most of the values."""
+    low, high = bounds.slider_range
+    return high - low > MOST_STEPS * bounds.step
 
 
 def _slider_start(bounds: Bounds) -> float:

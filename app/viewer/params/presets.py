@@ -1,7 +1,6 @@
 """Presets in the viewer: wires their panel to the files they are kept in."""
 
 import threading
-import tomllib
 
 import viser
 
@@ -19,10 +18,8 @@ from app.viewer.params.presets_panel import PresetPanel
 from app.viewer.state import ViewState
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import preferred_parameters, with_tables
+from gpgrad_core.params.toml import load_toml_text
 from gpgrad_core.pipeline import PipelineParams
-
-LARGEST = 100_000
-"""Bytes of a file of parameters; any real one has a hundredth."""
 
 
 class PresetsTool(Feature):
@@ -121,11 +118,6 @@ class PresetsTool(Feature):
 
     def _parsed(self, name: str, content: bytes) -> PipelineParams:
         """Read an uploaded file as ``--params`` would: over what the dataset prefers."""
-        if len(content) > LARGEST:
-            raise InputError(f"{name}: is too large for a parameter file")
-        try:
-            tables = tomllib.loads(content.decode("utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{name}: not a TOML file: {error}") from error
+        tables = load_toml_text(content, name)
         base = preferred_parameters(self._state.dataset, PipelineParams())
         return with_tables(base, tables, name)

@@ -14,9 +14,6 @@ from app.viewer.session_file import ENDING, parse_session, session_text
 from app.viewer.state import ViewState
 from gpgrad_core.errors import InputError
 
-LARGEST = 100_000
-"""Bytes of a saved session; any real one has a hundredth."""
-
 
 class SaveTab(Feature):
     """Shows the command that gives the same result; saves and restores the session."""
@@ -45,10 +42,8 @@ class SaveTab(Feature):
 
     def _restore(self, name: str, content: bytes) -> None:
         try:
-            if len(content) > LARGEST:
-                raise InputError(f"{name}: is too large for a saved session")
-            saved = parse_session(content.decode("utf-8"), Path(name).name)
-        except (InputError, UnicodeDecodeError) as error:
+            saved = parse_session(content, Path(name).name)
+        except InputError as error:
             self._panel.tell(str(error), bad=True)
             return
         self._panel.tell(f"Restoring {name} …")

@@ -1,9 +1,11 @@
 """What a widget does when a user acts on it; what the program itself sets calls nothing.
 
 All handlers are asynchronous, so that the server runs them in order in its event loop; plain
-functions would go to a pool of threads and could overtake each other. So they must be quick.
+functions would go to a pool of threads and could overtake each other. So they must be quick. Files
+are the exception: to take one in may take a while, and happens in a thread.
 """
 
+import asyncio
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
@@ -84,4 +86,5 @@ def on_upload(button: viser.GuiUploadButtonHandle, act: Callable[[str, bytes], N
 
     @button.on_upload
     async def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
-        act(event.target.value.name, event.target.value.content)
+        file = event.target.value
+        await asyncio.to_thread(act, file.name, file.content)

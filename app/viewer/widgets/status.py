@@ -88,6 +88,10 @@ class StatusLine:
             "Cancelled: move a slider to compute again.", BAD, title="The picture is out of date"
         )
 
+    def refused(self, message: str) -> None:
+        """Say why a value was not taken; the picture is what it was, and so is the rest."""
+        self._handle.content = status_html(message, BAD, title="Not taken")
+
     def error(self, message: str) -> None:
         """Say what went wrong; the last good picture stays."""
         self._rest()

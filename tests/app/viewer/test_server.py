@@ -3,6 +3,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 import pytest
+from websockets.exceptions import InvalidStatus
 
 from app.viewer.pair import tab as pair_module
 from app.viewer.server import Sharing, Viewer
@@ -113,3 +114,29 @@ def test_a_separate_session_ends_with_its_page(serve: Serve, visit: Visit) -> No
     second.wait(lambda: not gone.pair._runner._thread.is_alive(), "its worker's end")
     second.set("Minimum inliers", 20)
     second.wait(lambda: "No loop closure" in second.html(), "the verdict")
+
+
+def test_on_a_network_the_link_has_a_token_and_values_are_checked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
+    viewer = Viewer(make_dataset(), needing(8), "0.0.0.0", 0)
+    try:
+        address, _, token = viewer.link.partition("/?token=")
+        assert address == viewer.url
+        assert len(token) >= 32
+        with pytest.raises(InvalidStatus):
+            ProtocolPage(viewer.url)
+        page = ProtocolPage(viewer.url, f"gpgrad-token-{viewer.url.rpartition(':')[2]}={token}")
+        page.wait(lambda: "Up to date" in page.html(), "a picture")
+        page.set("seed", 99999999999999)
+        page.wait(lambda: "seed: must be from 0 to 4294967295" in page.html(), "the refusal")
+        assert "Not taken" in page.html()
+        page.wait(lambda: page.find("seed")["value"] == 0, "the box to go back")
+        page.set("seed", 2**32 - 1)
+        (session,) = viewer.sessions
+        page.wait(lambda: session.state.params.registration.seed == 2**32 - 1, "the seed")
+        page.wait(lambda: "Up to date" in page.html(), "the status")
+        page.close()
+    finally:
+        viewer.close()

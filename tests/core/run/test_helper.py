@@ -50,6 +50,20 @@ def die(word: str, progress: Progress) -> None:  # noqa: ARG001
     time.sleep(PATIENCE)
 
 
+def sleep(seconds: float, progress: Progress) -> float:  # noqa: ARG001
+    time.sleep(seconds)
+    return seconds
+
+
+def is_there(process: int) -> bool:
+    """Say whether there is a process of this number, be it a zombie."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
 def ask(helper: Helper, function: Callable[..., R], *arguments: object) -> Answer[R]:
     """Ask as soon as it has started, or has done with what was asked before."""
     end = time.monotonic() + PATIENCE
@@ -139,6 +153,45 @@ def test_after_its_death_it_comes_back_as_another_process() -> None:
         os.kill(second, 0)
 
 
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_when_it_is_stopped_the_work_is_done_here_and_it_is_replaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    size = 2_000_000  # does not fit into a pipe that nobody reads
+    monkeypatch.setattr("gpgrad_core.run.helper.SILENCE", 1.0)
+    helper = started()
+    stopped = ask(helper, where, "first").wait()[1]
+    os.kill(stopped, signal.SIGSTOP)
+    begun = time.monotonic()
+    result, process = beside(helper, where, ("a",), ("b" * size,))[1]
+    assert (len(result), process) == (size, os.getpid())
+    assert time.monotonic() - begun < 10.0
+    assert ask(helper, where, "next").wait()[1] not in (stopped, os.getpid())
+    assert not is_there(stopped)
+    helper.close()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_what_works_long_without_a_word_is_not_killed(
+    helper: Helper, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gpgrad_core.run.helper.SILENCE", 1.0)
+    assert ask(helper, sleep, 2.5).wait() == 2.5
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_killed_while_it_rests_it_comes_back_and_leaves_no_zombie() -> None:
+    helper = started()
+    killed = ask(helper, where, "which").wait()[1]
+    os.kill(killed, signal.SIGKILL)
+    end = time.monotonic() + PATIENCE
+    while is_there(killed):
+        assert time.monotonic() < end, "a zombie was left"
+        time.sleep(0.01)
+    assert ask(helper, where, "next").wait()[1] != killed
+    helper.close()
+
+
 def test_what_dies_before_it_is_ready_is_not_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
     started_at: list[float] = []
 
@@ -152,6 +205,7 @@ def test_what_dies_before_it_is_ready_is_not_started_again(monkeypatch: pytest.M
     time.sleep(1.0)
     assert helper.ask(where, "anyone") is None
     assert len(started_at) == 1
+    assert not is_there(helper._process.pid)
     helper.close()
 
 

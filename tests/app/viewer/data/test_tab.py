@@ -21,7 +21,6 @@ from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Dataset
 from tests.app.desk import Recorder, make_desk
-from tests.app.page import ProtocolPage
 from tests.app.synthetic import make_dataset
 from tests.app.widgets import find, user_presses, user_sets
 
@@ -162,33 +161,21 @@ def test_clouds_gather_in_one_dataset(
     assert len(opened) == 2
 
 
-def test_too_large_a_file_is_refused(
-    make: Make, server: viser.ViserServer, opened: list[Opened]
+def test_the_clouds_together_have_a_bound(
+    make: Make, server: viser.ViserServer, data: Path, opened: list[Opened]
 ) -> None:
-    opening = make(max_upload=1_000_000)
-    upload(server, opening, "000.ply", bytes(1_000_001))
+    cloud = (data / "hills" / "submaps" / "000.ply").read_bytes()
+    opening = make(max_upload=len(cloud) // 4 + 1)  # eight times as much may lie there
+    for number in range(3):
+        upload(server, opening, f"{number:03}.ply", cloud)
+    assert len(opened) == 2
+    assert "together" in said(opening)
+
+
+def test_a_file_that_was_not_taken_is_told(make: Make, opened: list[Opened]) -> None:
+    opening = make()
+    opening.refuse("big.ply: has 3 MB; up to 1 MB can be uploaded")
     assert "up to 1 MB can be uploaded" in said(opening)
-    assert opened == []
-
-
-@pytest.mark.parametrize("honest", [True, False])
-def test_too_large_a_file_ends_before_it_fills_the_memory(
-    make: Make, server: viser.ViserServer, opened: list[Opened], honest: bool
-) -> None:
-    opening = make(max_upload=1_000_000)
-    page = ProtocolPage(f"http://127.0.0.1:{server.get_port()}")
-    page.wait(lambda: page.find("Upload clouds") is not None, "the button")
-    uuid = page.find("Upload clouds")["uuid"]
-    size = 3_000_000 if honest else 900_000
-    head = {"source_component_uuid": uuid, "transfer_uuid": "one"}
-    start = {"filename": "big.ply", "mime_type": "", "part_count": 3, "size_bytes": size}
-    page.send({"type": "FileTransferStartUpload", **head, **start})
-    for index in range(3):
-        part = {"part_index": index, "content": bytes(1_000_000)}
-        page.send({"type": "FileTransferPart", **head, **part})
-    page.wait(lambda: "up to 1 MB can be uploaded" in said(opening), "the refusal")
-    page.close()
-    assert server.gui._current_file_upload_states == {}
     assert opened == []
 
 

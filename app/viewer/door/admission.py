@@ -1,0 +1,255 @@
+"""Who may come in: the viewer's own pages, and whoever has the token of its link.
+
+A browser that has the viewer open also runs the pages of others, and these may send requests to
+any address, ``localhost`` included. What tells them apart is what a page cannot forge: the
+``Origin`` that the browser states, and the ``Host`` that it believes to be talking to. Both are
+compared whole with what is expected. A beginning is not enough: ``localhost.evil.com`` begins well.
+"""
+
+import ipaddress
+import re
+import secrets
+import socket
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from typing import TypeAlias
+from urllib.parse import parse_qsl, urlsplit
+
+from gpgrad_core.errors import InputError
+
+Given: TypeAlias = Callable[[str], Sequence[str]]
+"""Gives all values of a header: each may come several times."""
+
+LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
+DEFAULT_PORTS: Mapping[str, int] = {"http": 80, "https": 443}
+HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::([0-9]{1,5}))?", re.ASCII)
+ORIGIN = re.compile(rf"(https?)://(?:{HOST.pattern})", re.ASCII)
+TOKEN = re.compile(r"[A-Za-z0-9._~-]{8,200}", re.ASCII)
+ELSEWHERE = frozenset({"websocket", "playbackPath"})
+"""With these words in its address the page takes its contents, and so its programs, from another
+server, although the browser believes it to be ours."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a request is not served."""
+
+    status: HTTPStatus
+    text: str
+
+
+@dataclass(frozen=True)
+class Admission:
+    """What the person who starts the viewer says about who may come in.
+
+    Attributes:
+        origins: Pages of these origins may talk to the viewer too, and their hosts may lead to it;
+            as `as_origin` gives them.
+        token: What everybody must have; None makes one where the viewer can be reached from other
+            machines.
+        without_token: Ask nobody for a token.
+    """
+
+    origins: tuple[str, ...] = ()
+    token: str | None = None
+    without_token: bool = False
+
+    def at(self, host: str) -> "Gate":
+        """Apply it to an address to serve on."""
+        token = self.token
+        if token is None and not self.without_token and not is_loopback(host):
+            token = secrets.token_urlsafe(24)
+        names = set(LOOPBACK_NAMES)
+        if not _is_everywhere(host):
+            names.add(_spelled(host))
+        if not is_loopback(host):
+            names.add(socket.gethostname().lower())
+        return Gate(frozenset(names), frozenset(self.origins), token)
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Decides on each request.
+
+    Attributes:
+        names: What the viewer's own host may be called, besides the address that was reached.
+        origins: Other origins whose pages may come in.
+        token: What everybody must have; None asks nobody.
+    """
+
+    names: frozenset[str]
+    origins: frozenset[str] = frozenset()
+    token: str | None = field(default=None, repr=False)
+
+    def refusal(
+        self, given: Given, path: str, address: tuple[str, int], *, socket_wanted: bool
+    ) -> Refusal | None:
+        """Say why a request is refused; None lets it in.
+
+        Args:
+            given: Gives the headers of the request.
+            path: That it asks for, with what follows the question mark.
+            address: Of ours that was reached: IP address and port.
+            socket_wanted: Whether it is to become a websocket. Browsers state the origin of all of
+                these, so one without is refused; the address of a page is often typed.
+        """
+        host = self._host(given, address)
+        if host is None:
+            return Refusal(
+                HTTPStatus.MISDIRECTED_REQUEST,
+                "The viewer does not know itself by this name. Open the address that gpgrad view "
+                "printed, or start it with --allow-origin http://NAME:PORT.\n",
+            )
+        origins = given("Origin")
+        own = f"http://{host}" if host not in self._hosts else None
+        known = len(origins) == 1 and (origins[0] == own or origins[0] in self.origins)
+        if (origins and not known) or (socket_wanted and not known):
+            return Refusal(
+                HTTPStatus.FORBIDDEN,
+                "Pages of another origin may not talk to the viewer. To allow one, start gpgrad "
+                "view with --allow-origin ORIGIN.\n",
+            )
+        if not known and _is_fetched_by_another(given):
+            return Refusal(HTTPStatus.FORBIDDEN, "Other pages may not load parts of the viewer.\n")
+        query = parse_qsl(path.partition("?")[2], keep_blank_values=True)
+        if any(key in ELSEWHERE for key, _ in query):
+            return Refusal(
+                HTTPStatus.FORBIDDEN, "The viewer shows nothing that another server sends.\n"
+            )
+        if self.token is not None and not self._has_token(query, given, address[1]):
+            return Refusal(
+                HTTPStatus.FORBIDDEN,
+                "The viewer asks for a token. Open the whole address that gpgrad view printed, "
+                "with ?token=... at its end.\n",
+            )
+        return None
+
+    def answer_headers(self, given: Given, path: str, port: int) -> dict[str, str]:
+        """Give the headers of an answer to a request that was let in.
+
+        A page that came with the token gets it as a cookie, which its websocket sends. The page
+        may talk to its own server only, and only pages of known origins may frame it.
+        """
+        host = "".join(given("Host")[:1])
+        framed_by = " ".join(["'self'", *sorted(self.origins)])
+        headers = {
+            "Content-Security-Policy": f"default-src 'self' ws://{host} wss://{host} blob: data: "
+            "'unsafe-inline' 'unsafe-eval'; base-uri 'none'; form-action 'none'; "
+            f"object-src 'none'; frame-ancestors {framed_by}",
+            "Cross-Origin-Resource-Policy": "same-origin",
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+            "Cache-Control": "no-store",
+        }
+        if self.token is not None and any(
+            self._is_token(value)
+            for key, value in parse_qsl(path.partition("?")[2])
+            if key == "token"
+        ):
+            cookie = f"{cookie_name(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+            headers["Set-Cookie"] = cookie
+        return headers
+
+    @property
+    def _hosts(self) -> frozenset[str]:
+        """The hosts of the other origins."""
+        return frozenset(origin.partition("://")[2] for origin in self.origins)
+
+    def _host(self, given: Given, address: tuple[str, int]) -> str | None:
+        """Give the host that was asked for, if it is one of ours."""
+        asked = given("Host")
+        if len(asked) != 1:
+            return None
+        host = asked[0].lower()
+        if host in self._hosts:
+            return host
+        parts = HOST.fullmatch(host)
+        if parts is None or int(parts[2] or DEFAULT_PORTS["http"]) != address[1]:
+            return None
+        return host if parts[1] in self.names | {_spelled(address[0])} else None
+
+    def _has_token(self, query: list[tuple[str, str]], given: Given, port: int) -> bool:
+        shown = [value for key, value in query if key == "token"]
+        for line in given("Cookie"):
+            for one in line.split(";"):
+                name, _, value = one.strip().partition("=")
+                shown += [value] if name == cookie_name(port) else []
+        return any([self._is_token(value) for value in shown])  # noqa: C419 - all, for equal time
+
+    def _is_token(self, value: str) -> bool:
+        assert self.token is not None
+        shown = value.encode(errors="backslashreplace")
+        return secrets.compare_digest(shown, self.token.encode())
+
+
+def cookie_name(port: int) -> str:
+    """Name the cookie that holds the token: browsers share cookies between ports.
+
+    >>> cookie_name(8080)
+    'gpgrad-token-8080'
+    """
+    return f"gpgrad-token-{port}"
+
+
+def as_origin(text: str) -> str:
+    """Write an origin as browsers do.
+
+    >>> as_origin("HTTPS://Viewer.Lab.org:443/")
+    'https://viewer.lab.org'
+
+    Raises:
+        InputError: If it is none: ``*`` and ``null`` stand for anybody.
+    """
+    parts = ORIGIN.fullmatch(text.lower().removesuffix("/"))
+    if parts is None or (parts[3] is not None and not 0 < int(parts[3]) < 65536):
+        raise InputError(
+            f"--allow-origin {text}: must be http://HOST, https://HOST, or the same with :PORT"
+        )
+    port = urlsplit(parts[0]).port
+    shown = "" if port in (None, DEFAULT_PORTS[parts[1]]) else f":{port}"
+    return f"{parts[1]}://{parts[2]}{shown}"
+
+
+def check_token(text: str) -> str:
+    """Check what a person wants for a token; gives it.
+
+    Raises:
+        InputError: If it is too easy to guess, or no link can hold it.
+    """
+    if not TOKEN.fullmatch(text):
+        raise InputError("--token must have 8 to 200 letters, digits and . _ ~ -")
+    return text
+
+
+def is_loopback(host: str) -> bool:
+    """Say whether an address can be reached from this machine only."""
+    try:
+        found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
+    except OSError:
+        return False
+    return all(ipaddress.ip_address(str(one[4][0])).is_loopback for one in found)
+
+
+def _is_everywhere(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_unspecified
+    except ValueError:  # a name
+        return not host
+
+
+def _spelled(host: str) -> str:
+    """Write a name or an IP address as in a URL; an IPv4 address within IPv6 as IPv4."""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host.lower()
+    if isinstance(address, ipaddress.IPv4Address):
+        return str(address)
+    return str(address.ipv4_mapped or f"[{address}]")
+
+
+def _is_fetched_by_another(given: Given) -> bool:
+    """Say whether a page of another site fetches a part of ours, rather than going there."""
+    site, mode = given("Sec-Fetch-Site"), given("Sec-Fetch-Mode")
+    return any(one not in ("same-origin", "none") for one in site) and list(mode) != ["navigate"]

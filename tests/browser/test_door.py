@@ -1,0 +1,252 @@
+"""A real browser at the door: the own page and one with the token are served, others hear nothing.
+
+Chromium is told that ``evil.test`` and ``rebound.test`` are this machine, as a name server that
+rebinds would tell it. The hostile page is served from another port.
+"""
+
+import http.server
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import viser
+
+from app.viewer.door.admission import Admission
+from app.viewer.door.limits import Limits
+from app.viewer.door.server import Told, open_server
+from tests.browser.conftest import unavailable
+
+pytestmark = pytest.mark.browser
+
+# Tries a websocket as viser's client does; tells what came of it.
+SOCKET = """(url) => new Promise((tell) => {
+    const socket = new WebSocket(url, ["viser-vVERSION"]);
+    let bytes = 0;
+    socket.binaryType = "arraybuffer";
+    socket.onmessage = (event) => { bytes += event.data.byteLength; };
+    socket.onopen = () => setTimeout(() => tell({opened: true, bytes}), 300);
+    socket.onerror = () => tell({opened: false, bytes});
+})""".replace("VERSION", viser.__version__)
+# Tries everything else by which a page could read or send.
+FETCHES = """async (url) => {
+    const came = [];
+    for (const options of [{}, {mode: "no-cors"}, {method: "POST", mode: "no-cors", body: "x"}]) {
+        try {
+            const answer = await fetch(url, options);
+            came.push(await answer.text());
+        } catch (error) { came.push(""); }
+    }
+    const loads = (tag, name) => new Promise((tell) => {
+        const node = document.createElement(tag);
+        node.onload = () => tell(true);
+        node.onerror = () => tell(false);
+        node[name] = url;
+        document.head.append(node);
+    });
+    came.push(await loads("script", "src") ? "script" : "");
+    return came.join("");
+}"""
+
+
+class Hostile(http.server.BaseHTTPRequestHandler):
+    """Serves one page, and a socket's worth of nothing."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        self.wfile.write(b"<title>evil</title><body>evil")
+
+    def log_message(self, *_: Any) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def evil() -> Iterator[int]:
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Hostile) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield server.server_address[1]
+        server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A browser that believes the hostile names to be here."""
+    try:
+        from playwright.sync_api import sync_playwright  # noqa: PLC0415, F401
+    except ModuleNotFoundError as error:
+        unavailable(f"{error.name} is not installed")
+    from tests.browser.chromium import find_chromium, launch  # noqa: PLC0415
+
+    executable = find_chromium()
+    if executable is None:
+        unavailable("no Chromium was found")
+        return
+    names = "MAP *.test 127.0.0.1"
+    with launch(executable, (f"--host-resolver-rules={names}",)) as browser:
+        yield browser
+
+
+def serve(admission: Admission) -> Iterator[viser.ViserServer]:
+    """Serve a panel with a word, a box and a status, which opens faster than a whole viewer."""
+    server, door = open_server("127.0.0.1", 0, admission, limits=Limits(typing_seconds=0.3))
+    server.gui.add_html('<div data-testid="verdict">only pages may read this</div>')
+    server.gui.add_slider("Minimum inliers", 3, 50, 1, 8)
+    status = server.gui.add_html("")
+
+    def say(_: int, text: str) -> None:
+        status.content = f'<div data-testid="status">{text}</div>'
+
+    door.told = Told(value=say)
+    yield server
+    server.stop()
+
+
+def at(server: viser.ViserServer, kind: str = "http", name: str = "127.0.0.1") -> str:
+    return f"{kind}://{name}:{server.get_port()}"
+
+
+@pytest.fixture(scope="module")
+def viewer() -> Iterator[viser.ViserServer]:
+    yield from serve(Admission())
+
+
+@pytest.fixture(scope="module")
+def guarded() -> Iterator[viser.ViserServer]:
+    yield from serve(Admission(token="a-token-to-share"))
+
+
+SMALL: Any = {"width": 800, "height": 300}
+"""What is drawn costs most of the time, and nobody looks."""
+
+
+@pytest.fixture
+def tab(chromium: Any) -> Iterator[Any]:
+    context = chromium.new_context(viewport=SMALL)
+    yield context.new_page()
+    context.close()
+
+
+@pytest.fixture(scope="module")
+def own(chromium: Any, viewer: viser.ViserServer) -> Iterator[Any]:
+    """The viewer's own page, for several tests: it takes seconds to open."""
+    context = chromium.new_context(viewport=SMALL)
+    page = context.new_page()
+    is_served(page, f"{at(viewer, name='localhost')}/?fixedDpr=1")
+    yield page
+    context.close()
+
+
+def is_served(tab: Any, link: str) -> None:
+    """Open a link and wait for the verdict; nothing that the page does may be forbidden it."""
+    said: list[str] = []
+    tab.on("console", lambda message: said.append(message.text))
+    tab.goto(link)
+    tab.get_by_test_id("verdict").wait_for(timeout=60_000)
+    assert not [text for text in said if "Content Security Policy" in text]
+
+
+@pytest.mark.parametrize("name", ["evil.test", "localhost", "127.0.0.1"])
+def test_a_page_of_another_origin_hears_nothing(
+    tab: Any, viewer: viser.ViserServer, evil: int, name: str
+) -> None:
+    pages = len(viewer.get_clients())
+    tab.goto(f"http://{name}:{evil}/")
+    for ours in ("127.0.0.1", "localhost"):
+        tried = tab.evaluate(SOCKET, at(viewer, "ws", ours))
+        assert tried == {"opened": False, "bytes": 0}
+        assert tab.evaluate(FETCHES, at(viewer, name=ours)) == ""
+    assert len(viewer.get_clients()) == pages
+
+
+def test_a_page_of_an_allowed_origin_is_served(tab: Any, evil: int) -> None:
+    """So what refuses the others is the door, and nothing else."""
+    for server in serve(Admission(origins=(f"http://evil.test:{evil}",))):
+        tab.goto(f"http://evil.test:{evil}/")
+        tried = tab.evaluate(SOCKET, at(server, "ws"))
+        assert tried["opened"]
+        assert tried["bytes"] > 500
+
+
+def test_a_page_without_an_origin_hears_nothing(
+    tab: Any, viewer: viser.ViserServer, evil: int
+) -> None:
+    tab.goto(f"http://evil.test:{evil}/")
+    tab.evaluate(
+        """() => { const frame = document.createElement("iframe");
+        frame.sandbox = "allow-scripts"; frame.srcdoc = "null"; document.body.append(frame);
+        return new Promise((done) => { frame.onload = done; }).then(() => null); }"""
+    )
+    frame = tab.frames[1]
+    assert frame.evaluate("self.origin") == "null"
+    tried = frame.evaluate(SOCKET, at(viewer, "ws"))
+    assert tried == {"opened": False, "bytes": 0}
+
+
+def test_a_rebound_name_is_not_served(tab: Any, viewer: viser.ViserServer) -> None:
+    answer = tab.goto(at(viewer, name="rebound.test"))
+    assert answer.status == 421
+    assert "verdict" not in tab.content()
+    tried = tab.evaluate(SOCKET, at(viewer, "ws", "rebound.test"))
+    assert tried == {"opened": False, "bytes": 0}
+
+
+def test_another_page_does_not_frame_it(tab: Any, viewer: viser.ViserServer, evil: int) -> None:
+    tab.goto(f"http://evil.test:{evil}/")
+    tab.evaluate(
+        """(url) => { const frame = document.createElement("iframe"); frame.src = url;
+        document.body.append(frame);
+        return new Promise((done) => { frame.onload = done; }).then(() => null); }""",
+        at(viewer),
+    )
+    assert "verdict" not in tab.frames[1].content()
+    assert tab.frames[1].url.startswith("chrome-error:")
+
+
+def test_a_link_does_not_lead_the_page_to_another_server(
+    tab: Any, viewer: viser.ViserServer, evil: int
+) -> None:
+    """viser's client takes its socket from the address; what comes from there can run scripts."""
+    assert tab.goto(f"{at(viewer)}/?websocket=ws://evil.test:{evil}").status == 403
+
+
+def test_the_own_page_is_served_and_talks_to_nobody_else(own: Any, evil: int) -> None:
+    tried = own.evaluate(SOCKET, f"ws://evil.test:{evil}")
+    assert tried == {"opened": False, "bytes": 0}
+    assert own.evaluate(FETCHES, f"http://evil.test:{evil}/") == ""
+
+
+def test_with_the_token_two_pages_are_served_and_without_it_none(
+    chromium: Any, guarded: viser.ViserServer, evil: int
+) -> None:
+    holder, stranger = chromium.new_context(viewport=SMALL), chromium.new_context()
+    first, second, other = holder.new_page(), holder.new_page(), stranger.new_page()
+    is_served(first, f"{at(guarded)}/?token=a-token-to-share")
+    is_served(second, at(guarded))  # the browser has the token as a cookie now
+    assert "a-token" not in first.evaluate("document.cookie")
+    assert other.goto(at(guarded)).status == 403
+    assert "token" in other.content()
+    assert other.goto(f"{at(guarded)}/?token=a-token-to-guess").status == 403
+    # A page of another port of this machine is of the same site, so its socket has the cookie.
+    lured = holder.new_page()
+    lured.goto(f"http://127.0.0.1:{evil}/")
+    tried = lured.evaluate(SOCKET, at(guarded, "ws"))
+    assert tried == {"opened": False, "bytes": 0}
+    for context in (holder, stranger):
+        context.close()
+
+
+def test_a_value_that_cannot_be_goes_back_in_the_box(own: Any) -> None:
+    label = own.locator("label").filter(has_text="Minimum inliers").first
+    slider = own.locator(f'[id="{label.get_attribute("for")}"]')
+    box = slider.locator("xpath=..//input[not(@type='hidden')]").last
+    box.fill("99999999999999999999")
+    status = own.get_by_test_id("status")
+    status.filter(has_text="Minimum inliers: must be").wait_for(timeout=20_000)
+    own.wait_for_function(
+        "(id) => document.getElementById(id).parentElement.querySelector("
+        "'input:not([type=hidden])').value === '8'",
+        arg=label.get_attribute("for"),
+        timeout=20_000,
+    )
