@@ -1,7 +1,5 @@
 """A session as a file: dataset, pair, parameters, view and camera."""
 
-import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,9 +13,15 @@ from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import to_tables, with_tables
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.types import Dataset
+from gpgrad_core.reading.json_files import is_number
+from gpgrad_core.reading.paths import check_path
+from gpgrad_core.reading.text import read_text
+from gpgrad_core.reading.toml_files import parse_toml
+from gpgrad_core.types import MAX_COORDINATE, Dataset
 
 ENDING = ".gpgrad.toml"
+LARGEST = 100_000
+"""Bytes of such a file; any real one has a tenth. It is parsed between two messages of a page."""
 KEYS = ("dataset", "query", "database", "view", "params", "camera")
 
 
@@ -85,10 +89,9 @@ def read_session(path: Path) -> SavedSession:
         InputError: If it cannot be read, is no such file, or names what there is not.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "is not a text in UTF-8"
-        raise InputError(f"{path}: cannot be read: {reason}") from error
+        text = read_text(path, LARGEST)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     return parse_session(text, str(path))
 
 
@@ -102,10 +105,7 @@ def parse_session(text: str, where: str) -> SavedSession:
     Raises:
         InputError: As `read_session`.
     """
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{where}: is not TOML: {error}") from error
+    table = parse_toml(text, where, LARGEST)
     unknown = [key for key in table if key not in KEYS]
     if unknown:
         raise InputError(
@@ -113,7 +113,7 @@ def parse_session(text: str, where: str) -> SavedSession:
         )
     dataset = _text(table, "dataset", where)
     return SavedSession(
-        None if dataset is None else Path(dataset),
+        None if dataset is None else check_path(dataset),
         _text(table, "query", where),
         _text(table, "database", where),
         with_tables(ViewOptions(), _table(table, "view", where), f"{where}, [view]"),
@@ -145,7 +145,7 @@ def _point(table: Mapping[str, object], key: str, where: str) -> tuple[float, fl
     if (
         not isinstance(value, list)
         or len(numbers := cast("list[object]", value)) != 3
-        or not all(isinstance(n, int | float) and math.isfinite(n) for n in numbers)
+        or not all(is_number(n) and abs(cast("float", n)) <= MAX_COORDINATE for n in numbers)
     ):
         raise InputError(f"{where}: camera.{key} must be three numbers, [x, y, z], got {value!r}")
     x, y, z = (float(cast("float", number)) for number in numbers)

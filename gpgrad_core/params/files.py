@@ -1,7 +1,6 @@
 """Read and write params as TOML: ``[map] length_scale = 0.3`` sets the field of that name."""
 
 import difflib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -9,9 +8,13 @@ from typing import Any, TypeVar, cast
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.fields import AUTOMATIC, Field, fields_of
+from gpgrad_core.reading.toml_files import read_toml
 from gpgrad_core.types import Dataset
 
 P = TypeVar("P")
+
+MAX_NUMBER = 2**63 - 1
+"""The largest whole number that NumPy and the pages of the viewer have."""
 
 
 def read_parameters(path: Path | str, base: P) -> P:
@@ -29,12 +32,7 @@ def read_parameters(path: Path | str, base: P) -> P:
             the wrong type or outside its bounds; names the file and the key.
         OSError: If the file cannot be read.
     """
-    path = Path(path)
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a TOML file: {_one_line(error)}") from error
-    return with_tables(base, tables, str(path))
+    return with_tables(base, read_toml(Path(path)), str(path))
 
 
 def preferred_parameters(dataset: Dataset, base: P) -> P:
@@ -114,6 +112,9 @@ def _checked(field: Field, value: object, where: str) -> object:
         fits = type(value) is field.kind
     else:
         fits = isinstance(value, int | float if field.kind is float else int)
+        # Numbers without bounds of their own must at least be numbers that NumPy has.
+        if field.bounds is None:
+            fits = fits and abs(cast("float", value)) <= MAX_NUMBER
     if not fits:
         raise InputError(f"{where}: {field.path} must be {_spelled(field)}, got {value!r}")
     return float(cast("float", value)) if field.kind is float else value
@@ -133,7 +134,3 @@ def _suggestion(name: str, known: list[str], prefix: str) -> str:
     if close:
         return f"did you mean {prefix}{close[0]}?"
     return f"known: {', '.join(prefix + one for one in known)}"
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

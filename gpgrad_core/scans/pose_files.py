@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.poses import make_pose, parse_numbers
-from gpgrad_core.datasets.tables import read_text
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.text import lines_of, read_text
 from gpgrad_core.scans.trajectory import Poses, Trajectory
+from gpgrad_core.types import MAX_COORDINATE
 
 TUM, TUM_WITH_COVARIANCE, KITTI = 8, 44, 12
 ROTATION_TOLERANCE = 0.01
@@ -73,14 +74,39 @@ def read_pose_file(path: Path) -> PoseFile:
     covariance = None
     if len(rows[0]) == TUM_WITH_COVARIANCE:
         covariance = np.ascontiguousarray(table[:, 8:].reshape(-1, 6, 6)[:, :3, :3])
+        _check_covariances(covariance, numbers, path)
     return PoseFile(Trajectory.in_order(table[:, 0], stack, covariance), numbered=False)
+
+
+def _check_covariances(covariance: Float[Array, "n 3 3"], numbers: list[int], path: Path) -> None:
+    """Refuse what is no covariance of a position.
+
+    Raises:
+        InputError: If one is not symmetric, or has a negative variance.
+    """
+    size = np.abs(covariance).max(axis=(1, 2))
+    skew = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2))
+    # Sums in single precision leave the two halves of a matrix equal to six digits only.
+    wrong = np.flatnonzero(
+        (skew > 1e-5 * size) | (np.einsum("nii->ni", covariance).min(axis=1) < 0)
+    )
+    if len(wrong):
+        raise InputError(
+            f"{path}, line {numbers[wrong[0]]}: the covariance of the position must be symmetric, "
+            "with variances of 0 or more"
+        )
 
 
 def _matrices(table: Float[Array, "n 12"], numbers: list[int], path: Path) -> Poses:
     matrices = table.reshape(-1, 3, 4)
-    turns = matrices[:, :, :3]
+    turns, far = matrices[:, :, :3], np.abs(matrices[:, :, 3]).max(axis=1) > MAX_COORDINATE
+    if far.any():
+        raise InputError(
+            f"{path}, line {numbers[int(np.argmax(far))]}: the position is further from the origin "
+            f"than {MAX_COORDINATE:g} m"
+        )
     off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    wrong = np.flatnonzero((off > ROTATION_TOLERANCE) | (np.linalg.det(turns) < 0))
+    wrong = np.flatnonzero(~(off <= ROTATION_TOLERANCE) | (np.linalg.det(turns) < 0))
     if len(wrong):
         raise InputError(
             f"{path}, line {numbers[wrong[0]]}: the first three columns of the 3x4 matrix are not "
@@ -146,6 +172,6 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     split = (
-        (k, line.split("#", 1)[0].split()) for k, line in enumerate(read_text(path).splitlines(), 1)
+        (k, line.split("#", 1)[0].split()) for k, line in enumerate(lines_of(read_text(path)), 1)
     )
     return [(number, words) for number, words in split if words]

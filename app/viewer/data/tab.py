@@ -18,6 +18,7 @@ from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, resolve_parameters
+from gpgrad_core.reading.paths import check_name
 from gpgrad_core.run.progress import Progress, part
 
 CLOUDS = "uploaded clouds"
@@ -176,6 +177,10 @@ class DataTab(Feature):
             assert self._permissions.uploads is not None
             self._uploads = Path(tempfile.mkdtemp(dir=self._permissions.uploads))
         most = MOST_GROWTH * self._permissions.max_upload
+        try:
+            name = check_name(name).name  # a page may send any name, and files are made of it
+        except InputError as error:
+            raise InputError(f"an uploaded file: {error}") from None
         if name.lower().endswith(".zip"):
             folder = Path(tempfile.mkdtemp(dir=self._uploads)) / (Path(name).stem or "dataset")
             return unpack(name, content, folder, most, progress)

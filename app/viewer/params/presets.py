@@ -1,7 +1,6 @@
 """Presets in the viewer: wires their panel to the files they are kept in."""
 
 import threading
-import tomllib
 
 import viser
 
@@ -20,9 +19,11 @@ from app.viewer.state import ViewState
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import preferred_parameters, with_tables
 from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.reading.toml_files import parse_toml
 
 LARGEST = 100_000
-"""Bytes of a file of parameters; any real one has a hundredth."""
+"""Bytes of a file of parameters; any real one has a hundredth. It is parsed between two messages
+of a page."""
 
 
 class PresetsTool(Feature):
@@ -121,11 +122,6 @@ class PresetsTool(Feature):
 
     def _parsed(self, name: str, content: bytes) -> PipelineParams:
         """Read an uploaded file as ``--params`` would: over what the dataset prefers."""
-        if len(content) > LARGEST:
-            raise InputError(f"{name}: is too large for a parameter file")
-        try:
-            tables = tomllib.loads(content.decode("utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{name}: not a TOML file: {error}") from error
+        tables = parse_toml(content, name, LARGEST)
         base = preferred_parameters(self._state.dataset, PipelineParams())
         return with_tables(base, tables, name)
