@@ -97,15 +97,12 @@ class Submap:
 
         Raises:
             InputError: If there are fewer than three finite points, if all of them lie on one
-                line, if a coordinate is beyond `MAX_COORDINATE`, if a noise is not above zero, if a
-                range is negative, or if there are not as many of them as points.
+                line, if a coordinate is beyond `MAX_COORDINATE`, if a noise is not above zero, or
+                if a range is negative.
         """
         rows = np.asarray(points)
         if rows.ndim != 2 or rows.shape[1] != 3:
             raise InputError(f"{id}: points must be an (n, 3) array, got shape {rows.shape}")
-        for name, extra in {"colors": colors, "noise_std": noise_std, "range": ranges}.items():
-            if extra is not None and len(extra) != len(rows):
-                raise InputError(f"{id}: {name} has {len(extra):,} rows, the points {len(rows):,}")
         _check_coordinates(rows, id)
         finite = np.asarray(np.isfinite(rows).all(axis=1))
         kept = _frozen_copy(rows, finite)

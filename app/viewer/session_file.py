@@ -113,7 +113,7 @@ def parse_session(text: str, where: str) -> SavedSession:
         )
     dataset = _text(table, "dataset", where)
     return SavedSession(
-        None if dataset is None else check_path(dataset),
+        None if dataset is None else _path(dataset, where),
         _text(table, "query", where),
         _text(table, "database", where),
         with_tables(ViewOptions(), _table(table, "view", where), f"{where}, [view]"),
@@ -127,6 +127,13 @@ def _text(table: Mapping[str, object], key: str, where: str) -> str | None:
     if value is not None and not isinstance(value, str):
         raise InputError(f"{where}: {key} must be a text in quotes, got {value!r}")
     return value
+
+
+def _path(text: str, where: str) -> Path:
+    try:
+        return check_path(text)
+    except InputError as error:
+        raise InputError(f"{where}: dataset: {error}") from None
 
 
 def _table(table: Mapping[str, object], key: str, where: str) -> Mapping[str, object]:

@@ -56,8 +56,8 @@ def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
             points,
             path.stem,
             colors=colors,
-            noise_std=_read_property(path, "noise_std"),
-            ranges=_read_property(path, "range"),
+            noise_std=_read_property(path, "noise_std", len(points)),
+            ranges=_read_property(path, "range", len(points)),
         )
     except InputError as error:
         # The submap's error names the submap; the user needs the name of the file.
@@ -119,9 +119,12 @@ def _are_colors(colors: Points, points: Points) -> bool:
     return bool(np.all((kept >= 0) & (kept <= 1)))
 
 
-def _read_property(path: Path, name: str) -> Float[NDArray[np.floating], "n"] | None:
+def _read_property(path: Path, name: str, count: int) -> Float[NDArray[np.floating], "n"] | None:
     reader = PROPERTY_READERS.get(path.suffix.lower())
-    return None if reader is None else reader(path, name)
+    values = None if reader is None else reader(path, name)
+    if values is not None and len(values) != count:
+        raise InputError(f"{path}: {name} has {len(values):,} rows, the points have {count:,}")
+    return values
 
 
 def _read_bin(path: Path) -> Points:

@@ -103,14 +103,8 @@ def _broken(path: Path, reason: str) -> InputError:
 
 
 def _parse_header(data: bytes, path: Path) -> _Header:
-    if data[:4] != b"LASF":
-        raise _broken(path, "it does not begin with 'LASF'")
-    least = LEAST_HEADERS.get(data[25], 227) if len(data) > 25 and data[24] == 1 else 0
-    if not least or data[25] not in LEAST_HEADERS:
-        raise _broken(path, "it is not of version 1.0 to 1.4")
-    minor = data[25]
-    if len(data) < least:
-        raise _broken(path, f"its header has {least} bytes, the file {len(data):,}")
+    minor = _version(data, path)
+    least = LEAST_HEADERS[minor]
     size, begin, num_records = struct.unpack_from("<HII", data, 94)
     kind, length, count = struct.unpack_from("<BHI", data, 104)
     compressed, kind = bool(kind & 0xC0), kind & 0x3F
@@ -120,6 +114,9 @@ def _parse_header(data: bytes, path: Path) -> _Header:
         legacy, (count,) = count, struct.unpack_from("<Q", data, 247)
         if legacy not in (0, count):
             raise _broken(path, f"its header gives two numbers of points, {legacy:,} and {count:,}")
+    returns = struct.unpack_from("<15Q", data, 255) if minor == 4 else ()
+    if max(sum(returns), sum(struct.unpack_from("<5I", data, 111))) > count:
+        raise _broken(path, f"its header counts more returns than its {count:,} points")
     if size < least or begin > len(data):
         raise _broken(path, f"its points begin at byte {begin:,}, and it ends at {len(data):,}")
     laszip = _find_laszip(data, size, begin, num_records, path)
@@ -140,6 +137,18 @@ def _parse_header(data: bytes, path: Path) -> _Header:
             path, f"its {end - begin:,} compressed bytes cannot be the {count:,} points promised"
         )
     return _Header(compressed, count, length, begin, end, scale, offset, low, high, laszip)
+
+
+def _version(data: bytes, path: Path) -> int:
+    """Give the minor version; the file is at least as long as its header must be."""
+    if data[:4] != b"LASF":
+        raise _broken(path, "it does not begin with 'LASF'")
+    major, minor = data[24:26] if len(data) > 25 else (0, 0)
+    if major != 1 or minor not in LEAST_HEADERS:
+        raise _broken(path, "it is not of version 1.0 to 1.4")
+    if len(data) < LEAST_HEADERS[minor]:
+        raise _broken(path, f"its header has {LEAST_HEADERS[minor]} bytes, the file {len(data):,}")
+    return minor
 
 
 def _find_laszip(data: bytes, position: int, begin: int, count: int, path: Path) -> bytes:

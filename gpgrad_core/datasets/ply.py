@@ -173,7 +173,7 @@ def _read_vertices(
     start = header.num_bytes + sum(e.count * e.dtype(order).itemsize for e in before)
     dtype = vertex.dtype(order)
     available = max(0, len(data) - start) // dtype.itemsize
-    if available < vertex.count:
+    if available < vertex.count or start > len(data):
         raise cut_short(path, vertex.count, available)
     _check_end(data, start + vertex.count * dtype.itemsize, after, order, path)
     if not vertex.count:

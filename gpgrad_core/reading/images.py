@@ -1,5 +1,6 @@
 """Camera images, decoded in a process of their own."""
 
+import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -15,6 +16,10 @@ LARGEST = 256_000_000
 """Bytes of a file."""
 TOGETHER = 4
 """Files that one process decodes; starting one takes as long as some images."""
+
+PNG = b"\x89PNG\r\n\x1a\n"
+TRAILER = 65_536
+"""Bytes of its own that a camera may put after a JPEG."""
 
 Image = UInt8[NDArray[np.uint8], "rows columns"]
 
@@ -42,11 +47,34 @@ def read_images(files: Sequence[Path]) -> Iterator[Image]:
         yield from _decoded(files[first : first + TOGETHER])
 
 
+def _damage(content: bytes) -> str:
+    """Say what is wrong with a PNG or JPEG as a whole; OpenCV fills what is missing with grey."""
+    if content.startswith(b"\xff\xd8"):
+        return (
+            "" if b"\xff\xd9" in content[-TRAILER:] else "it is cut short: its end mark is missing"
+        )
+    if not content.startswith(PNG):
+        return ""  # another format, if any
+    position = len(PNG)
+    while position + 12 <= len(content):
+        length = int.from_bytes(content[position : position + 4], "big")
+        body = content[position + 4 : position + 8 + length]
+        position += 12 + length
+        if content[position - 4 : position] != zlib.crc32(body).to_bytes(4, "big"):
+            return "a checksum in it is wrong"
+        if body == b"IEND":
+            return "" if position == len(content) else "it holds more than one image"
+    return "it is cut short"
+
+
 def _decoded(files: Sequence[Path]) -> Iterator[Image]:
     try:
         contents = [file.read_bytes() for file in files]
     except OSError as error:
         raise InputError(f"{error.filename}: cannot be read: {error.strerror or error}") from None
+    for file, content in zip(files, contents, strict=True):
+        if reason := _damage(content):
+            raise InputError(f"{file}: is no image that can be read: {reason}")
     packed = b"".join(LENGTH.pack(len(content)) + content for content in contents)
     try:
         decoded = decode_apart("images", packed, len(files) * (MAX_PIXELS + IMAGE_HEAD.size))

@@ -19,11 +19,13 @@ def check_path(path: Path | str) -> Path:
     """
     path = Path(path)
     if "\0" in str(path):
-        raise InputError(f"{path}: a path cannot hold a zero byte")
+        raise InputError(f"{_short(str(path))}: a path cannot hold a zero byte")
     try:
         path.exists()
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+        raise InputError(
+            f"{_short(str(path))}: cannot be read: {error.strerror or error}"
+        ) from None
     return path
 
 

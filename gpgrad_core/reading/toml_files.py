@@ -22,7 +22,7 @@ _STRINGS = re.compile(
     re.DOTALL,
 )
 _BRACKET = re.compile(r"[\[\]{}]")
-_KEY = re.compile(r"[\w\-. \t]*\.[\w\-. \t]*")
+_KEY = re.compile(r"[\w\-. \t]++")
 _DIGITS = re.compile(rf"[0-9A-Fa-f_]{{{LONGEST_NUMBER + 1},}}")
 
 

@@ -14,6 +14,8 @@ from gpgrad_core.reading.text import lines_of, read_text
 from gpgrad_core.scans.trajectory import Poses, Trajectory
 from gpgrad_core.types import MAX_COORDINATE
 
+MAX_TIME = 1e19
+"""Of a time, in whatever unit: the nanoseconds since 1970 are a fifth of it."""
 TUM, TUM_WITH_COVARIANCE, KITTI = 8, 44, 12
 ROTATION_TOLERANCE = 0.01
 """A matrix further from a rotation than this is not a rounded one: its columns have another
@@ -69,31 +71,35 @@ def read_pose_file(path: Path) -> PoseFile:
     if len(rows[0]) == KITTI:
         stamps = np.arange(len(rows), dtype=np.float64)
         return PoseFile(Trajectory(stamps, _matrices(table, numbers, path)), numbered=True)
+    _check_times(table[:, 0], numbers, path)
     poses = [make_pose(row[1:8], f"{path}, line {k}") for row, k in zip(rows, numbers, strict=True)]
     stack = Poses(table[:, 1:4], Rotation.from_quat([pose.quaternion for pose in poses]))
     covariance = None
     if len(rows[0]) == TUM_WITH_COVARIANCE:
-        covariance = np.ascontiguousarray(table[:, 8:].reshape(-1, 6, 6)[:, :3, :3])
-        _check_covariances(covariance, numbers, path)
+        whole = table[:, 8:].reshape(-1, 6, 6)
+        _check_covariances(whole, numbers, path)
+        covariance = np.ascontiguousarray(whole[:, :3, :3])
     return PoseFile(Trajectory.in_order(table[:, 0], stack, covariance), numbered=False)
 
 
-def _check_covariances(covariance: Float[Array, "n 3 3"], numbers: list[int], path: Path) -> None:
-    """Refuse what is no covariance of a position.
+def _check_covariances(covariance: Float[Array, "n 6 6"], numbers: list[int], path: Path) -> None:
+    """Refuse what is no covariance of a pose.
 
     Raises:
-        InputError: If one is not symmetric, or has a negative variance.
+        InputError: If one is not symmetric, or has a variance below 0 or beyond all sense.
     """
     size = np.abs(covariance).max(axis=(1, 2))
     skew = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2))
     # Sums in single precision leave the two halves of a matrix equal to six digits only.
     wrong = np.flatnonzero(
-        (skew > 1e-5 * size) | (np.einsum("nii->ni", covariance).min(axis=1) < 0)
+        (skew > 1e-5 * size)
+        | (size > MAX_COORDINATE**2)
+        | (np.einsum("nii->ni", covariance).min(axis=1) < 0)
     )
     if len(wrong):
         raise InputError(
-            f"{path}, line {numbers[wrong[0]]}: the covariance of the position must be symmetric, "
-            "with variances of 0 or more"
+            f"{path}, line {numbers[wrong[0]]}: the covariance must be symmetric, with variances "
+            f"from 0 to {MAX_COORDINATE**2:g}"
         )
 
 
@@ -122,10 +128,21 @@ def read_times(path: Path) -> Float[Array, "n"]:
         InputError: If a row does not begin with a number, or there are no rows; the message names
             the line.
     """
-    times = [parse_numbers(words[:1], f"{path}, line {k}")[0] for k, words in _rows(path)]
+    rows = _rows(path)
+    times = [parse_numbers(words[:1], f"{path}, line {k}")[0] for k, words in rows]
     if not times:
         raise InputError(f"{path}: holds no times")
-    return np.array(times)
+    stamps = np.array(times)
+    _check_times(stamps, [k for k, _ in rows], path)
+    return stamps
+
+
+def _check_times(stamps: Float[Array, "n"], numbers: list[int], path: Path) -> None:
+    far = np.flatnonzero(np.abs(stamps) > MAX_TIME)
+    if len(far):
+        raise InputError(
+            f"{path}, line {numbers[far[0]]}: the time {stamps[far[0]]:g} is beyond {MAX_TIME:g}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
