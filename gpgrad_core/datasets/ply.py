@@ -38,6 +38,7 @@ MAX_FLOAT32_EXTENT = 1000.0
 
 LARGEST_HEADER = 1_000_000
 """Bytes; real headers have a thousandth."""
+FACE_LISTS = ("vertex_indices", "vertex_index")
 MOST_PROPERTIES = 1000
 """Of an element; real ones have some tens."""
 
@@ -175,7 +176,8 @@ def _read_vertices(
     available = max(0, len(data) - start) // dtype.itemsize
     if available < vertex.count or start > len(data):
         raise cut_short(path, vertex.count, available)
-    _check_end(data, start + vertex.count * dtype.itemsize, after, order, path)
+    end = start + vertex.count * dtype.itemsize
+    _check_end(data, end, after, order, vertex.count, path)
     if not vertex.count:
         return np.empty((0, len(columns)))
     rows = np.frombuffer(data, dtype, vertex.count, start)
@@ -183,15 +185,22 @@ def _read_vertices(
 
 
 def _check_end(
-    data: bytes, position: int, elements: Iterable[_Element], order: str, path: Path
+    data: bytes,
+    position: int,
+    elements: Iterable[_Element],
+    order: str,
+    num_points: int,
+    path: Path,
 ) -> None:
     """Check that a binary file ends where its last element ends.
+
+    The corners of faces must be points: by chance, the lengths of their lists may fit elsewhere.
 
     Raises:
         InputError: If it ends earlier or later.
     """
     for element in elements:
-        end = _end_of(data, position, element, order)
+        end = _end_of(data, position, element, order, num_points)
         if end is None:
             raise InputError(
                 f"{path}: is cut short or damaged: it does not hold {element.count:,} rows of "
@@ -202,14 +211,14 @@ def _check_end(
         raise surplus(path, position, len(data), "bytes")
 
 
-def _end_of(data: bytes, start: int, element: _Element, order: str) -> int | None:
-    """Find where an element ends; None if that is beyond the end of the file."""
+def _end_of(data: bytes, start: int, element: _Element, order: str, num_points: int) -> int | None:
+    """Find where an element ends; None if that is beyond the file, or it cannot be the element."""
     empty = element.dtype(order, [0] * len(element.properties)).itemsize
     if start + element.count * empty > len(data):
         return None
     if not element.count or not element.has_list:
         return start + element.count * empty
-    first = _list_lengths(data, start, element, order)
+    first = _list_lengths(data, start, element, order, num_points)
     if first is not None:
         # Nearly always, all lists are as long as the first one: a mesh of triangles.
         dtype = element.dtype(order, first[0])
@@ -217,24 +226,27 @@ def _end_of(data: bytes, start: int, element: _Element, order: str) -> int | Non
         if end <= len(data):
             rows = np.frombuffer(data, dtype, element.count, start)
             lists = [k for k, one in enumerate(element.properties) if one.length]
-            if all(
-                np.all(rows[f"length {k}"] == length)
-                for k, length in zip(lists, first[0], strict=True)
-            ):
-                return end
+            same = zip(lists, first[0], strict=True)
+            if all(np.all(rows[f"length {k}"] == length) for k, length in same):
+                corners = [k for k in lists if element.properties[k].name in FACE_LISTS]
+                return end if all(_are_indices(rows[str(k)], num_points) for k in corners) else None
     position = start
     for _ in range(element.count):
-        row = _list_lengths(data, position, element, order)
+        row = _list_lengths(data, position, element, order, num_points)
         if row is None:
             return None
         position = row[1]
     return position
 
 
+def _are_indices(corners: NDArray[Any], num_points: int) -> bool:
+    return bool(np.all((corners >= 0) & (corners < num_points)))
+
+
 def _list_lengths(
-    data: bytes, start: int, element: _Element, order: str
+    data: bytes, start: int, element: _Element, order: str, num_points: int
 ) -> tuple[list[int], int] | None:
-    """Read the lengths of a row's lists, and where the row ends; None if that is beyond the end."""
+    """Read the lengths of a row's lists, and where it ends; None if it cannot be a row."""
     lengths: list[int] = []
     position = start
     for one in element.properties:
@@ -246,13 +258,17 @@ def _list_lengths(
             signed = one.length.startswith("i")
             little = "little" if order == "<" else "big"
             times = int.from_bytes(data[position : position + width], little, signed=signed)
-            if times < 0:
+            if times < (2 if one.name in FACE_LISTS else 0):  # a face of one corner is none
                 return None
             lengths.append(times)
             position += width
         position += times * size
         if position > len(data):
             return None
+        if one.length and one.name in FACE_LISTS:
+            corners = np.frombuffer(data, order + one.kind, times, position - times * size)
+            if not _are_indices(corners, num_points):
+                return None
     return lengths, position
 
 

@@ -61,6 +61,8 @@ def ply(rng: random.Random) -> Case:
         faces = b"".join(struct.pack(ORDERS[layout] + "B3i", 3, 0, 1, 2) for _ in range(4))
     rows = [" ".join(map(repr, row)) for row in table.astype(np.float64).tolist()]
     face_rows = ["3 0 1 2"] * 4 if faces else []
+    # Of a text, the end of the last row may be missing without anyone being able to tell.
+    least = len([*rows, *face_rows][-1]) + 1 if layout == "ascii" else 1
 
     def written(what: str, *, damaged: bool) -> Case:
         text = "\n".join([*header, "end_header", ""]).encode()
@@ -79,8 +81,7 @@ def ply(rng: random.Random) -> Case:
             header[3] = f"element vertex {wrong_count(rng, NUM_POINTS)}"
             return written(what, damaged=True)
         case "cut":
-            # The last line's end is no loss.
-            return cut(rng, written(what, damaged=True).content, 2 if layout == "ascii" else 1)
+            return cut(rng, written(what, damaged=True).content, least)
         case "surplus" if layout == "ascii":
             rows.insert(rng.randrange(len(rows)), rows[0])
             return written(what, damaged=True)
@@ -140,6 +141,7 @@ def pcd(rng: random.Random) -> Case:
     rows = [" ".join(map(repr, row)) for row in table.astype(np.float64).tolist()]
     plain = np.ascontiguousarray(table.T).tobytes()
     packed = _literal(plain)
+    least = len(rows[-1]) + 1 if layout == "ascii" else 1
     sizes = [len(packed), len(plain)]
 
     def written(what: str, *, damaged: bool) -> Case:
@@ -183,7 +185,7 @@ def pcd(rng: random.Random) -> Case:
             del header[rng.choice(("FIELDS", "SIZE", "TYPE", "POINTS", "DATA"))]
             return written(what, damaged=True)
         case "cut":
-            return cut(rng, written(what, damaged=True).content, 2 if layout == "ascii" else 1)
+            return cut(rng, written(what, damaged=True).content, least)
         case "surplus" if layout == "ascii":
             rows.append(rows[0])
             return written(what, damaged=True)

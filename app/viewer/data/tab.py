@@ -109,6 +109,11 @@ class DataTab(Feature):
         if len(content) > self._permissions.max_upload:
             self._refuse(name, len(content))
             return
+        try:
+            name = check_name(name).name  # a page may send any name, and files are made of it
+        except InputError as error:
+            self._panel.work_bar.failed(f"The upload was refused: {error}")
+            return
         self._start(Request(upload=(name, content)))
 
     def _enter(self, name: str) -> None:
@@ -177,10 +182,6 @@ class DataTab(Feature):
             assert self._permissions.uploads is not None
             self._uploads = Path(tempfile.mkdtemp(dir=self._permissions.uploads))
         most = MOST_GROWTH * self._permissions.max_upload
-        try:
-            name = check_name(name).name  # a page may send any name, and files are made of it
-        except InputError as error:
-            raise InputError(f"an uploaded file: {error}") from None
         if name.lower().endswith(".zip"):
             folder = Path(tempfile.mkdtemp(dir=self._uploads)) / (Path(name).stem or "dataset")
             return unpack(name, content, folder, most, progress)
