@@ -136,13 +136,13 @@ class Trial:
                 viewer.kill()
 
     def detect(self) -> str:
-        """Detect the closures of a small simulated dataset."""
-        gpgrad, data, out = self.bin / "gpgrad", self.folder / "data", self.folder / "c.json"
+        """Detect the loop closures of a small simulated dataset with several methods."""
+        gpgrad, data = self.bin / "gpgrad", self.folder / "data"
         self.run(gpgrad, "simulate", data, "--num-submaps", 6, cwd=self.folder)
-        methods = ["gradient", "fpfh", "shot"]
-        for method in reversed(methods):
+        outputs = {name: self.folder / f"{name}.json" for name in ("gradient", "fpfh", "shot")}
+        for method, out in outputs.items():
             self.run(gpgrad, "detect", data, "--method", method, "--out", out, cwd=self.folder)
-        pairs = json.loads(out.read_text())["pairs"]
+        pairs = json.loads(outputs["gradient"].read_text())["pairs"]
         return f"{sum(pair['accepted'] for pair in pairs)} of {len(pairs)} pairs accepted"
 
     def test(self) -> str:

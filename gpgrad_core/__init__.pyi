@@ -16,7 +16,7 @@ from .evaluation import (
 )
 from .features import DetectorParams, FeatureParams, extract_features
 from .fitting import FitResult, fit_parameters
-from .gradient_map import MapParams, infer_gradient_map, infer_slope_variance
+from .gradient_map import MapParams, TerrainParams, infer_gradient_map, infer_slope_variance
 from .loop_closure import ClosureParams, classify
 from .matching import MatchParams, match_features
 from .outputs import (
@@ -48,6 +48,7 @@ from .slam import (
     OptimisedGraph,
     PoseGraph,
     SolverParams,
+    Step,
     build_pose_graph,
     optimise_pose_graph,
     read_graph,
@@ -105,7 +106,9 @@ __all__ = [
     "RegistrationParams",
     "SimulationParams",
     "SolverParams",
+    "Step",
     "Submap",
+    "TerrainParams",
     "__version__",
     "build_dataset",
     "build_pose_graph",

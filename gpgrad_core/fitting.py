@@ -1,4 +1,4 @@
-"""Hyperparameters of the terrain out of its points: maximum marginal likelihood."""
+"""Fits the hyperparameters of the terrain to its points by maximum marginal likelihood."""
 
 from collections.abc import Collection, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -27,27 +27,30 @@ from gpgrad_core.run.threads import num_workers, single_threaded_blas
 from gpgrad_core.types import Submap
 
 PATCHES = 16
-"""Of one submap alone; of each of m submaps, this over the root of m."""
+"""Number of patches of a single submap. With m submaps each has this number divided by √m."""
 MOST_SUBMAPS = 8
-"""Of more, as many are taken, evenly spaced."""
+"""Largest number of submaps that a fit uses; of more, this many are taken, evenly spaced."""
 MOST_ROUNDS = 4
-"""Of choosing points; one or two are the rule."""
+"""Largest number of times that patches are drawn; mostly it is one or two."""
 MOST_LENGTH_SCALE = 2.0
-"""That is believed, in radii of the patches; when longer, wider patches are drawn."""
+"""Largest length-scale that is accepted, in radii of the patches. If it is longer, wider patches
+are drawn."""
 MOST_EVALUATIONS = 40
-"""Of the likelihood, in a round; about 10 are the rule."""
+"""Largest number of evaluations of the likelihood in a round; mostly it is about 10."""
 HALF_WAY = 8
-"""Evaluations after which progress says half; nobody knows beforehand how many it takes."""
+"""Number of evaluations after which the progress is one half; the total is not known beforehand."""
 TOLERANCE = 1e-5
-"""Gain of log likelihood a point, relative to its size, that is not worth another step: with
-8,000 points a tenth or two in all, far below what a standard error moves it by, one half."""
+"""The search stops when a step gains less than this share of the log likelihood per point. For
+8,000 points this is a gain of 0.1 to 0.2 in all. A standard error changes it by 0.5."""
 MOST_INFORMATION_SOLVED = MOST_INFORMATION / 30
-"""Where the ground is a plane almost free of noise, the noise is raised up to here, so that the
-map can be solved for with digits to spare, and that of a denser submap too."""
+"""The noise is raised until the information is at most this. Only planes that are almost free of
+noise need it. The map, and that of a denser submap too, can then be solved without a loss of
+digits."""
 
 Hyperparameter = Literal["length_scale", "signal_std", "noise"]
 HYPERPARAMETERS: tuple[Hyperparameter, ...] = ("length_scale", "signal_std", "noise")
-"""What is searched over, in the order of `Hyperparameters`; the noise is a factor on all of it."""
+"""What a fit searches over, in the order of `Hyperparameters`. The noise is one factor for all
+points."""
 
 NOISE_PARAMETERS: dict[NoiseModel, tuple[str, ...]] = {
     "constant": ("noise_std",),
@@ -55,21 +58,21 @@ NOISE_PARAMETERS: dict[NoiseModel, tuple[str, ...]] = {
     "measured": ("noise_factor",),
     "file": ("noise_factor",),
 }
-"""What is multiplied, by noise model, so that the noise of every point is."""
+"""The parameters that multiply the noise of every point, by noise model."""
 
 
 @dataclass(frozen=True)
 class FitResult:
-    """What a fit found.
+    """The result of a fit.
 
     Attributes:
-        params: The start with the length-scale, the signal's and the noise's parameters replaced;
-            the start itself where nothing better was found.
-        log_likelihood_before: Per point, at the start; of heights in metres.
-        log_likelihood_after: Per point, at the result.
-        num_points: Points of all patches; one that is in two counts twice.
-        num_evaluations: How often the likelihood of all patches was evaluated.
-        submap_ids: Submaps that the points are from.
+        params: The fitted parameters: the start, with the length-scale, the signal and the
+            parameters of the noise replaced. If no better ones were found, it is the start.
+        log_likelihood_before: Log likelihood per point of the heights in metres, at the start.
+        log_likelihood_after: The same at the result.
+        num_points: Number of points in all patches; a point in two patches counts twice.
+        num_evaluations: Number of evaluations of the likelihood of all patches.
+        submap_ids: Names of the submaps that were used.
     """
 
     params: TerrainParams
@@ -88,27 +91,32 @@ def fit_parameters(
     seed: int = 0,
     progress: Progress = silent,
 ) -> FitResult:
-    """Find the hyperparameters that explain the points best, for all submaps jointly.
+    """Find the hyperparameters under which the points of all submaps are most likely.
 
-    The log marginal likelihood (Rasmussen & Williams 2006, Sec. 5.4.1) of n points costs n³, so
-    it is summed over patches as if these were independent of each other: a composite likelihood.
-    The score of each patch has expectation zero at the truth, whatever the others are, so the
-    estimate is consistent (Varin, Reid & Firth, Statistica Sinica 21, 2011).
+    The log marginal likelihood of n points (Rasmussen & Williams 2006, Sec. 5.4.1, Eq. (5.8))
+    costs n³. So it is summed over patches of points as if they were independent: a composite
+    likelihood. The expected score of each patch is zero at the true parameters, so the estimate
+    is consistent (Varin, Reid & Firth, Statistica Sinica 21, 2011).
 
-    The first patches are as dense as the cloud, and tell the noise and short length-scales best.
-    If the length-scale turns out longer than they reach, wider and thinner ones are drawn, and
-    the search goes on with those. Heights count from each submap's mean, as in `fit_terrain`.
+    The first patches are as dense as the cloud, and determine the noise and short length-scales
+    best. If the length-scale turns out to be longer than they reach, wider and thinner patches
+    are drawn, and the search continues with those. Heights are relative to each submap's mean, as
+    in `fit_terrain`.
 
     Args:
-        submaps: One or more; of many, `MOST_SUBMAPS` evenly spaced ones are used.
-        start: Where the search begins; None: the defaults. Its noise model stays; where noise
-            differs from point to point, one factor for all is searched for.
-        fixed: What stays as the start has it.
-        seed: Of the random choice of points.
-        progress: Called once an evaluation; may raise Cancelled.
+        submaps: One or more submaps. Of many, `MOST_SUBMAPS` evenly spaced ones are used.
+        start: Where the search starts; None takes the defaults. The noise model stays. If the
+            noise differs from point to point, one factor for all of it is searched for.
+        fixed: Hyperparameters that stay as they are in the start.
+        seed: Seed of the random choice of points.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        The fitted parameters and their log likelihood per point.
 
     Raises:
-        InputError: If there is no submap, or none of the noise that the noise model wants.
+        InputError: If there is no submap, or if the noise model is ``file`` and a cloud gives no
+            noise.
     """
     if not submaps:
         raise InputError("nothing to fit to: give one submap or more")
@@ -136,7 +144,7 @@ def _search(
     rng: np.random.Generator,
     evaluate: "_Evaluate",
 ) -> tuple[TerrainParams, "list[_Area]"]:
-    """Find the maximum, and the points that it is a maximum for."""
+    """Find the maximum of the likelihood, and the points that it was computed from."""
     count = int(np.ceil(PATCHES / np.sqrt(len(submaps))))
     params = replace(start, signal_std=_common_signal_std(submaps, start))
     areas = [_Area.of(submap, start, count, 0.0, rng) for submap in submaps]
@@ -152,12 +160,12 @@ def _search(
 
 
 def fitted_names(params: TerrainParams) -> tuple[str, ...]:
-    """Names of the parameters that a fit changes, given the noise model."""
+    """List the names of the parameters that a fit changes; they depend on the noise model."""
     return ("length_scale", "signal_std", *NOISE_PARAMETERS[params.noise_model])
 
 
 def representative(count: int) -> list[int]:
-    """Tell which of so many submaps a fit looks at: up to `MOST_SUBMAPS`, evenly spaced.
+    """Choose which of so many submaps a fit uses: up to `MOST_SUBMAPS`, evenly spaced.
 
     >>> representative(3)
     [0, 1, 2]
@@ -167,7 +175,7 @@ def representative(count: int) -> list[int]:
 
 
 def _common_signal_std(submaps: list[Submap], start: TerrainParams) -> float:
-    """One for all, where the start's None means each submap's own [m]."""
+    """Compute one signal for all submaps [m]: the root mean square of theirs."""
     each = [signal_std_of(submap.points, start) for submap in submaps]
     bounds = bounds_of(TerrainParams)["signal_std"]
     return float(np.clip(np.sqrt(np.mean(np.square(each))), bounds.low, bounds.high))
@@ -175,11 +183,17 @@ def _common_signal_std(submaps: list[Submap], start: TerrainParams) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Area:
-    """A submap, and which of its points are explained together."""
+    """A submap, and the patches of its points.
+
+    Attributes:
+        submap: The submap.
+        kept: Indices of the points from which the map is made.
+        patches: Indices into these points, for each patch.
+    """
 
     submap: Submap
-    kept: Members  # rows of the points that the map is made of
-    patches: list[Members]  # rows of these
+    kept: Members
+    patches: list[Members]
 
     @classmethod
     def of(
@@ -205,23 +219,23 @@ class _Area:
         return point_noise(self.submap, params).std[self.kept]
 
     def with_noise(self, params: TerrainParams) -> list[Patch]:
-        """The patches, each point with the noise that the params give it."""
+        """Make the patches, with the noise that the params give each point."""
         xy, z, noise = self.points[:, :2], self.points[:, 2], self.noise(params)
         heights = z - z.mean()
         return [Patch(xy[rows], heights[rows], noise[rows]) for rows in self.patches]
 
 
 def _reach(areas: list[_Area]) -> float:
-    """How far the median patch reaches from its middle [m]."""
+    """Compute the median distance from the middle of a patch to its edge [m]."""
     sides = [np.ptp(area.points[rows, :2], axis=0) for area in areas for rows in area.patches]
     return float(np.median(np.sqrt(np.prod(sides, axis=1)) / 2))
 
 
 class _Evaluate:
-    """The log likelihood of patches, summed, with its gradient.
+    """The sum of the patches' log likelihoods, with its gradient.
 
-    The patches are shared out to threads and summed up in their order, so that the sum does not
-    depend on the number of threads.
+    Threads share the patches, and the results are added in the patches' order, so the sum does
+    not depend on the number of threads.
     """
 
     def __init__(self, executor: Executor, progress: Progress) -> None:
@@ -229,7 +243,7 @@ class _Evaluate:
         self.count = 0
 
     def __call__(self, patches: list[Patch], at: list[Hyperparameters]) -> tuple[float, Array]:
-        """Evaluate each patch at its own; what the progress hook raises, comes through."""
+        """Evaluate each patch at its hyperparameters; errors of the progress hook pass through."""
         self._progress(self.count / (self.count + HALF_WAY))
         self.count += 1
         value, gradient = 0.0, np.zeros(3)
@@ -240,7 +254,7 @@ class _Evaluate:
 
 
 def _likelihood(areas: list[_Area], params: TerrainParams, evaluate: _Evaluate) -> float:
-    """Log likelihood per point; where the signal is the points' own, of each submap by itself."""
+    """Compute the log likelihood per point; a signal of None is that of each submap's points."""
     patches: list[Patch] = []
     at: list[Hyperparameters] = []
     for area in areas:
@@ -256,8 +270,8 @@ def _maximum(
     fixed: Collection[Hyperparameter],
     evaluate: _Evaluate,
 ) -> TerrainParams:
-    """Climb from params, whose signal is set, to a maximum of the likelihood of all areas."""
-    # Here, because it takes a while to load, and only a fit needs it.
+    """Search from params, whose signal is set, for a maximum of the likelihood of all areas."""
+    # Imported here because it loads slowly and only a fit needs it.
     from scipy.optimize import Bounds, minimize  # noqa: PLC0415
 
     patches = [patch for area in areas for patch in area.with_noise(params)]
@@ -280,7 +294,7 @@ def _maximum(
         bounds=Bounds(*np.log(limits)),
         options={"ftol": TOLERANCE, "gtol": 1e-3, "maxfun": MOST_EVALUATIONS},
     ).x
-    # Rounding may carry the exponential of a limit past it.
+    # Rounding may move the exponential of a limit beyond the limit.
     length_scale, signal_std, noise = np.clip(np.exp(found), *limits).tolist()
     return _with_noise_times(
         noise, replace(params, length_scale=length_scale, signal_std=signal_std)
@@ -288,10 +302,11 @@ def _maximum(
 
 
 def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
-    """Least and largest length-scale, signal and factor on the noise.
+    """Compute the smallest and largest length-scale, signal and factor on the noise.
 
-    All within what the params allow. A length-scale is neither below half the points' spacing,
-    where it and noise look alike, nor above half the clouds' width, where it and a slope do.
+    All of them respect the bounds of the params. The length-scale is at least half the points'
+    spacing, below which it cannot be separated from noise, and at most half the clouds' width,
+    above which it cannot be separated from a slope.
     """
     bounds = bounds_of(TerrainParams)
     sides = np.array([np.ptp(area.points[:, :2], axis=0) for area in areas])
@@ -301,14 +316,14 @@ def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
     scaled = [
         (getattr(params, name), bounds[name]) for name in NOISE_PARAMETERS[params.noise_model]
     ]
-    # A parameter of zero stays zero, whatever the factor.
+    # A parameter of zero stays zero under any factor.
     least = max(one.low / value for value, one in scaled if value > 0)
     most = min(one.high / value for value, one in scaled if value > 0)
     return np.array([(shortest, signal.low, least), (longest, signal.high, most)])
 
 
 def _with_noise_times(factor: float, params: TerrainParams) -> TerrainParams:
-    """Multiply the noise of every point, as far as the bounds allow."""
+    """Multiply the noise of every point, within the bounds of the params."""
     bounds = bounds_of(TerrainParams)
     changes = {
         name: float(np.clip(factor * getattr(params, name), bounds[name].low, bounds[name].high))
@@ -318,9 +333,9 @@ def _with_noise_times(factor: float, params: TerrainParams) -> TerrainParams:
 
 
 def _solvable(params: TerrainParams, areas: list[_Area]) -> TerrainParams:
-    """Raise the noise to the least with which the maps of the areas can be solved for.
+    """Raise the noise as little as needed for the maps of the areas to be solvable.
 
-    Only clouds that are next to free of noise on ground like a plane are below it.
+    This changes only clouds that are almost free of noise on ground like a plane.
     """
     most = 0.0
     for area in areas:

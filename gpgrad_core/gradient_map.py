@@ -1,4 +1,4 @@
-"""Submap -> gradient map: the paper's Sec. IV."""
+"""Turns a submap into a gradient map (the paper's Sec. IV)."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal, TypeAlias
@@ -24,61 +24,65 @@ from gpgrad_core.types import Array, GradientMap, Grid, Submap
 NoiseModel = Literal["constant", "range", "measured", "file"]
 
 MEASURED_CELLS = 10_000
-"""Cells of a map that its scale is measured on."""
+"""Number of cells on which the scale of comparison of a map is measured."""
 SEEN_BELOW = 0.5
-"""Share of the signal's variance below which a cell counts as seen, when a scale is measured."""
+"""A cell counts as seen if its variance is at most this share of the signal's variance. The scale
+of comparison is measured on these cells."""
 BINNED_FROM = 10_000
-"""Points of a cloud from which on binning can save more than it costs."""
+"""Smallest number of points for which binning saves more time than it costs."""
 
 
 LENGTH_SCALE = Bounds(0.01, 100.0, 0.01, "m", slider=(0.05, 2.0))
 NOISE_STD = Bounds(0.0005, 10.0, 0.005, "m", slider=(0.005, 0.3))
 UNFITTED_LENGTH_SCALE, UNFITTED_NOISE_STD = 0.3, 0.05
-"""What is taken where nothing was given and nothing was fitted [m]."""
+"""Length-scale and noise [m] that are used if none is given and nothing is fitted."""
 
 NoiseModelParam: TypeAlias = Annotated[
     NoiseModel,
     Doc(
-        "Noise of a point: constant (noise_std), range (noise_std + noise_growth r², where r is "
-        "the range from the sensor if the cloud gives it, or else from the submap's origin), "
-        "measured (by the scatter of the point's neighbours), or file (as the cloud gives it)."
+        "Where the noise of a point comes from: constant (noise_std); range (noise_std + "
+        "noise_growth r², where r is the range from the sensor if the cloud gives it, or else from "
+        "the submap's origin); measured (from the scatter of the point's neighbours); or file (the "
+        "cloud gives it)."
     ),
 ]
 NoiseGrowthParam: TypeAlias = Annotated[
     float,
     Bounds(0.0, 1.0, 0.0005, "1/m", slider=(0.0, 0.02)),
-    Doc("What noise model 'range' adds at a range of 1 m; it adds four times that at 2 m."),
+    Doc(
+        "Noise that the noise model 'range' adds at a range of 1 m; at 2 m it adds four times that."
+    ),
 ]
 NoiseFactorParam: TypeAlias = Annotated[
     float,
     Bounds(0.1, 10.0, 0.05, slider=(0.5, 3.0)),
-    Doc("The noise of the models 'measured' and 'file' is multiplied by this."),
+    Doc("Factor on the noise of the noise models 'measured' and 'file'."),
 ]
 MaxPointsParam: TypeAlias = Annotated[
     int | None,
     Bounds(3, 10_000_000, 1, "points", slider=(500, 30_000)),
-    Doc("Thin the cloud at random to this many points; None: use all (the paper: 5000)."),
+    Doc("Largest number of points; a larger cloud is thinned at random. None: all (paper: 5000)."),
 ]
 SIGNAL_STD = Bounds(0.001, 1000.0, 0.01, "m", slider=(0.05, 2.0))
 
 
 @dataclass(frozen=True)
 class TerrainParams:
-    """The GP over a submap's elevation, Eqs. (1) and (6), with all its numbers.
+    """Parameters of the GP over a submap's elevation, Eqs. (1) and (6).
 
-    The paper prints Eq. (6) with an unsquared length-scale; its 0.1 would be sqrt(0.1) = 0.316 m
-    in the kernel used here, ``signal_std² exp(-d² / (2 length_scale²))``.
+    The kernel is ``signal_std² exp(-d² / (2 length_scale²))``. The paper prints Eq. (6) with an
+    unsquared length-scale; its 0.1 is a length-scale of sqrt(0.1) m = 0.316 m here.
     """
 
     length_scale: Annotated[
         float,
         LENGTH_SCALE,
-        Doc("Distance over which the terrain's height stays alike; larger is smoother."),
+        Doc("Distance over which the terrain's height changes little; larger is smoother."),
     ] = UNFITTED_LENGTH_SCALE
     noise_std: Annotated[
         float,
         NOISE_STD,
-        Doc("Standard deviation of one point's height; larger trusts single points less."),
+        Doc("Standard deviation of one point's height; larger follows single points less."),
     ] = UNFITTED_NOISE_STD
     noise_model: NoiseModelParam = "constant"
     noise_growth: NoiseGrowthParam = 0.0
@@ -97,18 +101,18 @@ class TerrainParams:
 
 @dataclass(frozen=True)
 class MapParams:
-    """How a submap becomes a gradient map: its GP, and the grid that it is sampled on.
+    """Parameters of a gradient map: those of its GP, and the grid on which it is sampled.
 
-    None means automatic: `pipeline.resolve_parameters` fits it to the dataset. A number is taken
-    as it is. Where one submap stands alone and nothing is fitted, None means 0.3 m for the
-    length-scale, 0.05 m for the noise, and the points' own standard deviation for the signal.
+    None means automatic: `resolve_parameters` fits the value to the dataset. A number is used as
+    it is. `infer_gradient_map` fits nothing: there, None means 0.3 m for the length-scale, 0.05 m
+    for the noise, and the points' own standard deviation for the signal.
     """
 
     length_scale: Annotated[
         float | None,
         LENGTH_SCALE,
         Doc(
-            "Distance over which the terrain's height stays alike; larger is smoother. "
+            "Distance over which the terrain's height changes little; larger is smoother. "
             "None: fitted to the dataset."
         ),
     ] = None
@@ -116,7 +120,7 @@ class MapParams:
         float | None,
         NOISE_STD,
         Doc(
-            "Standard deviation of one point's height; larger trusts single points less. "
+            "Standard deviation of one point's height; larger follows single points less. "
             "None: fitted to the dataset."
         ),
     ] = None
@@ -127,22 +131,22 @@ class MapParams:
         float | None,
         SIGNAL_STD,
         Doc(
-            "Standard deviation of the terrain's height. None: fitted to the dataset, or that "
-            "of the submap's points where nothing is fitted."
+            "Standard deviation of the terrain's height. None: fitted to the dataset, or that of "
+            "the submap's points if nothing is fitted."
         ),
     ] = None
     max_points: MaxPointsParam = None
     resolution: Annotated[
         float,
         Bounds(0.005, 10.0, 0.005, "m", slider=(0.02, 0.2)),
-        Doc("Side of a map cell."),
+        Doc("Side of a cell of the map."),
     ] = 0.03
     scale: Annotated[
         float | None,
         Bounds(0.01, 100.0, 0.01, "m", slider=(0.05, 2.0)),
         Doc(
-            "Scale of comparison: the finest detail that keypoints, mask and registration look "
-            "at. None: as fine as the points resolve."
+            "Scale of comparison: the finest detail that keypoints, variance mask and registration "
+            "use. None: the finest detail that the points resolve."
         ),
     ] = None
 
@@ -152,7 +156,7 @@ class MapParams:
 
     @property
     def terrain(self) -> TerrainParams:
-        """The part that the GP depends on: a new grid needs no new fit."""
+        """The parameters of the GP alone; a new grid needs no new fit."""
         return TerrainParams(
             length_scale=UNFITTED_LENGTH_SCALE if self.length_scale is None else self.length_scale,
             noise_std=UNFITTED_NOISE_STD if self.noise_std is None else self.noise_std,
@@ -171,11 +175,14 @@ def infer_gradient_map(
 
     Args:
         submap: Gravity-aligned points [m].
-        params: Of the GP and the grid.
-        progress: Called once a block of rows; may raise Cancelled.
+        params: Parameters of the GP and the grid.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        The gradient map, with elevations in metres and slopes in m/m.
 
     Raises:
-        InputError: If the grid or the GP would be too large, or the GP cannot be solved.
+        InputError: If the grid or the GP would be too large, or if the GP cannot be solved.
     """
     map_grid(submap, params.resolution)  # refuse a cloud that is too wide before the long work
     posterior = fit_terrain(submap, params.terrain, progress=progress)
@@ -183,20 +190,38 @@ def infer_gradient_map(
 
 
 def map_grid(submap: Submap, resolution: float) -> Grid:
-    """Lay the grid over the submap's bounding box, as Sec. VI-B."""
+    """Make the grid over the submap's bounding box (the paper's Sec. VI-B).
+
+    Args:
+        submap: Its points give the box.
+        resolution: Side of a cell [m].
+
+    Raises:
+        InputError: If the grid would have more than `types.MAX_GRID_CELLS` cells.
+    """
     return Grid.covering(submap.points[:, :2], resolution, name=f"submap {submap.id}")
 
 
 @dataclass(frozen=True, eq=False)
 class PointNoise:
-    """How far each point of a submap is believed."""
+    """The noise of each point of a submap.
 
-    std: Float[Array, "n"]  # of its height [m]
-    outlying: Bool[NDArray[np.bool_], "n"]  # too far off its neighbours: noise as large as that
+    Attributes:
+        std: Standard deviation of each point's height (n,) [m]. For an outlier it is the distance
+            from its neighbours.
+        outlying: Which points are outliers (n,): they lie too far from their neighbours.
+    """
+
+    std: Float[Array, "n"]
+    outlying: Bool[NDArray[np.bool_], "n"]
 
 
 def point_noise(submap: Submap, params: TerrainParams) -> PointNoise:
-    """Tell the noise of each point by the chosen model; outliers get as much as they are off.
+    """Determine the noise of each point with the chosen noise model, and find the outliers.
+
+    Args:
+        submap: The points.
+        params: The noise model and its parameters.
 
     Raises:
         InputError: If the model is ``file`` and the cloud gives no noise.
@@ -210,12 +235,15 @@ def point_noise(submap: Submap, params: TerrainParams) -> PointNoise:
 
 
 def ordinary_noise(points_of: Submap, known_by: Submap, params: TerrainParams) -> Float[Array, "n"]:
-    """Tell the noise of a submap's points as if none were an outlier [m].
+    """Determine the noise of a submap's points [m] as if none were an outlier.
 
     Args:
-        points_of: Whose points are asked about.
-        known_by: The submap that model ``measured`` measures.
-        params: Chooses the model.
+        points_of: The submap whose points are asked about.
+        known_by: The submap from which the noise model ``measured`` measures the noise.
+        params: The noise model and its parameters.
+
+    Returns:
+        Standard deviation of each point's height (n,) [m].
 
     Raises:
         InputError: If the model is ``file`` and the cloud gives no noise.
@@ -248,17 +276,21 @@ def fit_terrain(
 ) -> Posterior:
     """Fit the GP of Eq. (1) to a submap's points.
 
-    Large clouds, where it at least halves them, are binned to an eighth of a length-scale or
-    less: means stand for their points with the noise of a mean.
+    If it at least halves a large cloud, the cloud is binned to cells of an eighth of a length-scale
+    or less: a weighted mean replaces the points of a cell, with the noise of a mean.
 
     Args:
         submap: Gravity-aligned points [m].
-        params: Of the GP.
-        progress: Called now and then; may raise Cancelled.
-        accuracy: How exact it is to be.
+        params: Parameters of the GP.
+        progress: Called with the fraction done; may raise Cancelled.
+        accuracy: How exact the solution has to be.
+
+    Returns:
+        The fitted GP, which can be sampled on any grid.
 
     Raises:
-        InputError: If the GP would be too large or cannot be solved.
+        InputError: If the GP would be too large or cannot be solved, or if the noise model is
+            ``file`` and the cloud gives no noise.
     """
     kept = kept_rows(submap, params.max_points)
     points, noise_std = submap.points[kept], point_noise(submap, params).std[kept]
@@ -271,7 +303,15 @@ def fit_terrain(
 
 
 def kept_rows(submap: Submap, max_points: int | None) -> Int[NDArray[np.intp], "n"]:
-    """Thin a submap's points at random to so many; the same ones each time."""
+    """Choose at most so many points at random, the same ones each time.
+
+    Args:
+        submap: The points.
+        max_points: Largest number of points; None keeps all.
+
+    Returns:
+        The indices of the points kept (n,), ascending.
+    """
     num = len(submap.points)
     if max_points is None or num <= max_points:
         return np.arange(num)
@@ -280,37 +320,38 @@ def kept_rows(submap: Submap, max_points: int | None) -> Int[NDArray[np.intp], "
 
 
 def kept_points(submap: Submap, max_points: int | None) -> Float[Array, "n 3"]:
-    """Give the points that `kept_rows` keeps [m]."""
+    """Return the points that `kept_rows` keeps (n, 3) [m]."""
     return submap.points[kept_rows(submap, max_points)]
 
 
 def signal_std_of(points: Float[Array, "n 3"], params: TerrainParams) -> float:
-    """Give the standard deviation of the terrain's height: as set, or else the points' own [m]."""
+    """Return ``params.signal_std``, or else the standard deviation of the points' heights [m]."""
     if params.signal_std is not None:
         return params.signal_std
-    # A perfectly flat cloud has none; then the noise is all there is.
+    # A perfectly flat cloud has none; then the noise is all the variation there is.
     return max(float(points[:, 2].std()), 0.01 * params.noise_std)
 
 
 def infer_slope_variance(
     submap: Submap, params: MapParams = MapParams(), progress: Progress = silent
 ) -> Float[Array, "rows columns 2"]:
-    """Infer how far the slopes of `infer_gradient_map` are to be believed.
+    """Infer the variance of the slopes of `infer_gradient_map`.
 
-    The paper leaves it out; differentiating Eq. (3) as Eqs. (4) and (5) do Eq. (2) gives
+    The paper does not have it. Eq. (3) is differentiated as Eqs. (4) and (5) differentiate Eq. (2),
+    with D the diagonal matrix of the points' noise variances:
 
         var(∂z/∂x) = ∂²k/∂x∂x' - ∂K(x, X)/∂x [K(X, X) + D]⁻¹ ∂K(X, x')/∂x'
 
     Args:
         submap: Gravity-aligned points [m].
-        params: Of the GP and the grid.
-        progress: Called once a block of rows; may raise Cancelled.
+        params: Parameters of the GP and the grid.
+        progress: Called with the fraction done; may raise Cancelled.
 
     Returns:
-        Posterior variance of the slope along x and along y [m²/m²].
+        Posterior variance of the slope along x and along y (rows, columns, 2) [m²/m²].
 
     Raises:
-        InputError: If the grid or the GP would be too large, or the GP cannot be solved.
+        InputError: If the grid or the GP would be too large, or if the GP cannot be solved.
     """
     grid = map_grid(submap, params.resolution)
     return fit_terrain(submap, params.terrain, progress=progress).sample_slope_variance(grid)
@@ -323,10 +364,15 @@ def sample_map(
 
     Args:
         submap: Its points give the box.
-        posterior: The GP, fitted to these.
+        posterior: The GP, fitted to these points.
         resolution: Side of a cell [m].
-        scale: The scale of comparison [m]; None: as fine as the map itself tells that the points
-            resolve, rounded.
+        scale: The scale of comparison [m]; None measures it on the map and rounds it.
+
+    Returns:
+        The gradient map.
+
+    Raises:
+        InputError: If the grid would have too many cells.
     """
     grid = map_grid(submap, resolution)
     kernel, fields = posterior.kernel, posterior.sample(grid)
@@ -336,7 +382,7 @@ def sample_map(
 
 
 def _scale_of(fields: TerrainFields, kernel: SquaredExponential, grid: Grid) -> float:
-    """Tell what the points of a map resolve by the variance that they leave, and by the slopes."""
+    """Measure the finest detail that the points resolve [m], from the variance and the slopes."""
     stride = max(1, round(np.sqrt(grid.num_cells / MEASURED_CELLS)))
     thin = (slice(None, None, stride), slice(None, None, stride))
     variance, slope = fields.variance[thin], fields.slope[thin]

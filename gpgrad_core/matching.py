@@ -1,4 +1,4 @@
-"""Associations between two sets of keypoints, by brute force as in the paper's Sec. V."""
+"""Associations between two sets of keypoints, by brute force (the paper's Sec. V)."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -17,18 +17,18 @@ Descriptors = NDArray[np.float32] | NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class MatchParams:
-    """Which nearest descriptors count as associations."""
+    """Which nearest neighbours count as associations."""
 
     ratio: Annotated[
         float,
         Bounds(0.1, 1.0, 0.01),
         Doc(
-            "Keep an association if its distance is at most this share of the second best one's. 1"
-            " keeps all."
+            "An association is kept if its distance is at most this share of the distance to the "
+            "second nearest keypoint. 1 keeps all."
         ),
     ] = 1.0
     mutual: Annotated[
-        bool, Doc("Keep an association only if each keypoint is the other's nearest.")
+        bool, Doc("Keep an association only if each keypoint is the nearest of the other.")
     ] = True
 
     def __post_init__(self) -> None:
@@ -39,12 +39,17 @@ class MatchParams:
 def match_features(
     query: Features, database: Features, params: MatchParams | None = None
 ) -> Matches:
-    """Associate each query keypoint with the nearest database descriptor, by brute force.
+    """Associate each query keypoint with the database keypoint of the nearest descriptor.
+
+    All descriptors are compared by brute force, as in the paper's Sec. V.
 
     Args:
         query: Keypoints of the query map.
         database: Keypoints of the database map, from the same detector.
-        params: Which nearest descriptors count as associations.
+        params: Which nearest neighbours count as associations.
+
+    Returns:
+        The associations, in the order of the query's keypoints.
     """
     params = params or MatchParams()
     if len(query) == 0 or len(database) == 0:
@@ -67,10 +72,11 @@ def match_features(
 def _squared_distances(
     query: Descriptors, database: Descriptors
 ) -> Float[NDArray[np.float32], "q d"]:
-    """Compute squared L2 distances; for strings of bits this is the Hamming distance.
+    """Compute squared L2 distances; for strings of bits these are the Hamming distances.
 
-    It is one matrix product, measured three to five times as fast as OpenCV's brute-force matcher
-    with its cross-check. float32 is exact for bits, and for SIFT's whole numbers up to 255.
+    One matrix product does it, which was measured to be three to five times as fast as OpenCV's
+    brute-force matcher with its cross-check. float32 is exact for bits and for SIFT's whole
+    numbers up to 255.
     """
     a, b = _as_vectors(query), _as_vectors(database)
     squared = a @ b.T

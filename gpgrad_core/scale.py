@@ -1,8 +1,8 @@
 """The scale of comparison: the finest detail that the points of a submap resolve.
 
-Everything that compares maps works at this length: the keypoints, the variance mask, the search,
-the alignment and the evidence. It follows from the points, and never from the kernel: a kernel
-that explains the points well may be much longer than the detail that they resolve.
+Keypoints, variance mask, search, alignment and score all work at this length. It follows from the
+points and not from the kernel: a kernel that explains the points well may be much longer than the
+detail that the points resolve.
 """
 
 from math import e, log, pi, sqrt
@@ -13,32 +13,35 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array
 
 RESOLVED = 2.0
-"""How many times the length at which terrain and noise are equally strong. Measured on four sets
-of real terrain, whole, thinned and noisy: at half of it noise spoils the keypoints of sparse
-clouds, at twice of it few details are left to tell places apart."""
+"""The scale of comparison is this many times the length at which terrain and noise are equally
+strong. On four datasets of real terrain, whole, thinned and noisy: at half of that, noise spoils
+the keypoints of sparse clouds; at twice that, few details are left to distinguish places."""
 CELLS_ACROSS = 60.0
-"""Lengths of this scale across a submap at the most. It bounds the time of a pair; on dense clouds
-nothing was gained beyond it."""
+"""Largest number of scales of comparison across a submap. It bounds the time of a pair; on dense
+clouds more brought nothing."""
 FEWEST_ACROSS = 8.0
-"""Lengths of this scale across a submap at the least: fewer hold no place."""
+"""Smallest number of scales of comparison across a submap; fewer do not describe a place."""
 STEPS_A_DOUBLING = 2
-"""A map that is measured by itself rounds its scale to this many steps, so that the maps of one
-place mostly agree on it."""
+"""A scale that is measured on a single map is rounded to this many steps in each doubling, so that
+two maps of one place mostly have the same scale."""
 
 
 def resolved_scale(noise_density: float, slope_std: float, area: float) -> float:
-    """Tell the scale at which maps are best compared [m].
+    """Compute the best scale of comparison [m].
 
-    Natural ground is self-similar: its power falls about with the fourth power of the wavenumber
-    k, as slope_std² / k⁴. Noise is white, with the power noise_density. They are equal at a
-    length that grows with the fourth root of their ratio:
+    Natural ground is self-similar: its power falls with about the fourth power of the wavenumber
+    k, as slope_std² / k⁴. Noise is white; its power is noise_density at every wavenumber. They
+    are equal at a length that grows with the fourth root of their ratio:
 
         scale ~ (noise_density / slope_std²)^(1/4)
 
     Args:
-        noise_density: Variance of a point's height over the number of points per area [m⁴].
+        noise_density: Variance of a point's height divided by the number of points per area [m⁴].
         slope_std: Standard deviation of the terrain's slope along any direction [m/m].
         area: Area of a submap [m²].
+
+    Returns:
+        The scale [m], between 1/60 and 1/8 of the side of a square of that area.
     """
     across = sqrt(area)
     noisy = RESOLVED * (noise_density / max(slope_std, 1e-9) ** 2) ** 0.25
@@ -46,11 +49,11 @@ def resolved_scale(noise_density: float, slope_std: float, area: float) -> float
 
 
 def finest_of_kernel(noise_density: float, signal_std: float, length_scale: float) -> float:
-    """Tell the scale below which a fitted terrain holds less than the noise [m].
+    """Compute the scale below which the noise is stronger than a fitted terrain [m].
 
     The power of the squared exponential, S₀ exp(-k² l² / 2), falls below the noise density N at
-    k = √(2 log(S₀ / N)) / l. Ground that is smoother than self-similar ground has nothing to
-    compare beyond that.
+    k = √(2 log(S₀ / N)) / l. Ground that is smoother than self-similar ground has no detail
+    beyond that.
 
     Args:
         noise_density: N [m⁴].
@@ -71,14 +74,14 @@ def rounded_scale(scale: float) -> float:
 
 
 def std_at_scale(signal_std: float, length_scale: float, scale: float) -> float:
-    """Tell how far heights typically change over a scale [m].
+    """Compute how much heights typically change over a scale [m].
 
-    The squared exponential has slopes of standard deviation signal_std / length_scale; over more
-    than a length-scale heights change by signal_std.
+    The slopes of the squared exponential have the standard deviation signal_std / length_scale.
+    Over more than a length-scale heights change by signal_std.
 
     Args:
         signal_std: Standard deviation of the terrain's height [m].
-        length_scale: Of the kernel [m].
+        length_scale: Length-scale of the kernel [m].
         scale: The scale of comparison [m].
     """
     return signal_std * min(1.0, scale / length_scale)
@@ -87,20 +90,23 @@ def std_at_scale(signal_std: float, length_scale: float, scale: float) -> float:
 def noise_density(
     variance: Float[Array, "*shape"], signal_std: float, length_scale: float
 ) -> Float[Array, "*shape"]:
-    """Tell the density of the points' noise from the posterior variance that it leaves [m⁴].
+    """Compute the density of the points' noise from the posterior variance [m⁴].
 
-    Many points of noise density N per area leave of each wave of a terrain with the power S the
-    share N / (S + N). Summed over all waves of the squared exponential, S₀ = 2π σ² l² being the
-    power of its longest, the variance is
+    Many points with noise density N leave the share N / (S + N) of each wave of a terrain with
+    power S unknown. S₀ = 2π σ² l² is the power of the longest waves of the squared exponential.
+    Summed over all waves, the variance is
 
         v = N / (2π l²) · log(1 + S₀ / N)
 
-    which grows with N, and is solved for N here.
+    It grows with N, and is solved for N by a table.
 
     Args:
-        variance: Posterior variance of the elevation [m²].
+        variance: Posterior variance v of the elevation [m²], of any shape.
         signal_std: σ [m].
         length_scale: l [m].
+
+    Returns:
+        N [m⁴], in the shape of the variance.
     """
     strongest = 2 * pi * (signal_std * length_scale) ** 2
     density = np.logspace(-12, 4, 321) * strongest

@@ -1,4 +1,4 @@
-"""Rigid motions of the plane, and the one that fits two sets of points best."""
+"""Rigid motions of the plane and of space, and the motion that fits two sets of points best."""
 
 from dataclasses import dataclass
 from math import atan2, cos, sin
@@ -16,7 +16,7 @@ class SE2:
     Attributes:
         x: Offset along x [m].
         y: Offset along y [m].
-        yaw: Turn, anticlockwise [rad].
+        yaw: Rotation, anticlockwise [rad].
     """
 
     x: float = 0.0
@@ -25,7 +25,7 @@ class SE2:
 
     @property
     def rotation(self) -> Float[Array, "2 2"]:
-        """Matrix of the turn."""
+        """Rotation matrix (2, 2)."""
         c, s = cos(self.yaw), sin(self.yaw)
         return np.array([[c, -s], [s, c]])
 
@@ -39,16 +39,16 @@ class SE2:
         return points @ self.rotation.T + self.translation
 
     def rotate(self, vectors: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
-        """Turn vectors of frame b, such as slopes, into frame a."""
+        """Rotate vectors of frame b (n, 2), such as slopes, into frame a."""
         return vectors @ self.rotation.T
 
     def inverse(self) -> "SE2":
-        """``T_a_b.inverse()`` is ``T_b_a``."""
+        """Invert: ``T_a_b.inverse()`` is ``T_b_a``."""
         x, y = -self.rotation.T @ self.translation
         return SE2(float(x), float(y), -self.yaw)
 
     def __matmul__(self, other: "SE2") -> "SE2":
-        """Compose: ``T_a_b @ T_b_c`` is ``T_a_c``; the yaw comes out in (-pi, pi]."""
+        """Compose: ``T_a_b @ T_b_c`` is ``T_a_c``, with its yaw in (-pi, pi]."""
         x, y = self.rotation @ other.translation + self.translation
         yaw = self.yaw + other.yaw
         return SE2(float(x), float(y), atan2(sin(yaw), cos(yaw)))
@@ -57,16 +57,23 @@ class SE2:
 def fit_se2(source: Float[Array, "n 2"], target: Float[Array, "n 2"]) -> SE2:
     """Fit ``T_target_source``, the least-squares motion that takes each source point to its target.
 
-    In the plane the turn has a closed form, ``yaw = atan2(Σ a x b, Σ a · b)`` on centred points.
-    The SVD of the paper's GetSE2Transform leaves the sign of a null vector arbitrary for two
-    pairs, so that half of the minimal samples come out mirrored.
+    This is the paper's GetSE2Transform (Algorithm 1). In the plane the rotation has a closed
+    form on centred points a and b:
+
+        yaw = atan2(Σ a x b, Σ a · b)
+
+    The paper uses an SVD. For two pairs of points it leaves the sign of a null vector open, so
+    that half of the minimal samples come out mirrored.
 
     Args:
-        source: Points in the source frame [m].
-        target: The same points in the target frame [m], in the same order.
+        source: Points in the source frame (n, 2) [m].
+        target: The same points in the target frame (n, 2) [m], in the same order.
+
+    Returns:
+        ``T_target_source``; points of both frames in metres.
 
     Raises:
-        ValueError: If there are fewer than two pairs, or not as many of one as of the other.
+        ValueError: If there are fewer than two pairs, or if the numbers of points differ.
     """
     if source.shape != target.shape or len(source) < 2:
         raise ValueError(
@@ -84,14 +91,19 @@ def fit_se2(source: Float[Array, "n 2"], target: Float[Array, "n 2"]) -> SE2:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A rigid motion in space, as a TUM row has it: ``p_world = R p_submap + t``."""
+    """A rigid motion in space, as in a TUM row: ``p_world = R p_submap + t``.
 
-    translation: Float[Array, "3"]  # [m]
-    quaternion: Float[Array, "4"]  # (x, y, z, w), of unit length
+    Attributes:
+        translation: The offset t (3,) [m].
+        quaternion: The rotation R as a quaternion (x, y, z, w) of unit length.
+    """
+
+    translation: Float[Array, "3"]
+    quaternion: Float[Array, "4"]
 
     @property
     def rotation(self) -> Float[Array, "3 3"]:
-        """Matrix of the turn."""
+        """Rotation matrix (3, 3)."""
         x, y, z, w = self.quaternion
         return np.array(
             [
@@ -114,10 +126,10 @@ class Pose:
 
     @classmethod
     def from_planar(cls, motion: SE2, z: float = 0.0) -> "Pose":
-        """Make the motion between two gravity-aligned frames, whose turn is all yaw.
+        """Make the motion between two gravity-aligned frames, which differ by a yaw only.
 
         Args:
-            motion: What is seen from above.
+            motion: The motion as seen from above.
             z: Offset upwards [m].
         """
         half = 0.5 * motion.yaw
@@ -127,13 +139,13 @@ class Pose:
         )
 
     def inverse(self) -> "Pose":
-        """``T_a_b.inverse()`` is ``T_b_a``."""
+        """Invert: ``T_a_b.inverse()`` is ``T_b_a``."""
         return Pose(
             -(self.translation @ self.rotation), self.quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
         )
 
     def __matmul__(self, other: "Pose") -> "Pose":
-        """Compose: ``T_a_b @ T_b_c`` is ``T_a_c``; the quaternion's w comes out at 0 or above."""
+        """Compose: ``T_a_b @ T_b_c`` is ``T_a_c``, with a quaternion whose w is not negative."""
         u, w = self.quaternion[:3], self.quaternion[3]
         v, r = other.quaternion[:3], other.quaternion[3]
         turn = np.array([*(w * v + r * u + np.cross(u, v)), w * r - u @ v])

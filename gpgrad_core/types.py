@@ -18,25 +18,25 @@ from gpgrad_core.scale import std_at_scale
 from gpgrad_core.se2 import SE2, Pose
 
 MAX_GRID_CELLS = 25_000_000
-"""A submap's map with more cells is refused: four float64 fields of this size fill 1 GB."""
+"""Largest number of cells of a submap's map; four float64 fields of this size take 0.8 GB."""
 
 
 MAX_COORDINATE = 1e9
 """Of a point [m]. Map projections stay below 1e8; damaged files have coordinates of 1e30."""
 
 MAX_STD_RATIO = 0.3
-"""The variance mask, unless another is asked for; see `GradientMap.trusted`."""
+"""Default threshold of the variance mask; see `GradientMap.trusted`."""
 
 
 def read_only(array: NDArray[np.generic]) -> None:
-    """Make an array of a frozen type as frozen as the type."""
+    """Mark an array as read-only, because it belongs to a frozen dataclass."""
     array.flags.writeable = False
 
 
 def _frozen_copy(
     array: NDArray[np.floating], rows: NDArray[np.bool_]
 ) -> Float[NDArray[np.float64], "..."]:
-    """Copy some rows of an array as float64, and make the copy read-only."""
+    """Copy the chosen rows of an array as float64, and make the copy read-only."""
     copy = np.array(array[rows], dtype=np.float64)
     read_only(copy)
     return copy
@@ -46,19 +46,21 @@ def _frozen_copy(
 class Submap:
     """A gravity-aligned point cloud of the robot's vicinity, in its own local frame.
 
+    Make one with `from_points`, which checks the points. Lengths are in metres.
+
     Attributes:
         id: The submap's name: the cloud's file name without the ending.
-        points: Positions [m], finite; z points up.
-        fingerprint: Hash of the points and of what is known of each; the `Memo` knows the submap
-            by it.
-        pose_true: The true pose in the world, ``T_world_submap``; used for evaluation and display
-            only.
+        points: Positions (n, 3) [m], all finite; z points up.
+        fingerprint: Hash of the points and of everything given for each point. The `Memo`
+            identifies the submap by it.
+        pose_true: The true pose in the world, ``T_world_submap``. Only the evaluation and the
+            viewer use it.
         pose_odometry: The pose in the world according to the robot's odometry.
         num_dropped: Number of rows that were dropped because they were not finite.
-        colors: Red, green and blue of each point in [0, 1], for methods that use them.
+        colors: Red, green and blue of each point (n, 3) in [0, 1], for methods that use them.
         images: Image files that a camera took there, for methods that use them.
-        noise_std: Standard deviation of each point's height [m], where the source gives it.
-        ranges: Distance from which each point was seen [m], where the source gives it.
+        noise_std: Standard deviation of each point's height (n,) [m], if the source gives it.
+        ranges: Distance from the sensor to each point (n,) [m], if the source gives it.
     """
 
     id: str
@@ -84,21 +86,21 @@ class Submap:
         noise_std: Float[NDArray[np.floating], "n"] | None = None,
         ranges: Float[NDArray[np.floating], "n"] | None = None,
     ) -> "Submap":
-        """Make a submap of points; rows that are not finite are dropped.
+        """Make a submap from points; rows that are not finite are dropped.
 
         Args:
-            points: Positions [m]; z points up.
+            points: Positions (n, 3) [m]; z points up.
             id: The submap's name, which error messages use.
-            pose_true: See the class.
-            pose_odometry: See the class.
-            colors: See the class.
-            noise_std: See the class.
-            ranges: See the class.
+            pose_true: The true pose in the world, ``T_world_submap``.
+            pose_odometry: The pose in the world according to odometry.
+            colors: Red, green and blue of each point (n, 3) in [0, 1].
+            noise_std: Standard deviation of each point's height (n,) [m].
+            ranges: Distance from the sensor to each point (n,) [m].
 
         Raises:
-            InputError: If there are fewer than three finite points, if all of them lie on one
-                line, if a coordinate is beyond `MAX_COORDINATE`, if a noise is not above zero, or
-                if a range is negative.
+            InputError: If the points are not an (n, 3) array, if fewer than three of them are
+                finite, if all of them lie on one line, if a coordinate is beyond
+                `MAX_COORDINATE`, if a noise is not above zero, or if a range is negative.
         """
         rows = np.asarray(points)
         if rows.ndim != 2 or rows.shape[1] != 3:
@@ -158,7 +160,7 @@ def _check_coordinates(points: Float[NDArray[np.floating], "n 3"], where: str) -
 
 
 def _check_spans_area(points: Float[Array, "n 3"], num_rows: int, name: str) -> None:
-    """Refuse points that no surface can be fitted to."""
+    """Refuse points to which no surface can be fitted."""
     if len(points) < 3:
         raise InputError(
             f"{name}: a terrain needs 3 or more finite points, found {len(points)} "
@@ -176,7 +178,7 @@ def _check_spans_area(points: Float[Array, "n 3"], num_rows: int, name: str) -> 
 def _check_each(
     values: Float[Array, "n"], allowed: Bool[NDArray[np.bool_], "n"], rule: str
 ) -> None:
-    """Refuse the first value of a point that is not finite or breaks the rule."""
+    """Raise an error for the first value that is not finite or breaks the rule."""
     wrong = np.flatnonzero(~(np.isfinite(values) & allowed))
     if len(wrong):
         raise InputError(f"{rule} at every point, got {values[wrong[0]]:g} at point {wrong[0]}")
@@ -189,11 +191,11 @@ class Dataset:
     Attributes:
         name: The name that people see.
         submaps: The submaps, in the order of their numbers.
-        description: What the terrain is, if the dataset says.
+        description: A description of the terrain, if the dataset gives one.
         preferred: Parameters that its ``dataset.toml`` recommends, as nested tables.
         notes: What was left out or repaired while loading, one line each. Show them to the user.
-        licence: The licence of the data, if the dataset says.
-        sensor_noise: Standard deviation of a point at range r [m], if the dataset says:
+        licence: The licence of the data, if the dataset names one.
+        sensor_noise: Standard deviation of a point at range r [m], if the dataset gives it:
             ``constant`` [m] + ``quadratic`` [1/m] * r².
     """
 
@@ -226,7 +228,7 @@ class Grid:
     Attributes:
         origin: Centre (x, y) of cell (0, 0) [m].
         resolution: Side of a cell [m].
-        shape: (rows, columns).
+        shape: Number of rows and columns.
     """
 
     origin: tuple[float, float]
@@ -243,10 +245,10 @@ class Grid:
         max_cells: int = MAX_GRID_CELLS,
         on_multiples: bool = False,
     ) -> "Grid":
-        """Make the grid over the points' bounding box, as in the paper's Sec. VI-B.
+        """Make a grid that covers the points' bounding box (the paper's Sec. VI-B).
 
         Args:
-            points: Positions [m].
+            points: Positions (n, 2) [m].
             resolution: Side of a cell [m].
             name: What the points are, for the error message.
             max_cells: The largest number of cells allowed.
@@ -294,34 +296,48 @@ class Grid:
         return self.shape[0] * self.shape[1]
 
     def to_position(self, pixels: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
-        """Turn (column, row), the order of image libraries, into (x, y) [m]."""
+        """Convert fractional (column, row), the order of image libraries, to (x, y) [m]."""
         return np.asarray(self.origin) + self.resolution * pixels
 
     def to_pixel(self, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
-        """Turn (x, y) [m] into fractional (column, row)."""
+        """Convert (x, y) [m] to fractional (column, row)."""
         return (positions - np.asarray(self.origin)) / self.resolution
 
 
 @dataclass(frozen=True, eq=False)
 class GradientMap:
-    """Terrain of one submap on a regular grid; row 0 holds the lowest y."""
+    """Terrain of one submap on a regular grid; row 0 holds the lowest y.
+
+    Attributes:
+        grid: Position and size of the cells.
+        elevation: Posterior mean of the height (rows, columns) [m], Eq. (2).
+        variance: Posterior variance of the height (rows, columns) [m²], Eq. (3).
+        slope: dz/dx and dz/dy (rows, columns, 2) [m/m], Eqs. (4) and (5).
+        signal_std: Prior standard deviation of the terrain's height [m].
+        length_scale: Length-scale of the kernel [m], Eq. (6).
+        scale: The scale of comparison [m]: the finest detail that the points resolve. With 0 it
+            becomes the length-scale.
+        gradient: Steepness (rows, columns) [m/m], the length of the slope vector: the paper's
+            image I_g.
+        std: Posterior standard deviation of the height (rows, columns) [m].
+    """
 
     grid: Grid
-    elevation: Float[Array, "rows columns"]  # posterior mean [m], Eq. (2)
-    variance: Float[Array, "rows columns"]  # posterior variance of it [m²], Eq. (3)
-    slope: Float[Array, "rows columns 2"]  # (dz/dx, dz/dy) [m/m], Eqs. (4), (5)
-    signal_std: float  # prior standard deviation of the terrain's height [m]
-    length_scale: float  # distance over which heights are similar [m]
-    scale: float = 0.0  # finest detail that the points resolve [m]; 0: as fine as length_scale
-    gradient: Float[Array, "rows columns"] = field(init=False)  # steepness [m/m]
-    std: Float[Array, "rows columns"] = field(init=False)  # of the elevation [m]
+    elevation: Float[Array, "rows columns"]
+    variance: Float[Array, "rows columns"]
+    slope: Float[Array, "rows columns 2"]
+    signal_std: float
+    length_scale: float
+    scale: float = 0.0
+    gradient: Float[Array, "rows columns"] = field(init=False)
+    std: Float[Array, "rows columns"] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Derive the gradient image and the standard deviation, once."""
+        """Compute the gradient image and the standard deviation once."""
         if self.scale == 0:
             object.__setattr__(self, "scale", self.length_scale)
         along_x, along_y = self.slope[..., 0], self.slope[..., 1]
-        # This takes a seventh of the time of np.hypot, which also copes with huge numbers.
+        # This takes a seventh of the time of np.hypot, which also guards against overflow.
         object.__setattr__(self, "gradient", np.sqrt(along_x * along_x + along_y * along_y))
         object.__setattr__(self, "std", np.sqrt(self.variance))
         for field_of_grid in (
@@ -335,14 +351,21 @@ class GradientMap:
 
     @property
     def detail_std(self) -> float:
-        """How far heights typically change over the scale [m]; see `std_at_scale`."""
+        """Typical change of the height over the scale of comparison [m]; see `std_at_scale`."""
         return std_at_scale(self.signal_std, self.length_scale, self.scale)
 
     def trusted(self, max_std_ratio: float) -> Bool[NDArray[np.bool_], "rows columns"]:
-        """Tell which cells lie close enough to points: std / detail_std <= max_std_ratio.
+        """Find the cells that lie close enough to points: the paper's variance mask.
 
-        What is compared is the terrain's detail, so the standard deviation is measured by it.
-        The ratio is in (0, 1], so a value means the same on every dataset; 1 trusts all cells.
+        A cell is trusted if ``std / detail_std <= max_std_ratio``. The maps are compared by their
+        detail, so the standard deviation is measured relative to that. The ratio has no unit, so
+        one value means the same on every dataset.
+
+        Args:
+            max_std_ratio: The threshold, in (0, 1]; 1 trusts all cells.
+
+        Returns:
+            Which cells are trusted (rows, columns).
         """
         if max_std_ratio >= 1:
             return np.ones(self.std.shape, dtype=np.bool_)
@@ -351,13 +374,22 @@ class GradientMap:
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Keypoints of one gradient map."""
+    """Keypoints of one gradient map.
 
-    positions: Float[Array, "k 2"]  # [m]
-    scales: Float[Array, "k"]  # diameter of the described neighbourhood [m]
-    responses: Float[Array, "k"]  # strength, in the detector's own unit
-    std_ratios: Float[Array, "k"]  # std / detail_std of the map at the keypoint, 1 at most
-    # uint8: strings of bits, compared by Hamming distance; float32: vectors, compared by L2
+    Attributes:
+        positions: (k, 2) [m] in the submap's frame.
+        scales: Diameter of the neighbourhood that the descriptor covers (k,) [m].
+        responses: Strength of each keypoint (k,), in the detector's own unit.
+        std_ratios: ``std / detail_std`` of the map at each keypoint (k,), at most 1; see
+            `GradientMap.trusted`.
+        descriptors: (k, d). Descriptors of uint8 are strings of bits, compared by Hamming
+            distance; descriptors of float32 are vectors, compared by L2 distance.
+    """
+
+    positions: Float[Array, "k 2"]
+    scales: Float[Array, "k"]
+    responses: Float[Array, "k"]
+    std_ratios: Float[Array, "k"]
     descriptors: Float[NDArray[np.float32], "k d"] | UInt8[NDArray[np.uint8], "k d"]
 
     def __len__(self) -> int:
@@ -365,7 +397,11 @@ class Features:
         return len(self.positions)
 
     def select(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Features":
-        """Keep some keypoints, by mask or by index."""
+        """Return the chosen keypoints.
+
+        Args:
+            chosen: A mask (k,) or indices.
+        """
         return Features(
             self.positions[chosen],
             self.scales[chosen],
@@ -377,12 +413,20 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Associations between the keypoints of two maps: the paper's set A."""
+    """Associations between the keypoints of two maps: the paper's set A.
 
-    pairs: Int[NDArray[np.intp], "m 2"]  # indices (query, database)
-    distances: Float[Array, "m"]  # between descriptors
-    query_xy: Float[Array, "m 2"]  # [m], query frame
-    database_xy: Float[Array, "m 2"]  # [m], database frame
+    Attributes:
+        pairs: Indices (m, 2) of the keypoint in the query and in the database.
+        distances: Distance between the two descriptors (m,), L2 or the root of the Hamming
+            distance.
+        query_xy: Positions of the keypoints in the query's frame (m, 2) [m].
+        database_xy: Positions of the keypoints in the database's frame (m, 2) [m].
+    """
+
+    pairs: Int[NDArray[np.intp], "m 2"]
+    distances: Float[Array, "m"]
+    query_xy: Float[Array, "m 2"]
+    database_xy: Float[Array, "m 2"]
 
     def __len__(self) -> int:
         """Number of associations."""
@@ -391,11 +435,12 @@ class Matches:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How two maps agree over their overlap, in the wavelengths that were compared.
+    """How well the heights of two maps agree over their overlap, in the compared wavelengths.
 
     Attributes:
-        difference: Standard deviation of the difference of their heights [m], robust to a rock.
-        possible: Standard deviation that their uncertainty leaves possible for it [m].
+        difference: Standard deviation of the difference of the heights [m], estimated from its
+            median, so that single rocks do not count.
+        possible: Standard deviation that the uncertainty of both maps can explain [m].
         relief: Standard deviation of the terrain itself [m].
     """
 
@@ -406,25 +451,25 @@ class Agreement:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """What Algorithm 1 found for a pair of maps.
+    """The result of registering a pair of maps (Algorithm 1).
 
     Attributes:
-        T_database_query: Maps the query's frame into the database's; None if no motion is
-            supported by two associations.
-        inliers: Which associations agree with the motion; each keypoint counts once at most.
-        dissimilarity: The paper's SSD metric h over the overlap.
-        overlap_area: Trusted area that both maps share under the motion [m²].
+        T_database_query: Motion from the query's frame to the database's; None if no motion was
+            found.
+        inliers: Which associations agree with the motion (m,). A keypoint counts in one inlier
+            at most.
+        dissimilarity: The paper's SSD metric h over the overlap; infinite if there is none.
+        overlap_area: Area of the cells that both maps trust under the motion [m²].
         correlation: Correlation of the two slope fields over that area, in [-1, 1].
-        score: How likely the pair is a loop closure; pairs are ranked by it.
+        score: How likely the pair is a loop closure. Pairs are ranked by it.
         z_offset: Height to add to the query so that it lies on the database [m].
-        covariance: Covariance of the motion's x [m], y [m] and yaw [rad]; None if it is not
-            known.
+        covariance: Covariance (3, 3) of the motion's x [m], y [m] and yaw [rad]; None if it is
+            not known.
         z_std: Standard deviation of ``z_offset`` [m]; None if it is not known.
-        scale: The scale at which the maps were compared [m]; None if they were not.
-        agreement: How far the heights differ, and how far they might; None if too little ground
-            is common.
+        scale: The scale at which the maps were compared [m]; None if they were not compared.
+        agreement: How well the heights agree; None if the overlap is too small.
         nothing_trusted: Whether the variance mask trusts no cell of one of the maps, so that
-            nothing can be said.
+            the pair cannot be judged.
     """
 
     T_database_query: SE2 | None
@@ -442,13 +487,21 @@ class Registration:
 
     @property
     def num_inliers(self) -> int:
-        """The paper's n."""
+        """Number of inliers: the paper's n."""
         return int(np.sum(self.inliers))
 
 
 @dataclass(frozen=True, eq=False)
 class LoopClosure:
-    """The verdict on one pair of submaps, and why."""
+    """The verdict on one pair of submaps.
+
+    Attributes:
+        query_id: Name of the query submap.
+        database_id: Name of the database submap.
+        registration: The registration that was judged.
+        accepted: Whether the pair is a loop closure.
+        reason: Why the pair was accepted or refused, in one line.
+    """
 
     query_id: str
     database_id: str
@@ -459,10 +512,15 @@ class LoopClosure:
 
 @runtime_checkable
 class LoopDetector(Protocol):
-    """Registers a pair of submaps: the pipeline and every rival method satisfy it."""
+    """A callable that registers a pair of submaps, like the pipeline and all other methods."""
 
     def __call__(self, query: Submap, database: Submap) -> Registration:
-        """Register the query to the database."""
+        """Register the query to the database.
+
+        Args:
+            query: The submap to be placed.
+            database: The submap on which it is placed.
+        """
         ...
 
 

@@ -1,6 +1,6 @@
-"""What every test has: checked array shapes, small data, and the real sets where they are.
+"""What all tests share: shape checks, and the real datasets if they are available.
 
-Importing this file switches the shape checks on; pytest does so before any test module.
+Importing this file switches the shape checks on. pytest imports it before any test module.
 """
 
 import contextlib
@@ -8,7 +8,7 @@ import io
 import os
 from collections.abc import Iterator
 
-# Two test processes share two processors; set before NumPy is loaded, which reads it then.
+# The test processes share the processors. NumPy reads this when it is loaded, so it is set before.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from pathlib import Path
@@ -17,19 +17,20 @@ import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
-# Where the arrays are; checks cost a third of the time that a call takes, so that what is timed
-# (tests/quality) is timed with GPGRAD_SHAPE_CHECKS=0.
-# An int where a float is annotated is what Python means by it (PEP 484), and beartype does not.
+# Only packages with arrays are checked. The checks take a third of a call's time, so the tests that
+# measure time (tests/quality) run with GPGRAD_SHAPE_CHECKS=0. The option makes beartype accept an
+# int for a float, as PEP 484 does.
 if os.environ.get("GPGRAD_SHAPE_CHECKS", "1") == "1":
     install_import_hook(
         ["gpgrad_core", "app.viewer"],
         "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))",
     )
 
-# How long an example takes says more about the machine's load than about the law. A red run can be
-# repeated on its machine, but other machines draw other examples: Hypothesis also draws constants
-# from the modules that are loaded, and changes with its releases. So a law must hold for every
-# example, and one that must be tried everywhere stands in an @example. GPGRAD_EXPLORE=1 draws anew.
+# There is no deadline, because the time of an example depends mostly on the machine's load. A
+# failed run can be repeated on its machine, but other machines draw other examples: Hypothesis also
+# draws constants from the modules that are loaded, and changes with its releases. So a law must
+# hold for every example, and an example that must always be tried belongs into an @example.
+# GPGRAD_EXPLORE=1 draws new examples.
 settings.register_profile("repeat", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("explore" if os.environ.get("GPGRAD_EXPLORE") == "1" else "repeat")
@@ -48,7 +49,7 @@ def real_data() -> Path:
 
 @pytest.fixture
 def server() -> Iterator[object]:
-    """A viewer's server on a free port, without a browser."""
+    """Start a viewer's server on a free port, without a browser."""
     import viser  # noqa: PLC0415 - for the tests of the app alone
 
     with contextlib.redirect_stdout(io.StringIO()):

@@ -107,8 +107,10 @@ class Evaluate:
         if not self.calibration:
             return ()
         with progress_bar("calibration") as progress:
-            judged = calibrate(dataset, params, seed=params.registration.seed, progress=progress)
-        return (describe_calibration(judged),)
+            calibrations = calibrate(
+                dataset, params, seed=params.registration.seed, progress=progress
+            )
+        return (describe_calibration(calibrations),)
 
 
 def _summary(evaluation: Evaluation) -> list[str]:

@@ -82,43 +82,43 @@ class Slam:
         check_directory(self.out)
         if self.search_radius is not None and not self.search_radius > 0:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
-        sessions = join_datasets([outline_dataset(path) for path in self.datasets])
-        dataset = sessions.outline.dataset
+        joined = join_datasets([outline_dataset(path) for path in self.datasets])
+        dataset = joined.outline.dataset
         odometry_poses(dataset)  # refuses what lacks it before the work
         check_solver()
         for note in dataset.notes:
             warn(note)
         params = self.pipeline.over(base_params(dataset, self.params))
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
-        some = [sessions.load(k)[0] for k in representative(len(dataset.submaps))]
+        some = [joined.load(k)[0] for k in representative(len(dataset.submaps))]
         params = settled(params, some, dataset.name)
         if self.closures:
             closures = restore_closures(read_closures(self.closures))
         else:
-            closures = self._detect(sessions, params, graph, solver)
-        solution = solve_datasets(sessions, closures, graph, solver)
+            closures = self._detect(joined, params, graph, solver)
+        solution = solve_datasets(joined, closures, graph, solver)
         with progress_bar("judge") as progress:
-            judged = measure_errors(solution, progress)
+            errors = measure_errors(solution, progress)
         with progress_bar("write") as progress:
-            write_solution(self.out, solution, judged, progress)
+            write_solution(self.out, solution, errors, progress)
         if self.merge:
             with progress_bar("merge") as progress:
                 merged = self.merged.over(MergeParams())
                 notes = write_merged(self.out, solution, params.map.terrain, merged, progress)
             for note in notes:
                 warn(note)
-        for line in (*_corrected(solution, judged), str(self.out)):
+        for line in (*_corrected(solution, errors), str(self.out)):
             say(line)
 
     def _detect(
         self,
-        sessions: JoinedDatasets,
+        joined: JoinedDatasets,
         params: PipelineParams,
         graph: GraphParams,
         solver: SolverParams,
     ) -> tuple[LoopClosure, ...]:
         """Find the closures submap by submap, and keep them beside the results."""
-        total, sizes, start = len(sessions.outline.clouds), dict[str, int](), time.perf_counter()
+        total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
         with (
             progress_bar("closures") as progress,
             ThreadPoolExecutor(num_workers()) as executor,
@@ -127,39 +127,37 @@ class Slam:
             ) as closer,
         ):
             for k in range(total):
-                submap, notes = sessions.load(k)
+                submap, notes = joined.load(k)
                 for note in notes:
                     warn(note)
                 sizes[submap.id] = len(submap.points)
                 closer.add(
                     submap,
                     part(progress, (k / total) ** 2, ((k + 1) / total) ** 2),
-                    starts_traverse=submap.id in sessions.starts,
+                    starts_traverse=submap.id in joined.starts,
                     solve=self.search_radius is not None,
                 )
             closures = closer.closures
         seconds = {"total": time.perf_counter() - start}
         self.out.mkdir(exist_ok=True)
-        report = report_closures(
-            sessions.outline.dataset, DetectionResult(closures, seconds), params
-        )
+        report = report_closures(joined.outline.dataset, DetectionResult(closures, seconds), params)
         write_closures(self.out / "closures.json", replace(report, submaps=sizes))
         return closures
 
 
-def _corrected(solution: Solution, judged: MapErrors) -> list[str]:
+def _corrected(solution: Solution, errors: MapErrors) -> list[str]:
     """Say how good a corrected map is: a line for each traverse, and one for the overlaps."""
     loops, refused = len(solution.result.loops), len(solution.result.refused)
     lines = [
         f"{count(len(solution.result.poses), 'submap')}, "
         f"{count(loops - refused, 'loop closure')} used, {refused} refused as wrong"
     ]
-    for session, (before, after) in judged.trajectories.items():
+    for session, (before, after) in errors.trajectories.items():
         lines.append(
             f"{session}: trajectory error {before.absolute:.3f} m -> {after.absolute:.3f} m, "
             f"from submap to submap {before.relative:.3f} m -> {after.relative:.3f} m"
         )
-    first, last = judged.overlaps
+    first, last = errors.overlaps
     if first.median is not None and last.median is not None:
         lines.append(
             f"median height difference where submaps overlap: {100 * first.median:.1f} cm "

@@ -31,6 +31,9 @@ def load_cloud(path: Path | str) -> Submap:
     Args:
         path: The file; its name without the ending becomes the submap's id.
 
+    Returns:
+        The submap, with points in metres.
+
     Raises:
         InputError: If the file is missing or broken, has an unknown ending, or holds no terrain.
     """

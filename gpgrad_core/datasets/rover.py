@@ -1,4 +1,4 @@
-"""A simulated rover: the route it drives, and what its sensor sees from one place."""
+"""A simulated rover: its route, and the scans of its sensor."""
 
 from dataclasses import dataclass
 
@@ -16,15 +16,21 @@ from gpgrad_core.se2 import Pose
 STEP = 0.05  # between the points of a track [m]
 ANGULAR_STEP = 0.008  # between neighbouring rays [rad]
 RAY_STEP = 0.02  # along a ray, over the ground [m]
-LOWEST, HIGHEST = -1.2, 0.15  # elevation angles that the camera sees, level rover [rad]
+LOWEST, HIGHEST = -1.2, 0.15  # elevation angles that the camera of a level rover sees [rad]
 LOWEST_RING, HIGHEST_RING = -0.5, 0.35  # elevation angles of the LiDAR's rings [rad]
-WHEELBASE = 0.8  # wheels stand half of it ahead, behind and to either side [m]
-PATCH = 8  # side of a patch in which stereo fails as one [rays]
+WHEELBASE = 0.8  # a wheel stands half of this ahead, behind and on either side [m]
+PATCH = 8  # side of a patch in which stereo fails as a whole [rays]
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Where the rover stands: x, y [m] and heading [rad], as seen from above."""
+    """A pose of the rover, seen from above.
+
+    Attributes:
+        x: Position along x [m].
+        y: Position along y [m].
+        yaw: Heading [rad].
+    """
 
     x: float
     y: float
@@ -33,36 +39,43 @@ class Stop:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A drive out and back, as points `STEP` apart.
+    """A drive out and back, as points with the distance `STEP`.
 
-    The rover turns on the spot at the far end, so that the heading jumps there.
+    The rover turns on the spot at the far end, so the heading jumps there.
+
+    Attributes:
+        xy: Positions (n, 2) [m].
+        yaw: Heading of the rover at each position (n,) [rad].
     """
 
-    xy: Float[Array, "n 2"]  # [m]
-    yaw: Float[Array, "n"]  # of the rover, along the drive [rad]
+    xy: Float[Array, "n 2"]
+    yaw: Float[Array, "n"]
 
     @property
     def length(self) -> float:
-        """Of the whole drive [m]."""
+        """Length of the whole drive [m]."""
         return STEP * (len(self.xy) - 1)
 
     def between(self, distance: float) -> Stop:
-        """Find the rover after some driving [m], also between the points of the track."""
+        """Interpolate the rover's pose after a distance driven [m]."""
         after = STEP * np.arange(len(self.xy))
         x, y = (float(np.interp(distance, after, self.xy[:, axis])) for axis in range(2))
         return Stop(x, y, float(np.interp(distance, after, np.unwrap(self.yaw))))
 
     def at(self, distance: float) -> Stop:
-        """Find the rover after some driving [m]; at the end it stays."""
+        """Find the point of the track nearest to a distance driven [m]; it stays at the end."""
         k = min(round(distance / STEP), len(self.xy) - 1)
         return Stop(float(self.xy[k, 0]), float(self.xy[k, 1]), float(self.yaw[k]))
 
 
 def plan_track(params: SimulationParams) -> Track:
-    """Plan the drive: out along the route, then back beside it, crossing it now and then.
+    """Plan the drive: out along the route, then back beside it, crossing it several times.
+
+    Args:
+        params: The route, the number of submaps and their spacing.
 
     Raises:
-        InputError: If it does not fit into the extent with all that the camera sees.
+        InputError: If the drive and everything that the sensor sees do not fit into the extent.
     """
     num_out = (params.num_submaps + 1) // 2
     length = num_out * params.spacing
@@ -88,10 +101,10 @@ def plan_track(params: SimulationParams) -> Track:
 
 
 def _way_out(route: str, distance: Float[Array, "n"]) -> Float[Array, "n 2"]:
-    """Lay out the way out as points a `STEP` apart, from its headings."""
+    """Compute the points of the way out, with the distance `STEP`, from its headings."""
     share = distance / distance[-1]
     if route == "winding":
-        # Aslant, so that neither the ground's grid nor the bounding boxes favour it.
+        # It is oblique to the grid of the ground and to the bounding boxes, to favour neither.
         yaw = 0.6 + 0.5 * np.sin(2.0 * np.pi * distance / 28.0)
     elif route == "loop":
         yaw = 2.0 * np.pi * share + 0.35 * np.sin(6.0 * np.pi * share)
@@ -103,7 +116,7 @@ def _way_out(route: str, distance: Float[Array, "n"]) -> Float[Array, "n 2"]:
 
 
 def _resample(xy: Float[Array, "n 2"]) -> Float[Array, "m 2"]:
-    """Space the points of a line evenly again, a `STEP` apart."""
+    """Resample a line to points with the distance `STEP`."""
     steps = np.diff(xy, axis=0)
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
     even = np.arange(0.0, travelled[-1], STEP)
@@ -116,7 +129,7 @@ def _headings(xy: Float[Array, "n 2"]) -> Float[Array, "n"]:
 
 
 def sensor_pose(terrain: HeightField, stop: Stop, params: SimulationParams) -> Pose:
-    """Give the sensor's pose in the world, tilted as the ground tilts the rover; x is forward."""
+    """Compute the sensor's pose in the world, tilted with the rover by the ground; x is forward."""
     eye, pitch, roll = _stand(terrain, stop, params)
     turn = Rotation.from_euler("ZYX", [stop.yaw, pitch, roll])
     return Pose(eye, turn.as_quat(canonical=True))
@@ -125,7 +138,7 @@ def sensor_pose(terrain: HeightField, stop: Stop, params: SimulationParams) -> P
 def _stand(
     terrain: HeightField, stop: Stop, params: SimulationParams
 ) -> tuple[Float[Array, "3"], float, float]:
-    """Put the rover on the ground: where its sensor is [m], its pitch and its roll [rad]."""
+    """Put the rover on the ground: return its sensor's position [m], its pitch and roll [rad]."""
     wheels = 0.5 * WHEELBASE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     c, s = np.cos(stop.yaw), np.sin(stop.yaw)
     heights = terrain.height(wheels @ np.array([[c, s], [-s, c]]) + np.array([stop.x, stop.y]))
@@ -138,28 +151,28 @@ def _stand(
 def scan(
     terrain: HeightField, stop: Stop, params: SimulationParams, rng: Generator
 ) -> Float[Array, "n 3"]:
-    """Measure the ground from one stop, as a camera, a LiDAR or an airborne scanner would.
+    """Measure the ground from one stop, as a camera, a LiDAR or an airborne scanner does.
 
-    From above every point is seen. From the ground, rays go out over a fan of azimuths. Along
-    each azimuth the ground's elevation angle is sampled outwards; a ray meets the ground where
-    that angle first reaches its own, so all rays of one azimuth are marched at once, and what
-    lies behind a crest is hidden by it.
+    From above, every point is seen. From the ground, rays go out over a fan of azimuths. Along
+    each azimuth the elevation angle of the ground is sampled outwards, and a ray meets the ground
+    where that angle first reaches its own. So all rays of one azimuth are traced at once, and
+    ground behind a crest is hidden.
 
     Args:
         terrain: The ground.
         stop: Where the rover stands.
-        params: Sensor and noise.
-        rng: Source of noise and drop-outs.
+        params: The sensor and its noise.
+        rng: Generator of the noise and the drop-outs.
 
     Returns:
-        Measured points in the world [m].
+        The measured points in the world (n, 3) [m].
     """
     if params.sensor == "airborne":
         return _scan_from_above(terrain, stop, params, rng)
     eye, pitch, roll = _stand(terrain, stop, params)
     c, s = np.cos(stop.yaw), np.sin(stop.yaw)
 
-    # The fan is wider than the view, because a tilted rover sees a tilted part of it.
+    # The fan is wider than the field of view, because a tilted rover sees a tilted part of it.
     lidar = params.sensor == "lidar"
     half = np.pi if lidar else 0.5 * params.field_of_view + 0.3
     lowest, highest = (LOWEST_RING, HIGHEST_RING) if lidar else (LOWEST, HIGHEST)
@@ -173,7 +186,7 @@ def scan(
         np.cos(angle) * np.sin(azimuth),
         np.sin(angle),
     )
-    # Into the tilted rover: undo pitch about its left axis, then roll about its nose.
+    # To the tilted rover's frame: undo the pitch about its y axis, then the roll about x.
     nose = np.cos(pitch) * forward - np.sin(pitch) * up
     top = np.sin(pitch) * forward + np.cos(pitch) * up
     side = np.cos(roll) * left + np.sin(roll) * top
@@ -199,7 +212,7 @@ def scan(
 def _scan_from_above(
     terrain: HeightField, stop: Stop, params: SimulationParams, rng: Generator
 ) -> Float[Array, "n 3"]:
-    """Measure the heights of points at random in a disc around the stop."""
+    """Measure the heights of random points in a disc around the stop."""
     density = params.scan_density * (1.0 - params.dropout_rate)
     count = max(3, int(rng.poisson(density * np.pi * params.max_range**2)))
     distance = params.max_range * np.sqrt(rng.random(count))
@@ -213,7 +226,7 @@ def _scan_from_above(
 def _march(
     terrain: HeightField, eye: Array, azimuths: Array, slopes: Array, max_range: float
 ) -> tuple[Float[Array, "azimuths rays"], NDArray[np.bool_]]:
-    """March all rays outwards; returns the ground distance [m] of each hit, and which hit."""
+    """Trace all rays; return the horizontal distance of each hit [m], and which rays hit."""
     steps = np.arange(RAY_STEP, max_range + RAY_STEP, RAY_STEP)
     directions = np.column_stack([np.cos(azimuths), np.sin(azimuths)])
     ground = terrain.height(eye[:2] + directions[:, None, :] * steps[None, :, None]) - eye[2]
@@ -222,7 +235,7 @@ def _march(
     hit = (first > 0) & (first < len(steps))
     after = np.clip(first, 1, len(steps) - 1)
     before = after - 1
-    # Between the two samples the ground is a line, and so is the ray: they cross here.
+    # Between the two samples the ground and the ray are lines, and they cross here.
     above = slopes * steps[before] - np.take_along_axis(ground, before, axis=1)
     below = slopes * steps[after] - np.take_along_axis(ground, after, axis=1)
     share = above / np.where(hit, above - below, 1.0)
@@ -230,7 +243,7 @@ def _march(
 
 
 def _on_a_ring(elevation: Array, num_rings: int) -> NDArray[np.bool_]:
-    """Choose the rays nearest to the rings, which are evenly spread over the LiDAR's view."""
+    """Choose the rays nearest to the rings, which are spread evenly over the field of view."""
     spacing = (HIGHEST_RING - LOWEST_RING) / (num_rings - 1)
     ring = np.rint((elevation - LOWEST_RING) / spacing)
     off = np.abs(elevation - LOWEST_RING - ring * spacing)
@@ -238,7 +251,7 @@ def _on_a_ring(elevation: Array, num_rings: int) -> NDArray[np.bool_]:
 
 
 def _matched(shape: tuple[int, ...], dropout_rate: float, rng: Generator) -> NDArray[np.bool_]:
-    """Draw which rays find something: half of the failures are single, half whole patches."""
+    """Draw which rays find something; half of the failures are single rays, half are patches."""
     keep = np.sqrt(1.0 - dropout_rate)
     single = rng.random(shape) < keep
     coarse = rng.random((shape[0] // PATCH + 1, shape[1] // PATCH + 1)) < keep

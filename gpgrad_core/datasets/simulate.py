@@ -1,4 +1,4 @@
-"""A synthetic dataset with known truth: terrain, rover, submaps, odometry."""
+"""Simulates a dataset with true poses: terrain, rover, submaps and odometry."""
 
 from itertools import pairwise
 
@@ -15,22 +15,26 @@ from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Submap
 
-STOP_SPACING = 1.0  # the rover looks around about once a metre [m]
-ATTITUDE_STD = 0.003  # of the gravity direction at a stop [rad]
+STOP_SPACING = 1.0  # approximate distance between stops, at which the sensor scans [m]
+ATTITUDE_STD = 0.003  # standard deviation of the gravity direction at a stop [rad]
 TERRAIN_STREAM, ODOMETRY_STREAM, SUBMAP_STREAM = 0, 1, 2
 
 
 def simulate_dataset(params: SimulationParams, progress: Progress = silent) -> Dataset:
-    """Simulate a rover that drives out over synthetic ground and back, making submaps.
+    """Simulate a rover that drives out over synthetic ground and back, and builds submaps.
 
-    Each submap is gravity-aligned, has its origin on the ground under its first stop and x along
-    the heading there. Its points are voxel means, rounded to a millimetre and exact in float32,
-    so that differences between machines in the last bit of a sine leave no trace and the written
-    dataset equals the one in memory.
+    Each submap is gravity-aligned. Its origin is on the ground under its first stop, and x is the
+    heading there. Its points are voxel means, rounded to a millimetre and exact in float32. So
+    machines that differ in the last bit of a sine make the same dataset, and the written dataset
+    equals the one in memory.
 
     Args:
-        params: What to simulate; the same params give the same dataset, to the bit.
-        progress: Called once a submap.
+        params: Parameters of the simulation. The same parameters give the same dataset, bit for
+            bit.
+        progress: Called once per submap; may raise Cancelled.
+
+    Returns:
+        The dataset, with true poses and odometry.
 
     Raises:
         InputError: If the route does not fit into the extent.
@@ -61,12 +65,16 @@ def simulate_dataset(params: SimulationParams, progress: Progress = silent) -> D
 
 
 def stream(*path: int) -> Generator:
-    """Make a source of chance of its own, so that one more submap changes no other."""
+    """Make an independent random generator, so that one more submap does not change the others.
+
+    Args:
+        path: Numbers that identify it; the first is the seed of the simulation.
+    """
     return Generator(PCG64(SeedSequence(path)))
 
 
 def true_pose(terrain: HeightField, stop: Stop) -> Pose:
-    """Give the level frame on the ground under the rover."""
+    """Compute the pose of the level frame on the ground under the rover."""
     ground = float(terrain.height(np.array([[stop.x, stop.y]]))[0])
     return _level_pose(stop.x, stop.y, ground, stop.yaw)
 
@@ -77,13 +85,16 @@ def _level_pose(x: float, y: float, z: float, yaw: float) -> Pose:
 
 
 def drift(truth: list[Pose], params: SimulationParams, rng: Generator, step: float) -> list[Pose]:
-    """Retell the drive as odometry has it: each step a little long or short, and a little off.
+    """Simulate odometry: each step has a small error of its length and of its heading.
 
     Args:
-        truth: Level poses along the drive.
-        params: Of the odometry.
-        rng: Source of all chance.
-        step: From pose to pose [m]; many small ones drift as far as a few large ones.
+        truth: True level poses along the drive.
+        params: Parameters of the odometry.
+        rng: Generator of the errors.
+        step: Distance from pose to pose [m]. Many short steps drift as much as a few long ones.
+
+    Returns:
+        The poses according to odometry; the first one is the true one.
     """
     believed = [truth[0]]
     more = np.sqrt(params.spacing / step)
@@ -91,7 +102,7 @@ def drift(truth: list[Pose], params: SimulationParams, rng: Generator, step: flo
         motion = before.planar.inverse() @ after.planar
         length_error, height_error = more * rng.normal(0.0, params.odometry_drift, 2)
         turn_error = rng.normal(0.0, params.heading_drift * np.sqrt(step))
-        # Half of the turn's error has built up by the middle of the step.
+        # Half of the heading's error is reached in the middle of the step.
         off_course = SE2(yaw=0.5 * turn_error)
         x, y = off_course.rotation @ (motion.translation * (1.0 + length_error))
         last = believed[-1]
@@ -105,18 +116,18 @@ def drift(truth: list[Pose], params: SimulationParams, rng: Generator, step: flo
 def _make_submap(
     terrain: HeightField, track: Track, index: int, params: SimulationParams
 ) -> Float[Array, "n 3"]:
-    """Put together what the sensor saw from the stops of one submap."""
+    """Combine the scans from the stops of one submap."""
     rng = stream(params.seed, SUBMAP_STREAM, index)
     start_distance = index * params.spacing
     start = track.at(start_distance)
     pose = true_pose(terrain, start)
-    # From above one look shows it all.
+    # From above, one scan sees everything.
     airborne = params.sensor == "airborne"
     num_stops = 1 if airborne else max(1, round(params.spacing / STOP_SPACING))
     clouds: list[Array] = []
     offset, yaw_error = np.zeros(3), 0.0
     for k in range(num_stops):
-        # The last stop of a submap lies short of the next submap's first: no turn between.
+        # The last stop lies before the first stop of the next submap: there is no turn between.
         driven = params.spacing / num_stops
         stop = track.at(start_distance + k * driven)
         local = (scan(terrain, stop, params, rng) - pose.translation) @ pose.rotation
@@ -134,7 +145,7 @@ def _make_submap(
 def _misplace(
     points: Float[Array, "n 3"], offset: Array, yaw_error: float, tilt: Array
 ) -> Float[Array, "n 3"]:
-    """Move points as a small error of the rover's own pose does; about the submap's origin."""
+    """Move points by a small error of the rover's pose, about the submap's origin."""
     small = np.array(
         [
             [0.0, -yaw_error, tilt[0]],

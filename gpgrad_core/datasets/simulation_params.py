@@ -1,4 +1,4 @@
-"""What a simulated dataset is made from."""
+"""The parameters of a simulated dataset."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal

@@ -1,4 +1,4 @@
-"""Synthetic planetary ground: fractal relief, craters, wind ripples and rocks."""
+"""Makes synthetic planetary ground: fractal relief, craters, wind ripples and rocks."""
 
 from dataclasses import dataclass
 
@@ -11,24 +11,34 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.simulation_params import SimulationParams
 
 RESOLUTION = 0.03
-"""Side of a terrain cell [m]: finer than any submap voxel by default."""
+"""Side of a cell of the terrain [m]; the default voxels of a submap are larger."""
 CRATER_DIAMETERS = (1.0, 8.0)
 ROCK_DIAMETERS = (0.1, 1.2)
 HILL_PERSISTENCE = 3.0
-"""Hills fall off so fast towards short waves that they bring steepness and no roughness."""
+"""Hurst exponent of the hills. It is so large that hills are steep without being rough."""
 CLEARANCE = 0.7
-"""No rock comes closer to the rover's track than this [m]: it drives around them."""
+"""Smallest distance between a rock and the rover's track [m], because the rover drives around
+rocks."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeightField:
-    """Ground heights on a regular grid whose cell (0, 0) lies at x = y = 0."""
+    """Heights of the ground on a regular grid whose cell (0, 0) lies at x = y = 0.
 
-    elevation: Float[Array, "rows columns"]  # [m]
-    resolution: float = RESOLUTION  # [m]
+    Attributes:
+        elevation: Heights (rows, columns) [m].
+        resolution: Side of a cell [m].
+    """
+
+    elevation: Float[Array, "rows columns"]
+    resolution: float = RESOLUTION
 
     def height(self, xy: Float[Array, "*shape 2"]) -> Float[Array, "*shape"]:
-        """Interpolate the height [m] at positions [m]; beyond the edge it stays level."""
+        """Interpolate the height at positions [m].
+
+        Args:
+            xy: Positions (..., 2) [m]. Beyond the edge the ground has the height of the edge.
+        """
         rows_columns = np.moveaxis(xy[..., ::-1] / self.resolution, -1, 0)
         return ndimage.map_coordinates(self.elevation, rows_columns, order=1, mode="nearest")
 
@@ -36,12 +46,12 @@ class HeightField:
 def make_terrain(
     params: SimulationParams, track: Float[Array, "n 2"], rng: Generator
 ) -> HeightField:
-    """Make the ground that the rover will drive on.
+    """Make the ground on which the rover will drive.
 
     Args:
-        params: Its extent and what lies on it.
-        track: Where the rover drives [m]; large rocks and craters keep off it.
-        rng: Source of all chance.
+        params: The extent of the ground, and what lies on it.
+        track: Where the rover drives (n, 2) [m]; large rocks and craters keep away from it.
+        rng: Generator of the random choices.
     """
     size = int(np.ceil(params.extent / RESOLUTION)) + 1
     elevation = params.relief * fractal_field(size, 1.5 - params.roughness, rng)
@@ -57,20 +67,20 @@ def make_terrain(
 def fractal_field(
     size: int, persistence: float, rng: Generator, largest: float = 16.0
 ) -> Float[Array, "size size"]:
-    """Make a fractal by spectral synthesis: white noise, its spectrum bent to a power law.
+    """Make a fractal by spectral synthesis: white noise with a power-law spectrum.
 
     Args:
-        size: Cells along a side.
-        persistence: Hurst exponent H; the power falls with the wave number as k^-(2H + 2).
-        rng: Source of chance.
-        largest: Waves longer than this [m] are flattened off, so that the ground is level on
-            the whole and a larger extent has no higher hills.
+        size: Number of cells along a side.
+        persistence: Hurst exponent H; the power falls with the wavenumber k as k^-(2H + 2).
+        rng: Generator of the noise.
+        largest: Waves longer than this [m] are weakened, so that the ground is level as a whole
+            and a larger extent does not have higher hills.
 
     Returns:
-        Heights of mean 0 and standard deviation 1.
+        Heights of mean 0 and standard deviation 1 (size, size).
     """
-    # Larger than asked, because the field wraps around: its edges would repeat each other.
-    # In steps of 256, whose factors the transform likes.
+    # The field wraps around, so it is made larger than wanted: its edges would be alike. Multiples
+    # of 256 are fast to transform.
     padded = 256 * int(np.ceil((size + 2.0 / RESOLUTION) / 256))
     spectrum = np.fft.rfft2(rng.standard_normal((padded, padded)))
     ky = np.fft.fftfreq(padded, RESOLUTION)[:, None]
@@ -83,7 +93,7 @@ def fractal_field(
 
 
 def _add_ripples(elevation: Array, params: SimulationParams, rng: Generator) -> None:
-    """Add wind ripples: gentle to windward, steep to leeward, in patches, along bent crests."""
+    """Add patches of wind ripples along bent crests, gentle to windward and steep to leeward."""
     size = len(elevation)
     bend = fractal_field(size, 1.2, rng, largest=10.0)
     patches = fractal_field(size, 1.2, rng, largest=10.0)
@@ -93,14 +103,14 @@ def _add_ripples(elevation: Array, params: SimulationParams, rng: Generator) -> 
     along = np.arange(size) * RESOLUTION
     distance = np.cos(heading) * along[None, :] + np.sin(heading) * along[:, None]
     phase = 2.0 * np.pi * (distance + 0.9 * bend) / wavelength
-    # A second harmonic a quarter turn behind leans the crests over.
+    # A second harmonic with a shifted phase tilts the crests.
     profile = 0.5 * (np.sin(phase) + 0.3 * np.sin(2.0 * phase + 0.5 * np.pi))
     cover = np.clip(patches + 0.3, 0.0, 1.0) * np.clip(1.0 + 0.5 * vigour, 0.2, 2.0)
     elevation += params.dune_height * cover * profile
 
 
 def _power_law(rng: Generator, count: int, ends: tuple[float, float], slope: float) -> Array:
-    """Draw sizes of which the share larger than d falls as d^-slope, between two ends."""
+    """Draw sizes between two ends, so that the share of sizes above d falls as d^-slope."""
     low, high = ends
     uniform = rng.random(count)
     return (low**-slope - uniform * (low**-slope - high**-slope)) ** (-1.0 / slope)
@@ -109,7 +119,7 @@ def _power_law(rng: Generator, count: int, ends: tuple[float, float], slope: flo
 def _window(
     elevation: Array, centre: Array, radius: float
 ) -> tuple[tuple[slice, slice], Array, Array]:
-    """Cut the part of the ground around a centre; returns it and the offsets x, y [m] in it."""
+    """Return the slices of the ground around a centre, and the offsets x and y [m] there."""
     low = np.maximum(np.floor((centre - radius) / RESOLUTION).astype(int), 0)
     high = np.minimum(np.ceil((centre + radius) / RESOLUTION).astype(int) + 1, len(elevation))
     x = np.arange(low[0], high[0]) * RESOLUTION - centre[0]
@@ -123,7 +133,8 @@ def _distance_to(track: Array, centre: Array) -> float:
 
 def _add_craters(elevation: Array, params: SimulationParams, track: Array, rng: Generator) -> None:
     count = int(rng.poisson(params.crater_density * params.extent**2))
-    diameters = np.sort(_power_law(rng, count, CRATER_DIAMETERS, 1.3))[::-1]  # small ones on top
+    # Small craters lie on top of large ones.
+    diameters = np.sort(_power_law(rng, count, CRATER_DIAMETERS, 1.3))[::-1]
     for diameter in diameters:
         centre = rng.uniform(0.0, params.extent, 2)
         freshness = rng.uniform(0.35, 1.0)
@@ -138,7 +149,7 @@ def _add_craters(elevation: Array, params: SimulationParams, track: Array, rng: 
         depth, lip = 0.17 * diameter * freshness, 0.05 * diameter * freshness
         bowl = (depth + lip) * radius**2 - depth
         blanket = lip * np.maximum(radius, 1e-3) ** -3.0 * np.clip(3.2 - radius, 0.0, 1.0)
-        # The smaller of the two, rounded where they meet: old rims are worn, fresh ones sharp.
+        # The smaller of the two, rounded where they meet, because old rims are worn.
         soft = 0.04 * diameter * (1.15 - freshness)
         elevation[place] += -soft * np.logaddexp(-bowl / soft, -blanket / soft)
 
@@ -148,7 +159,7 @@ def _add_rocks(elevation: Array, params: SimulationParams, track: Array, rng: Ge
     crowding = fractal_field(len(elevation), 0.6, rng, largest=8.0)
     diameters = _power_law(rng, count, ROCK_DIAMETERS, 1.7)
     for diameter in diameters:
-        # The most crowded of three places: rocks lie in fields, not evenly.
+        # A rock lies at the most crowded of three random places, so that rocks form fields.
         places = rng.uniform(0.0, params.extent, (3, 2))
         cells = np.minimum((places / RESOLUTION).astype(int), len(elevation) - 1)
         centre = places[np.argmax(crowding[cells[:, 1], cells[:, 0]])]
@@ -163,7 +174,7 @@ def _add_rocks(elevation: Array, params: SimulationParams, track: Array, rng: Ge
 
 
 def _draw_facets(rng: Generator, diameter: float) -> Float[Array, "facets 3"]:
-    """Draw the planes z = a x + b y + c over whose lowest a rock lies: a broken block."""
+    """Draw the planes z = a x + b y + c of a broken block; its surface is their minimum."""
     num_sides = int(rng.integers(5, 9))
     turn = rng.uniform(0.0, 2.0 * np.pi)
     directions = turn + 2.0 * np.pi * (np.arange(num_sides) + rng.uniform(-0.3, 0.3, num_sides)) / (

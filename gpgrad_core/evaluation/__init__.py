@@ -1,4 +1,4 @@
-"""How well a detector does: precision and recall against the truth, and where it misplaces."""
+"""Evaluates detectors against true poses: precision and recall, and the errors of the motions."""
 
 from gpgrad_core.evaluation.bootstrap import Interval
 from gpgrad_core.evaluation.calibration import Calibration, calibrate, describe_calibration

@@ -1,4 +1,4 @@
-"""How far a figure could have come out differently with other submaps of the same ground."""
+"""Confidence intervals of the figures, from resamples of the submaps."""
 
 from dataclasses import dataclass
 
@@ -12,14 +12,19 @@ from gpgrad_core.types import Array
 
 @dataclass(frozen=True)
 class Interval:
-    """Where 95 % of the resampled figures lie."""
+    """The interval in which 95 % of the resampled figures lie.
+
+    Attributes:
+        low: Lower end.
+        high: Upper end.
+    """
 
     low: float
     high: float
 
     @classmethod
     def of(cls, samples: Float[Array, "b"]) -> "Interval | None":
-        """Percentiles of the samples that are numbers; None where none is."""
+        """Make the interval from samples; NaN samples are ignored. None if all of them are NaN."""
         finite = samples[np.isfinite(samples)]
         if len(finite) == 0:
             return None
@@ -29,7 +34,13 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class Resamples:
-    """The summary figures of a ranking, once a resample; NaN where none of its pairs is true."""
+    """The summary figures of a ranking in each resample; NaN if none of its pairs is true.
+
+    Attributes:
+        average_precision: Average precision (b,).
+        recall_at_full_precision: Recall at full precision (b,).
+        f1: Best F1 (b,).
+    """
 
     average_precision: Float[Array, "b"]
     recall_at_full_precision: Float[Array, "b"]
@@ -37,7 +48,7 @@ class Resamples:
 
 
 def draw_weights(pairs: TruePairs, count: int, seed: int) -> Float[Array, "b p"]:
-    """Draw submaps with replacement, and say how often each pair is drawn by it.
+    """Draw submaps with replacement, and count how often each pair is drawn.
 
     Pairs that share a submap are not independent: one poor cloud spoils all of its pairs. So the
     submaps are resampled, not the pairs (Snijders & Borgatti 1999), and a pair counts as often
@@ -46,7 +57,11 @@ def draw_weights(pairs: TruePairs, count: int, seed: int) -> Float[Array, "b p"]
     Args:
         pairs: All pairs of the dataset.
         count: Number b of resamples.
-        seed: Same seed, same draws: methods are then compared on the same resamples.
+        seed: Seed of the draws. The same seed gives the same draws, so that methods are compared
+            on the same resamples.
+
+    Returns:
+        The weight of each pair in each resample (b, p).
     """
     rng = np.random.default_rng(seed)
     num = len(pairs.ids)
@@ -60,13 +75,13 @@ def resample(
     """Compute the summary figures of a ranking on weighted pairs.
 
     Args:
-        score: Of the judged pairs.
-        positive: Which of them are true.
-        weights: How often each counts, a row a resample.
+        score: Scores of the judged pairs (p,).
+        positive: Which of them are true (p,).
+        weights: How often each pair counts in each resample (b, p).
     """
     order = np.argsort(-score, kind="stable")
     ranked = score[order]
-    last = np.flatnonzero(np.r_[ranked[1:] != ranked[:-1], True])  # ties pass together
+    last = np.flatnonzero(np.r_[ranked[1:] != ranked[:-1], True])  # equal scores pass together
     weights = weights[:, order]
     named = np.cumsum(weights, axis=1)[:, last]
     found = np.cumsum(weights * positive[order], axis=1)[:, last]

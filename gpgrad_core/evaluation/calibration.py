@@ -1,8 +1,8 @@
-"""Can the map's uncertainty be believed? Points that it has not seen tell.
+"""Measures whether the maps' uncertainty is right, with points that the maps have not seen.
 
-A share of each submap's points is held out, the map is made of the others, and each held-out
-height is compared with what the map says of it: a Gaussian about the elevation, whose variance is
-the map's own and that of a single point's noise.
+A share of each submap's points is held out, and the map is made from the others. Each held-out
+height is compared with the map's prediction: a Gaussian about the elevation, with the sum of the
+map's variance and the variance of a single point's noise.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,27 +22,28 @@ from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.types import Dataset, GradientMap, Submap
 
 HELD_OUT = 0.1
-"""Share of the points of a submap that its map does not see."""
+"""Share of a submap's points that is held out."""
 MOST_SUBMAPS = 6
-"""Of more, as many are judged, evenly spaced."""
+"""Largest number of submaps that are judged; of more, this many are taken, evenly spaced."""
 LEAST_STD = 1e-4
-"""No estimate is taken to claim more than this [m]."""
+"""Smallest standard deviation of a prediction; a smaller one is raised to this [m]."""
 WITHIN_68, WITHIN_95 = 1.0, 1.959964
-"""Standard deviations within which a Gaussian has 68.27 % and 95 % of its mass."""
+"""Numbers of standard deviations within which a Gaussian has 68.27 % and 95 % of its mass."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """How honest one way of making maps is about its uncertainty.
+    """How well the uncertainty of one kind of map agrees with its errors.
 
     Attributes:
-        name: The way.
-        num_points: Held-out points, of all submaps.
+        name: Name of the kind of map.
+        num_points: Number of held-out points of all submaps.
         density: Mean negative log predictive density of a height in metres; less is better.
-        within_68: Share of them within the interval that should hold 68.27 %.
-        within_95: Share within the one that should hold 95 %.
-        error_rms: Of the elevation, noise of the held-out points included [m].
-        params: Of the map, where it has any.
+        within_68: Share of the points within the interval that should hold 68.27 %.
+        within_95: Share of the points within the interval that should hold 95 %.
+        error_rms: Root mean square error of the elevation [m], including the noise of the
+            held-out points.
+        params: Parameters of the map, if it has any.
     """
 
     name: str
@@ -61,15 +62,18 @@ def calibrate(
     seed: int = 0,
     progress: Progress = silent,
 ) -> tuple[Calibration, ...]:
-    """Judge constant noise, measured noise, both after a fit, and the smoothed grid.
+    """Judge maps with constant noise, measured noise, both after a fit, and the smoothed grid.
 
-    The fits, of hyperparameters by maximum marginal likelihood, see the same points as the maps.
+    The fits, by maximum marginal likelihood, use the same points as the maps.
 
     Args:
-        dataset: Of more than `MOST_SUBMAPS` submaps, as many are used.
-        params: Where the maps start from.
-        seed: Of what is held out.
-        progress: Called once a submap and way; may raise Cancelled.
+        dataset: The submaps; of more than `MOST_SUBMAPS`, that many are used.
+        params: Parameters from which the maps and the fits start.
+        seed: Seed of the choice of held-out points.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        One calibration for each kind of map.
 
     Raises:
         InputError: If a map cannot be made.
@@ -83,23 +87,23 @@ def calibrate(
     seen = [submap for submap, _ in split]
     constant = replace(params.map, noise_model="constant")
     measured = replace(params.map, noise_model="measured")
-    ways: dict[str, MapParams | None] = {"constant noise": constant, "measured noise": measured}
+    kinds: dict[str, MapParams | None] = {"constant noise": constant, "measured noise": measured}
     for k, (name, start) in enumerate((("constant", constant), ("measured", measured))):
         found = fit_parameters(seen, start.terrain, progress=part(progress, 0.2 * k, 0.2 * k + 0.2))
         fitted = {one.name: getattr(found.params, one.name) for one in fields(found.params)}
-        ways[f"{name} noise, fitted"] = replace(start, **fitted)
-    ways["smoothed grid"] = None
-    judged: list[Calibration] = []
-    for k, (name, of_map) in enumerate(ways.items()):
-        told = [_predict(*pair, of_map, params) for pair in split]
-        error, std = (np.concatenate(values) for values in zip(*told, strict=True))
-        judged.append(judge_errors(name, error, std, of_map))
-        progress(0.4 + 0.6 * (k + 1) / len(ways))
-    return tuple(judged)
+        kinds[f"{name} noise, fitted"] = replace(start, **fitted)
+    kinds["smoothed grid"] = None
+    calibrations: list[Calibration] = []
+    for k, (name, of_map) in enumerate(kinds.items()):
+        predicted = [_predict(*pair, of_map, params) for pair in split]
+        error, std = (np.concatenate(values) for values in zip(*predicted, strict=True))
+        calibrations.append(judge_errors(name, error, std, of_map))
+        progress(0.4 + 0.6 * (k + 1) / len(kinds))
+    return tuple(calibrations)
 
 
 def _split(submap: Submap, seed: int) -> tuple[Submap, Submap]:
-    """Part a submap's points into those seen and those held out."""
+    """Split a submap's points into those for the map and those that are held out."""
     held_out = np.random.default_rng(seed).random(len(submap.points)) < HELD_OUT
     noise, ranges = submap.noise_std, submap.ranges
     seen, unseen = (
@@ -117,7 +121,7 @@ def _split(submap: Submap, seed: int) -> tuple[Submap, Submap]:
 def _predict(
     seen: Submap, unseen: Submap, of_map: MapParams | None, params: PipelineParams
 ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-    """Errors of the elevation at unseen points, and the standard deviation claimed for them [m]."""
+    """Compute the errors at unseen points, and the standard deviations predicted for them [m]."""
     if of_map is None:
         made, scatter = smooth(seen, params)
         of_point = _at(made, scatter, unseen)
@@ -132,7 +136,7 @@ def _predict(
 def _at(
     made: GradientMap, image: Float[Array, "rows columns"], submap: Submap
 ) -> Float[Array, "n"]:
-    """Interpolate an image of the map at a submap's points; cells are far below a length-scale."""
+    """Interpolate an image of the map at a submap's points; cells are much smaller than detail."""
     column, row = made.grid.to_pixel(submap.points[:, :2]).T
     return map_coordinates(image, [row, column], order=1, mode="nearest")
 
@@ -140,7 +144,14 @@ def _at(
 def judge_errors(
     name: str, error: Float[Array, "n"], std: Float[Array, "n"], params: MapParams | None
 ) -> Calibration:
-    """Judge errors [m] by the standard deviations claimed for them [m]."""
+    """Compare errors with the standard deviations that were predicted for them.
+
+    Args:
+        name: Name of the kind of map.
+        error: Errors of the elevation (n,) [m].
+        std: Predicted standard deviations (n,) [m].
+        params: Parameters of the map, if it has any.
+    """
     off = np.abs(error) / std
     density = 0.5 * np.log(2 * np.pi * std**2) + 0.5 * off**2
     return Calibration(
@@ -155,14 +166,14 @@ def judge_errors(
 
 
 def describe_calibration(judged: Sequence[Calibration]) -> Section:
-    """Tell it as a section of the report."""
+    """Describe the calibration as a section of the report."""
     lines = [
         "## Calibration of the maps",
         "",
-        f"{judged[0].num_points:,} points that the maps have not seen, {HELD_OUT:.0%} of some "
-        "submaps. **density**: mean negative log predictive density of a height in metres, less "
-        "is better. **within**: share of the heights in the interval that should hold 68.3 % and "
-        "95 %. **error**: rms of the elevation against single noisy points.",
+        f"{judged[0].num_points:,} points that the maps have not seen: {HELD_OUT:.0%} of the "
+        "points of some submaps. **density**: mean negative log predictive density of a height in "
+        "metres; less is better. **within**: share of the heights in the interval that should hold "
+        "68.3 % and 95 %. **error**: rms of the elevation against single noisy points.",
         "",
         "| map | density | within 68.3 % | within 95 % | error [m] | length-scale [m] |",
         "|---|---|---|---|---|---|",

@@ -1,4 +1,4 @@
-"""Gather what is to be judged: methods run here, and files that others wrote."""
+"""Collects the detections to judge: runs methods, and reads files of closures."""
 
 from collections.abc import Collection, Sequence
 from concurrent.futures import Executor
@@ -23,18 +23,18 @@ def run_methods(
 ) -> dict[str, ClosureReport]:
     """Detect the loop closures of a dataset with each of several methods.
 
-    No method finds anything done by one before it: their times can be compared. Only the fit of
-    automatic parameters is made once for all.
+    No method reuses the results of another, so that their times can be compared. Only the fit of
+    automatic parameters is shared.
 
     Args:
-        dataset: What to search.
-        methods: What to search with.
-        params: What they adapt to their needs.
-        executor: Threads or processes to share the work out to.
-        progress: Called from this thread; may raise Cancelled.
+        dataset: The dataset to search.
+        methods: The methods to run.
+        params: Parameters, which each method adapts to its needs.
+        executor: Threads or processes that share the work.
+        progress: Called from this thread with the fraction done; may raise Cancelled.
 
     Returns:
-        What each found, by its name, as its ``closures.json`` would tell it.
+        The result of each method by its name, with the content of its ``closures.json``.
 
     Raises:
         InputError: If a method is given twice, or a submap cannot be used by one.
@@ -60,18 +60,18 @@ def run_methods(
 
 
 def read_rivals(paths: Sequence[Path], taken: Collection[str] = ()) -> dict[str, ClosureReport]:
-    """Read files of closures, each under a name of its own.
+    """Read files of closures, and give each a name of its own.
 
     Args:
-        paths: Each as ``closures.json``, of any tool.
-        taken: Names that others have already.
+        paths: Files in the format of ``closures.json``, written by any tool.
+        taken: Names that are already in use.
 
     Returns:
-        What the files hold, by the name of the method; where several would have the same, by
-        that and the path.
+        The contents of the files by the name of their method. If several have the same name, the
+        path is added to it.
 
     Raises:
-        InputError: If a file is given twice, or is not one of closures.
+        InputError: If a file is given twice, or has another format.
         OSError: If a file cannot be read.
     """
     reports = [read_closures(path) for path in paths]

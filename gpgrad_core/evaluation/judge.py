@@ -1,4 +1,4 @@
-"""Judge detections by the truth: the verb `evaluate`."""
+"""Judges detections by the true poses: the function `evaluate`."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -41,7 +41,12 @@ YAW_EDGES = tuple(np.radians([0.0, 30.0, 60.0, 120.0, 150.0, 180.0]).tolist())
 
 @dataclass(frozen=True)
 class Summary:
-    """A figure with what resampling the submaps makes of it; None without resamples."""
+    """A figure with its confidence interval.
+
+    Attributes:
+        value: The figure.
+        interval: Its interval over resamples of the submaps; None without resamples.
+    """
 
     value: float
     interval: Interval | None = None
@@ -49,19 +54,19 @@ class Summary:
 
 @dataclass(frozen=True, eq=False)
 class Ranked:
-    """How well a method ranks the pairs; needs at least one true pair.
+    """How well a method ranks the pairs, if at least one of them is true.
 
     Attributes:
         by_score: Precision and recall at every score that occurs.
-        by_inliers: The same at n = 1 … 20 inliers.
+        by_inliers: Precision and recall at n = 1 … 20 inliers.
         average_precision: Area under `by_score`.
-        recall_at_full_precision: Most that is found before the first wrong match.
-        f1: Best harmonic mean of precision and recall, over the score.
+        recall_at_full_precision: Largest recall without a false pair.
+        f1: Largest harmonic mean of precision and recall over all scores.
         f1_threshold: The score at which it is reached.
-        average_precision_by_inliers: As `average_precision`, ranked by inliers alone.
-        recall_at_full_precision_by_inliers: As `recall_at_full_precision`, by inliers alone.
-        lead: By how much the first method's average precision is above this one's, on the same
-            resamples; None for the first.
+        average_precision_by_inliers: Average precision of the ranking by inliers alone.
+        recall_at_full_precision_by_inliers: Recall at full precision by inliers alone.
+        lead: The first method's average precision minus this one's, on the same resamples; None
+            for the first method.
     """
 
     by_score: PrecisionRecall
@@ -77,19 +82,20 @@ class Ranked:
 
 @dataclass(frozen=True, eq=False)
 class RuleVerdict:
-    """How a method does by one rule.
+    """The results of a method under one rule.
 
     Attributes:
-        ranked: Of its ranking; None where the rule calls no pair true.
-        accepted_true: Accepted pairs that are true.
-        accepted_false: Accepted pairs that are false.
-        accepted_grey: Accepted pairs that the rule leaves between.
-        accepted_grey_near: Of these, how many are placed right all the same.
-        missed: True pairs that are not accepted.
-        near: Share of all true pairs whose motion is right, accepted or not; None without any.
-        pose_error: Of the accepted true pairs.
-        by_overlap: What became of the touching pairs, by the overlap that the rule looks at.
-        by_yaw: What became of the true pairs, by how far the submaps are turned [rad].
+        ranked: Results of its ranking; None if the rule calls no pair true.
+        accepted_true: Number of accepted pairs that are true.
+        accepted_false: Number of accepted pairs that are false.
+        accepted_grey: Number of accepted pairs that the rule leaves out as grey.
+        accepted_grey_near: Number of those whose motion is right.
+        missed: Number of true pairs that are not accepted.
+        near: Share of all true pairs whose motion is right, accepted or not; None if there is
+            no true pair.
+        pose_error: Errors of the accepted true pairs.
+        by_overlap: Counts of the touching pairs, by the overlap that the rule measures.
+        by_yaw: Counts of the true pairs, by the relative yaw of the submaps [rad].
     """
 
     ranked: Ranked | None
@@ -106,12 +112,12 @@ class RuleVerdict:
 
 @dataclass(frozen=True)
 class Accepted:
-    """What became of the accepted pairs, neighbours left out: a closure is its motion.
+    """Counts of the accepted pairs by their motion, without neighbours.
 
     Attributes:
-        right: The motion is right, as far as the submaps touch.
-        wrong_motion: The surfaces touch, but the motion is not right.
-        no_overlap: The surfaces have nothing in common.
+        right: Number of pairs whose surfaces touch and whose motion is right.
+        wrong_motion: Number of pairs whose surfaces touch, but whose motion is wrong.
+        no_overlap: Number of pairs whose surfaces do not touch.
     """
 
     right: int
@@ -120,33 +126,41 @@ class Accepted:
 
     @property
     def count(self) -> int:
-        """All of them."""
+        """Number of accepted pairs."""
         return self.right + self.wrong_motion + self.no_overlap
 
 
 @dataclass(frozen=True, eq=False)
 class MethodVerdict:
-    """All that is known of one method on one dataset."""
+    """All results of one method on one dataset.
+
+    Attributes:
+        name: Name of the method.
+        ranking: Its verdicts on all pairs.
+        errors: The errors of its motions.
+        accepted: Counts of its accepted pairs.
+        rules: Its results under each rule, in the order of the evaluation's rules.
+    """
 
     name: str
     ranking: Ranking
     errors: PoseErrors
     accepted: Accepted
-    rules: tuple[RuleVerdict, ...]  # as the evaluation's rules
+    rules: tuple[RuleVerdict, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """All methods on one dataset.
+    """All results of all methods on one dataset.
 
     Attributes:
-        dataset: Its name.
-        pairs: The truth.
-        params: What was judged by.
-        seed: Of the resamples.
-        rules: When a pair is true; every figure holds for one of them.
-        labels: What each rule says of the pairs.
-        methods: The verdicts, in the order given; the first is what the others are set against.
+        dataset: Name of the dataset.
+        pairs: What the true poses say about every pair.
+        params: Parameters of the evaluation.
+        seed: Seed of the resamples.
+        rules: When a pair is true; every figure belongs to one of these rules.
+        labels: The labels that each rule gives the pairs.
+        methods: The results, in the order given; the others are compared with the first.
     """
 
     dataset: str
@@ -159,7 +173,7 @@ class Evaluation:
 
     @property
     def file_names(self) -> tuple[str, ...]:
-        """Names of the methods that are fit for files, each only once."""
+        """Names of the methods as parts of file names, all different."""
         names: list[str] = []
         for method in self.methods:
             plain = re.sub(r"[^\w-]+", "_", method.name).strip("_") or "method"
@@ -169,7 +183,7 @@ class Evaluation:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was left out or assumed, a line each."""
+        """What was left out or assumed, one line each."""
         return self.pairs.notes + tuple(note for one in self.methods for note in one.ranking.notes)
 
 
@@ -182,20 +196,25 @@ def evaluate(
     seed: int = 0,
     progress: Progress = silent,
 ) -> Evaluation:
-    """Judge what methods found on a dataset by its true poses.
+    """Judge the detections of methods on a dataset by its true poses.
+
+    Precision and recall are Eq. (7) of Le Gentil 2020, and the overlap of boxes is Eq. (8).
 
     Args:
-        dataset: With true poses.
-        detections: What each method found, by its name: results of `detect_loop_closures`, or
-            what `read_closures` read from any tool's file.
-        params: What to judge by.
-        pairs: What `measure_pairs` says of the dataset, if it is known already.
-        seed: Of the resamples that the intervals are made from.
-        progress: Called as the overlaps are measured; may raise Cancelled.
+        dataset: A dataset with true poses.
+        detections: The detections of each method by its name: results of `detect_loop_closures`,
+            or files of any tool, read with `read_closures`.
+        params: Parameters of the evaluation.
+        pairs: The result of `measure_pairs` for the dataset, if it is known already.
+        seed: Seed of the resamples for the intervals.
+        progress: Called with the fraction done while overlaps are measured; may raise Cancelled.
+
+    Returns:
+        The results of all methods.
 
     Raises:
-        InputError: If the dataset has no true poses, no detection is given, or one does not fit
-            the dataset; see `rank_pairs`.
+        InputError: If the dataset has no true poses, if no detection is given, or if one does not
+            fit the dataset; see `rank_pairs`.
     """
     params = params or EvaluationParams()
     if not detections:
@@ -233,7 +252,7 @@ def evaluate(
 
 
 def _accepted(ranking: Ranking, errors: PoseErrors, pairs: TruePairs, neighbours: int) -> Accepted:
-    """Sort what a method accepts by what a pose graph would make of it."""
+    """Count the accepted pairs by what they would do to a pose graph."""
     accepted = ranking.accepted & (pairs.steps > neighbours)
     touching = pairs.surface_overlap > 0
     return Accepted(
@@ -246,7 +265,7 @@ def _accepted(ranking: Ranking, errors: PoseErrors, pairs: TruePairs, neighbours
 def _rank_all(
     rankings: Mapping[str, Ranking], labels: Labels, weights: Float[Array, "b p"]
 ) -> dict[str, Ranked | None]:
-    """Rank by one rule; all methods on the same resamples, so that they can be compared."""
+    """Rank by one rule; all methods get the same resamples, so that they can be compared."""
     ranked: dict[str, Ranked | None] = dict.fromkeys(rankings)
     if not labels.positive.any():
         return ranked

@@ -1,4 +1,4 @@
-"""How far submaps truly overlap: what every pair is judged by."""
+"""Measures how far submaps truly overlap, by which every pair is judged."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -16,10 +16,10 @@ from gpgrad_core.types import Array, Dataset, Submap, read_only
 Index = NDArray[np.intp]
 
 CELL = 0.1
-"""Side of the cells whose common share is the overlap of two surfaces [m]."""
+"""Side of the cells [m]; the overlap of two surfaces is their share of common cells."""
 
 FEWEST_COMMON_CELLS = 20
-"""On no more common cells than this a median height difference means nothing."""
+"""With no more common cells than this, a median height difference is not meaningful."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,16 +27,17 @@ class TruePairs:
     """What the true poses say about every unordered pair of submaps.
 
     Attributes:
-        ids: Names of the submaps that have a true pose, in the dataset's order.
-        world_xy: Where their origins lie in the world [m].
-        query: Index into `ids` of the later submap of each pair.
-        database: Index of the earlier one.
-        steps: How far apart the two are on the traverse: the difference of their numbers.
-        box_iou: Intersection over union of the boxes, Eq. (8).
-        surface_overlap: Common share of the cells of the submap that has fewer.
-        height_difference: Median difference in height on common cells [m]; NaN on too few.
-        T_database_query: True motions: they map the query's frame into the database's.
-        notes: What could not be judged, a line each.
+        ids: Names of the n submaps that have a true pose, in the dataset's order.
+        world_xy: Positions of their origins in the world (n, 2) [m].
+        query: Index into `ids` of the later submap of each pair (p,).
+        database: Index of the earlier submap (p,).
+        steps: Distance of the two on the traverse (p,): the difference of their numbers.
+        box_iou: Intersection over union of their bounding boxes (p,), Eq. (8).
+        surface_overlap: Share of the cells of the submap with fewer cells that are common (p,).
+        height_difference: Median difference of the heights on common cells (p,) [m]; NaN if
+            there are too few.
+        T_database_query: True motion of each pair.
+        notes: What could not be judged, one line each.
     """
 
     ids: tuple[str, ...]
@@ -63,26 +64,33 @@ class TruePairs:
 
     @property
     def relative_yaw(self) -> Float[Array, "p"]:
-        """Turn from the query's heading to the database's [rad], in (-pi, pi]."""
+        """Angle from the query's heading to the database's (p,) [rad], in (-pi, pi]."""
         return np.array([-motion.yaw for motion in self.T_database_query], dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """The ground that a submap covers in the world."""
+    """The ground that a submap covers in the world.
 
-    low: Float[Array, "2"]  # corners of its box [m]
+    Attributes:
+        low: Lowest x and y of its box (2,) [m].
+        high: Highest x and y of its box (2,) [m].
+        cells: Keys of the cells that hold a point (c,), ascending.
+        heights: Mean height of the points in each cell (c,) [m].
+    """
+
+    low: Float[Array, "2"]
     high: Float[Array, "2"]
-    cells: Int[NDArray[np.int64], "c"]  # keys of the cells that hold a point, ascending
-    heights: Float[Array, "c"]  # mean height of the points in each [m]
+    cells: Int[NDArray[np.int64], "c"]
+    heights: Float[Array, "c"]
 
 
 def measure_pairs(dataset: Dataset, progress: Progress = silent) -> TruePairs:
     """Measure how far the submaps of a dataset truly overlap, pair by pair.
 
     Args:
-        dataset: With true poses.
-        progress: Called once a submap and once a row of pairs; may raise Cancelled.
+        dataset: A dataset with true poses.
+        progress: Called with the fraction done; may raise Cancelled.
 
     Raises:
         InputError: If fewer than two submaps have a true pose.
@@ -127,11 +135,13 @@ def box_iou(
     first: tuple[Float[Array, "2"], Float[Array, "2"]],
     second: tuple[Float[Array, "2"], Float[Array, "2"]],
 ) -> float:
-    """Intersection over union of two axis-aligned boxes, Eq. (8).
+    """Compute the intersection over union of two axis-aligned boxes.
+
+        IoU = |A ∩ B| / |A ∪ B|    Le Gentil 2020, Eq. (8)
 
     Args:
-        first: Lowest and highest corner [m].
-        second: The same of the other box.
+        first: Lowest and highest corner of the first box [m].
+        second: Lowest and highest corner of the second box [m].
 
     >>> square = np.zeros(2), np.ones(2)
     >>> beside = np.array([0.5, 0.0]), np.array([1.5, 1.0])
@@ -147,7 +157,7 @@ def box_iou(
 
 
 def make_footprint(points: Float[Array, "n 3"]) -> Footprint:
-    """Sort points of the world [m] into cells."""
+    """Make the footprint of points (n, 3) in the world [m]."""
     column, row = np.floor(points[:, :2] / CELL).astype(np.int64).T
     cells, members = np.unique((row << 32) + column, return_inverse=True)
     heights = np.bincount(members, points[:, 2]) / np.bincount(members)
@@ -159,10 +169,11 @@ def compare_footprints(first: Footprint, second: Footprint) -> tuple[float, floa
     """Compare the ground of two submaps.
 
     Returns:
-        Box IoU, surface overlap, median height difference [m] or NaN on too few common cells.
+        The box IoU, the surface overlap, and the median height difference [m], which is NaN if
+        there are too few common cells.
     """
     iou = box_iou((first.low, first.high), (second.low, second.high))
-    # Cells reach beyond the points in them: boxes just apart can still share some.
+    # Cells reach beyond their points, so boxes that are just apart can still share some.
     if (first.low > second.high + CELL).any() or (second.low > first.high + CELL).any():
         return iou, 0.0, np.nan
     common, in_first, in_second = np.intersect1d(
@@ -176,7 +187,7 @@ def compare_footprints(first: Footprint, second: Footprint) -> tuple[float, floa
 
 
 def _numbers(submaps: list[Submap]) -> Index:
-    """Places on the traverse: the numbers in the names, or the order where one has none."""
+    """List the places on the traverse: the numbers in the names, or the order if one has none."""
     numbers = [index_of(submap.id) for submap in submaps]
     if None in numbers:
         return np.arange(len(submaps), dtype=np.intp)

@@ -1,4 +1,4 @@
-"""How well the pairs that were found are placed on one another."""
+"""Compares the motions of pairs with the true ones."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,18 +12,18 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array
 
 MAX_OFFSET, MAX_TURN = 0.5, 5.0
-"""A motion is right within this distance [m] and this angle [degrees], unless others are asked."""
+"""A motion is right within this distance [m] and this angle [degrees], unless others are given."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
-    """How far each pair's motion is from the true one; infinite where there is none.
+    """The error of each pair's motion; infinite if the pair has no motion.
 
     Attributes:
-        offset: Distance to the true place [m].
-        turn: Angle to the true heading [rad].
-        max_offset: Up to this distance a motion is right [m].
-        max_turn: Up to this angle a motion is right [rad].
+        offset: Distance between the estimated and the true position (p,) [m].
+        turn: Angle between the estimated and the true heading (p,) [rad].
+        max_offset: Largest distance at which a motion is right [m].
+        max_turn: Largest angle at which a motion is right [rad].
     """
 
     offset: Float[Array, "p"]
@@ -33,33 +33,42 @@ class PoseErrors:
 
     @property
     def near(self) -> Bool[Mask, "p"]:
-        """Which pairs are placed right."""
+        """Which pairs have a right motion (p,)."""
         return (self.offset <= self.max_offset) & (self.turn <= self.max_turn)
 
 
 @dataclass(frozen=True)
 class PoseErrorSummary:
-    """Errors of some pairs; None where there is no pair to tell of."""
+    """Errors of some pairs; all but the count are None if there is no pair.
+
+    Attributes:
+        count: Number of pairs.
+        median_offset: Median of the distances [m].
+        high_offset: 95th percentile of the distances [m].
+        median_turn: Median of the angles [rad].
+        high_turn: 95th percentile of the angles [rad].
+        near: Share of the pairs whose motion is right.
+    """
 
     count: int
-    median_offset: float | None  # [m]
-    high_offset: float | None  # 95th percentile [m]
-    median_turn: float | None  # [rad]
-    high_turn: float | None  # 95th percentile [rad]
-    near: float | None  # share placed right
+    median_offset: float | None
+    high_offset: float | None
+    median_turn: float | None
+    high_turn: float | None
+    near: float | None
 
 
 @dataclass(frozen=True)
 class Bin:
-    """What became of the pairs whose overlap, or relative yaw, lies in low … high.
+    """Counts of the pairs whose overlap, or relative yaw, lies between low and high.
 
     Attributes:
         low: Lower edge.
         high: Upper edge.
         pairs: Number of pairs.
-        accepted: How many of them were accepted.
-        near: How many are placed right, accepted or not.
-        accepted_near: How many are accepted and placed right.
+        accepted: Number of accepted pairs.
+        near: Number of pairs whose motion is right, accepted or not.
+        accepted_near: Number of accepted pairs whose motion is right.
     """
 
     low: float
@@ -78,14 +87,14 @@ def pose_errors(
 ) -> PoseErrors:
     """Compare motions with the true ones.
 
-    The error is the motion ``T_true⁻¹ T_found`` that is left: its length, which is how far the
-    query's origin lies from where it belongs, and its angle.
+    The error is the motion ``T_true⁻¹ T_found``. Its length is the distance of the query's origin
+    from its true position, and its angle is the error of the heading.
 
     Args:
-        found: ``T_database_query`` of every pair, None where nothing was estimated.
-        true: The same from the true poses.
-        max_offset: Up to this distance a motion is right [m].
-        max_turn: Up to this angle a motion is right [rad].
+        found: ``T_database_query`` of every pair; None if nothing was estimated.
+        true: The true ``T_database_query`` of every pair.
+        max_offset: Largest distance at which a motion is right [m].
+        max_turn: Largest angle at which a motion is right [rad].
     """
     offset, turn = np.full(len(true), np.inf), np.full(len(true), np.inf)
     for k, (motion, truth) in enumerate(zip(found, true, strict=True)):
@@ -96,11 +105,11 @@ def pose_errors(
 
 
 def summarise_errors(errors: PoseErrors, chosen: Bool[Mask, "p"]) -> PoseErrorSummary:
-    """Sum up the errors of some pairs; those without a motion count as infinitely far."""
+    """Summarise the errors of the chosen pairs; a pair without a motion has an infinite error."""
     count = int(np.sum(chosen))
     if count == 0:
         return PoseErrorSummary(0, None, None, None, None, None)
-    # A blend with an infinity is not a number: where there are some, take the value above.
+    # Interpolation with an infinite error gives NaN, so take the value above if there is one.
     method = "linear" if np.isfinite(errors.offset[chosen]).all() else "higher"
     (median_offset, high_offset), (median_turn, high_turn) = (
         np.quantile(error[chosen], [0.5, 0.95], method=method)
@@ -123,15 +132,15 @@ def break_down(
     accepted: Bool[Mask, "p"],
     errors: PoseErrors,
 ) -> tuple[Bin, ...]:
-    """Count what became of pairs, by a value of theirs.
+    """Count pairs in bins of a value.
 
     Args:
-        values: What to sort the pairs by.
-        edges: Ends of the bins, ascending; a value on an edge belongs to the bin below it, and
-            one on the first edge to the first bin.
-        chosen: Which pairs to count.
-        accepted: Which are accepted.
-        errors: Where they were placed.
+        values: The value of each pair (p,).
+        edges: Edges of the bins, ascending. A value on an edge belongs to the bin below it, and a
+            value on the first edge to the first bin.
+        chosen: Which pairs to count (p,).
+        accepted: Which pairs are accepted (p,).
+        errors: The errors of their motions.
     """
     near = errors.near
     bins: list[Bin] = []

@@ -1,4 +1,4 @@
-"""Precision and recall, Eq. (7), and the figures that sum a curve of them up."""
+"""Precision and recall, Eq. (7), and figures that summarise their curve."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,9 +14,12 @@ Counts = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
-    """Precision and recall as the threshold moves; a pair passes that reaches it.
+    """Precision and recall for each threshold; a pair passes if its score reaches the threshold.
 
-    Where nothing passes, precision is NaN: no match was named, right or wrong.
+    Attributes:
+        thresholds: The thresholds (t,).
+        precision: Share of the passing pairs that are true (t,); NaN if no pair passes.
+        recall: Share of the true pairs that pass (t,).
     """
 
     thresholds: Float[Array, "t"]
@@ -34,20 +37,20 @@ def precision_recall(
     positive: Bool[Mask, "p"],
     thresholds: Sequence[float] | None = None,
 ) -> PrecisionRecall:
-    """Sweep the threshold on a score.
+    """Compute precision and recall over the thresholds on a score.
 
         P = Tp / (Tp + Fp),  R = Tp / (Tp + Fn)    Le Gentil 2020, Eq. (7)
 
-    Pairs of one score pass or fail together: any order among them would be made up.
+    Pairs of equal score pass or fail together, because any order among them would be arbitrary.
 
     Args:
-        score: Of the judged pairs; higher is more likely the same place. -inf is allowed and
-            means that the pair was not even considered.
-        positive: Which of them truly are.
-        thresholds: Where to look; None takes every score that occurs, highest first.
+        score: Scores of the judged pairs (p,); higher is more likely a loop closure. -inf means
+            that the method did not consider the pair.
+        positive: Which of them are true (p,).
+        thresholds: The thresholds; None takes every score that occurs, highest first.
 
     Raises:
-        ValueError: If no pair is positive: there is nothing to recall.
+        ValueError: If no pair is true, because recall is then not defined.
     """
     total = int(np.sum(positive))
     if total == 0:
@@ -64,26 +67,26 @@ def precision_recall(
 def precision_by_inliers(
     num_inliers: Int[Counts, "p"], positive: Bool[Mask, "p"], most: int = 20
 ) -> PrecisionRecall:
-    """Sweep the paper's threshold on the number of inliers, n = 1 … most (its Fig. 9)."""
+    """Compute precision and recall over the paper's threshold n = 1 … most (its Fig. 9)."""
     return precision_recall(
         num_inliers.astype(np.float64), positive, [float(n) for n in range(1, most + 1)]
     )
 
 
 def average_precision(curve: PrecisionRecall) -> float:
-    """Area under the steps of a curve over every score: Σ (R_k - R_k-1) P_k."""
+    """Compute the area under the steps of a curve over every score: Σ (R_k - R_k-1) P_k."""
     return float(np.sum(np.diff(curve.recall, prepend=0.0) * curve.precision))
 
 
 def recall_at_full_precision(curve: PrecisionRecall) -> float:
-    """Largest share of the true pairs that some threshold finds with no wrong one among them."""
+    """Find the largest recall that a threshold reaches without a false pair."""
     return float(curve.recall[curve.precision == 1.0].max(initial=0.0))
 
 
 def best_f1(curve: PrecisionRecall) -> tuple[float, float]:
-    """Largest harmonic mean of precision and recall, and the threshold that has it.
+    """Find the largest harmonic mean of precision and recall, and its threshold.
 
-    Of several such thresholds, the highest: it names the fewest pairs.
+    If several thresholds reach it, the highest is taken: the fewest pairs pass it.
     """
     both = np.nan_to_num(curve.precision) + curve.recall
     product = 2 * np.nan_to_num(curve.precision) * curve.recall

@@ -1,4 +1,4 @@
-"""What a method said of every pair, in the order in which the truth lists them."""
+"""Brings a method's verdicts into the order of the true pairs."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -20,12 +20,13 @@ class Ranking:
     """A method's verdicts on all pairs that can be judged.
 
     Attributes:
-        score: What it ranks by; -inf for a pair that it does not list.
-        num_inliers: The paper's n.
-        accepted: Which pairs it takes for loop closures.
-        T_database_query: Where it places the query; None where it could not.
+        score: The score by which the method ranks each pair (p,); -inf for a pair that it does
+            not list.
+        num_inliers: Number of inliers of each pair (p,), the paper's n.
+        accepted: Which pairs it accepts as loop closures (p,).
+        T_database_query: The motion of each pair; None if there is none.
         seconds: Time of each stage [s], as far as it is known.
-        notes: What had to be assumed, a line each.
+        notes: What had to be assumed, one line each.
     """
 
     score: Float[Array, "p"]
@@ -56,18 +57,18 @@ def rank_pairs(
 ) -> Ranking:
     """Bring a method's verdicts into the order of the true pairs.
 
-    A pair may stand either way round: its motion is turned to fit. A pair that is not listed
-    ranks below all that are, as one that was never considered.
+    A pair may be listed in either direction; its motion is inverted if need be. A pair that is
+    not listed ranks below all that are.
 
     Args:
-        detection: What a detector found, or what ``closures.json`` of any tool says.
-        dataset: What was searched.
+        detection: The result of a detector, or the content of any tool's ``closures.json``.
+        dataset: The dataset that was searched.
         pairs: Its true pairs.
-        name: Of the method, for error messages.
+        name: Name of the method, for error messages.
 
     Raises:
-        InputError: If a pair names a submap that the dataset does not have, pairs one with
-            itself, comes twice, or has a score that is not a finite number.
+        InputError: If a pair names a submap that the dataset does not have, pairs a submap with
+            itself, is listed twice, or has a score that is not a finite number.
     """
     rows = {
         frozenset((pairs.ids[q], pairs.ids[d])): k
@@ -85,7 +86,7 @@ def rank_pairs(
         listed.add(both)
         row = rows.get(both)
         if row is None:
-            continue  # a submap without a true pose: the truth's notes tell of it
+            continue  # a submap without a true pose, which the notes of the true pairs name
         score[row], num_inliers[row] = verdict.score, verdict.num_inliers
         accepted[row] = verdict.accepted
         motion = verdict.T_database_query
@@ -117,7 +118,7 @@ def _check(
     if len(both) == 1:
         raise InputError(f"{pair}: a submap cannot close a loop with itself; leave the pair out")
     if both in listed:
-        raise InputError(f"{pair}: is listed twice; every pair may stand there once")
+        raise InputError(f"{pair}: is listed twice; list every pair once")
     if not np.isfinite(verdict.score):
         raise InputError(f"{pair}: the score must be a finite number, got {verdict.score!r}")
 

@@ -1,4 +1,4 @@
-"""What an evaluation leaves in its folder: ``report.json``, ``report.md`` and figures."""
+"""Writes the report of an evaluation: ``report.json``, ``report.md`` and figures."""
 
 import json
 import math
@@ -23,22 +23,22 @@ from gpgrad_core.version import VERSION
 
 @runtime_checkable
 class Picture(Protocol):
-    """What can be saved as a picture: a figure of matplotlib, say."""
+    """Something that can be saved as a picture, such as a figure of matplotlib."""
 
     def savefig(self, fname: Path) -> None:
-        """Write it; the ending says how."""
+        """Write the picture; the ending of the name chooses the format."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """A part of the report that something else than the ranking of pairs fills.
+    """An additional section of the report, which does not come from the ranking of pairs.
 
     Attributes:
-        key: Where ``report.json`` holds it.
-        content: What it holds there; numbers, texts, lists and tables by name.
-        text: Its Markdown, from its heading on.
-        figures: Pictures by the name of their file, without the ending.
+        key: Its key in ``report.json``.
+        content: Its value there: numbers, texts, lists and tables by name.
+        text: Its Markdown, which begins with a heading.
+        figures: Its pictures by file name without the ending.
     """
 
     key: str
@@ -48,7 +48,13 @@ class Section:
 
 
 def check_directory(directory: Path | str) -> Path:
-    """Check that a report can be written there, before the long work that fills it.
+    """Check that a report can be written to a folder; call it before long work.
+
+    Args:
+        directory: The folder; it need not exist.
+
+    Returns:
+        The folder as a path.
 
     Raises:
         InputError: If it is a file, or cannot be made or written to.
@@ -74,26 +80,26 @@ def write_report(
     sections: Sequence[Section] = (),
     progress: Progress = silent,
 ) -> tuple[Path, ...]:
-    """Write a report into a folder; it is made if it is not there.
+    """Write a report into a folder.
 
-    Each file is written whole or not at all, the report itself last: it never tells of a figure
-    that is missing. Other files in the folder are left alone.
+    Each file is written whole or not at all, and the report itself is written last, so that it
+    never refers to a figure that is missing. Other files in the folder stay.
 
     Args:
-        directory: The folder.
-        evaluation: What to tell.
-        closures: What each method found, to be kept beside the report as
-            ``closures_METHOD.json``; by the names that the evaluation has for them.
-        sections: What to tell besides.
-        progress: Called once a figure; may raise Cancelled.
+        directory: The folder; it is made if it does not exist.
+        evaluation: The results to report.
+        closures: The detections of each method, by its name in the evaluation. They are written
+            to ``closures_METHOD.json``.
+        sections: Additional sections.
+        progress: Called with the fraction done; may raise Cancelled.
 
     Returns:
-        The files written.
+        The paths of all files written.
 
     Raises:
         InputError: If the folder cannot be made or written to.
     """
-    # Matplotlib takes half a second to load: only what draws should wait for it.
+    # Imported here because Matplotlib takes half a second to load.
     from gpgrad_core.evaluation.figures import draw_figures  # noqa: PLC0415
 
     directory = check_directory(directory)
@@ -127,7 +133,7 @@ def write_report(
 
 
 def report_evaluation(evaluation: Evaluation) -> dict[str, Any]:
-    """Gather what ``report.json`` tells: lengths in metres, angles in radians, null for unknown."""
+    """Make the content of ``report.json``: metres, radians, and null for unknown."""
     return cast(
         "dict[str, Any]",
         _plain(
@@ -236,7 +242,7 @@ def _pairs(pairs: TruePairs, evaluation: Evaluation) -> list[dict[str, Any]]:
 
 
 def _plain(value: object) -> object:
-    """Turn into what JSON knows: nine digits, and null for what is not a finite number."""
+    """Convert to what JSON has: numbers of nine digits, and null for those that are not finite."""
     if isinstance(value, Mapping):
         return {str(key): _plain(one) for key, one in cast("Mapping[Any, object]", value).items()}
     if isinstance(value, np.ndarray):

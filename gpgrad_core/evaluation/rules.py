@@ -1,4 +1,4 @@
-"""Which pairs count as the same place, and which are left out of the count."""
+"""The rules by which pairs count as the same place, or are left out."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -17,41 +17,41 @@ from gpgrad_core.types import Array, read_only
 
 @dataclass(frozen=True)
 class EvaluationParams:
-    """What a detection is judged by."""
+    """Parameters of the evaluation."""
 
     min_overlap: Annotated[
         float,
         Bounds(0.0, 0.99, 0.05, "", slider=(0.0, 0.9)),
-        Doc("A pair is true if its boxes' intersection over union is above this (paper: Eq. 8)."),
+        Doc("A pair is true if its boxes' intersection over union (Eq. 8) is above this."),
     ] = 0.3
     min_surface_overlap: Annotated[
         float,
         Bounds(0.0, 0.99, 0.05, "", slider=(0.0, 0.9)),
-        Doc("By the second rule a pair is true if its surfaces share more than this."),
+        Doc("By the second rule, a pair is true if its surfaces share more than this."),
     ] = 0.2
     neighbours: Annotated[
         int,
         Bounds(0, 100_000, 1, "", slider=(0, 10)),
-        Doc("Pairs whose numbers differ by no more than this are left out; 0 keeps all."),
+        Doc("Pairs whose numbers differ by at most this are left out. 0 keeps all."),
     ] = 1
     count_grey: Annotated[
         bool,
-        Doc("Count pairs that touch without being true as false, instead of leaving them out."),
+        Doc("Pairs that touch without being true count as false, instead of being left out."),
     ] = False
     max_offset_error: Annotated[
         float,
         Bounds(0.01, 1000.0, 0.05, "m", slider=(0.05, 2.0)),
-        Doc("A motion is right if it lies within this of the true one …"),
+        Doc("Largest distance from the true position at which a motion is right."),
     ] = MAX_OFFSET
     max_turn_error: Annotated[
         float,
         Bounds(0.1, 180.0, 0.5, "deg", slider=(0.5, 30.0)),
-        Doc("… and is turned no further than this from it."),
+        Doc("Largest angle to the true heading at which a motion is right."),
     ] = MAX_TURN
     num_resamples: Annotated[
         int,
         Bounds(0, 100_000, 100, ""),
-        Doc("Resamples of the submaps that the 95 % intervals are made from; 0 makes none."),
+        Doc("Number of resamples of the submaps for the 95 % intervals. 0 makes no intervals."),
     ] = 1000
 
     def __post_init__(self) -> None:
@@ -60,7 +60,7 @@ class EvaluationParams:
 
     @property
     def rules(self) -> tuple["Rule", "Rule"]:
-        """The paper's rule on boxes, and the one on surfaces."""
+        """The paper's rule on boxes, and the second rule on surfaces."""
         return (
             Rule("box", self.min_overlap, self.neighbours, self.count_grey),
             Rule("surface", self.min_surface_overlap, self.neighbours, self.count_grey),
@@ -69,11 +69,17 @@ class EvaluationParams:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """What a rule says of every pair."""
+    """The label that a rule gives every pair.
 
-    positive: Bool[Mask, "p"]  # truly the same place, and judged
-    judged: Bool[Mask, "p"]  # neither neighbours nor grey
-    grey: Bool[Mask, "p"]  # left out: touching, and not enough
+    Attributes:
+        positive: Pairs that are true and judged (p,).
+        judged: Pairs that are neither neighbours nor grey (p,).
+        grey: Pairs that touch without being true, and are left out (p,).
+    """
+
+    positive: Bool[Mask, "p"]
+    judged: Bool[Mask, "p"]
+    grey: Bool[Mask, "p"]
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
@@ -82,7 +88,7 @@ class Labels:
 
     @property
     def negative(self) -> Bool[Mask, "p"]:
-        """Truly two places, and judged."""
+        """Pairs that are false and judged (p,)."""
         return self.judged & ~self.positive
 
 
@@ -91,10 +97,11 @@ class Rule:
     """When a pair of submaps counts as the same place.
 
     Attributes:
-        measure: ``box`` is the paper's Eq. (8). Boxes may overlap where the submaps hardly share
-            ground: ``surface`` is the common share of the cells of the smaller one.
+        measure: ``box`` is the paper's Eq. (8). Boxes may overlap although the submaps hardly
+            share ground, so ``surface`` is the share of the smaller submap's cells that are
+            common.
         threshold: A pair is true if the measure is above this.
-        neighbours: Pairs this close on the traverse are left out.
+        neighbours: Pairs whose numbers differ by at most this are left out.
         count_grey: Whether pairs that touch without being true count as false.
     """
 
@@ -105,13 +112,13 @@ class Rule:
 
     @property
     def name(self) -> str:
-        """In few words."""
+        """The rule in a few words."""
         what = "box IoU" if self.measure == "box" else "surface overlap"
         return f"{what} > {self.threshold:g}"
 
     @property
     def statement(self) -> str:
-        """In full: no figure means anything without it."""
+        """The rule in a full sentence."""
         if self.measure == "box":
             true = f"the boxes' intersection over union (Eq. 8) is above {self.threshold:g}"
         else:
@@ -131,11 +138,11 @@ class Rule:
         return f"A pair is true if {true}; {false}; {band}."
 
     def measured(self, pairs: TruePairs) -> Float[Array, "p"]:
-        """The overlap that the rule looks at."""
+        """Return the overlap of each pair that the rule uses (p,)."""
         return pairs.box_iou if self.measure == "box" else pairs.surface_overlap
 
     def label(self, pairs: TruePairs) -> Labels:
-        """Say of every pair whether it is true, false or left out."""
+        """Label every pair as true, false or left out."""
         far = pairs.steps > self.neighbours
         true = self.measured(pairs) > self.threshold
         between = ~true & (pairs.box_iou > 0)

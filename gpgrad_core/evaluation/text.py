@@ -1,4 +1,4 @@
-"""An evaluation in words and tables: ``report.md``."""
+"""Writes the text and the tables of ``report.md``."""
 
 from collections.abc import Callable, Iterable, Sequence
 from math import degrees
@@ -15,37 +15,38 @@ UNKNOWN = "n/a"
 
 LEGEND = """\
 - **AP**, average precision: the area under the curve of precision over recall.
-  **R100**: the largest share of the true pairs that some threshold finds with no false pair
-  among them. **F1**: the best harmonic mean of precision and recall, and the score at which it
-  is reached. Pairs of one score pass or fail together.
+  **R100**: the largest share of the true pairs that a threshold finds without a false pair.
+  **F1**: the largest harmonic mean of precision and recall, and the score at which it is
+  reached. Pairs of equal score pass or fail together.
 - **placed right**: within {offset:g} m and {turn:g}° of the true motion.
-- **grey**: pairs that touch without being true. They often do match; *grey, placed right*
-  counts those accepted ones whose motion is the true one.
+- **grey**: pairs that touch without being true. They often do fit together; *grey, placed
+  right* counts the accepted grey pairs whose motion is the true one.
 """
 LEGEND_OF_INTERVALS = """\
-- **[low, high]**: 95 % of {resamples} resamples (seed {seed}) of the *submaps*, since pairs that
-  share a submap are not independent. R100 hangs on a single pair: its interval is a rough one.
-  What is perfect stays so in every resample: [1.00, 1.00] does not mean that it must be.
+- **[low, high]**: the interval of 95 % of {resamples} resamples (seed {seed}) of the *submaps*,
+  because pairs that share a submap are not independent. R100 depends on a single pair, so its
+  interval is rough. A perfect figure is perfect in every resample: [1.00, 1.00] does not mean
+  that it is certain.
 """
 LEGEND_OF_LEAD = """\
-- **lead**: how far the AP of the first method is above this one's, on the same resamples; an
-  interval above 0 says that more than the luck of the draw is behind it.
+- **lead**: the AP of the first method minus this one's, on the same resamples. If the whole
+  interval is above 0, the lead is more than chance.
 """
 CAPTIONS = {
-    "precision_recall_by_inliers": "As the paper's Fig. 8: the threshold moves over n = 1 to 20.",
-    "precision_recall": "Precision over recall, all methods; a star is what a method accepts.",
-    "precision_by_inliers": "As the paper's Fig. 9: precision, and recall, against n.",
-    "affinity_": "What truly overlaps, beside the scores of a method.",
-    "loops_": "Where the loop closures of a method lie on the traverse.",
+    "precision_recall_by_inliers": "Like the paper's Fig. 8: the threshold is n = 1 to 20 inliers.",
+    "precision_recall": "Precision over recall of all methods. A star marks what a method accepts.",
+    "precision_by_inliers": "Like the paper's Fig. 9: precision and recall against n.",
+    "affinity_": "The true overlap of all pairs, and the scores of a method.",
+    "loops_": "The loop closures of a method on the true traverse.",
 }
-"""What is said of a figure whose name begins so; the first that fits."""
+"""Captions of figures by the beginning of their names; the first that fits is used."""
 
 
 def describe(evaluation: Evaluation, figures: Sequence[str]) -> str:
-    """Write the report.
+    """Write the text of the report in Markdown.
 
     Args:
-        evaluation: What to tell.
+        evaluation: The results to report.
         figures: Names of the pictures beside it, without their ending.
     """
     pairs = evaluation.pairs
@@ -70,7 +71,7 @@ def describe(evaluation: Evaluation, figures: Sequence[str]) -> str:
 
 
 def _describe_accepted(evaluation: Evaluation) -> list[str]:
-    """Tell what a pose graph would be given, before any rule on which pairs count as true."""
+    """Describe the accepted pairs by their motion, for which no rule is needed."""
     params = evaluation.params
     rows = [
         (
@@ -86,9 +87,9 @@ def _describe_accepted(evaluation: Evaluation) -> list[str]:
     return [
         "## Accepted loop closures by their motion",
         "",
-        f"A loop closure is right only if its motion is: within {params.max_offset_error:g} m and "
-        f"{params.max_turn_error:g}° of the true one. *Wrong motion* counts the others whose "
-        "submaps have ground in common, and *no overlap* those whose submaps have none.",
+        f"A loop closure is right if its motion is within {params.max_offset_error:g} m and "
+        f"{params.max_turn_error:g}° of the true one. *Wrong motion* counts the other loop "
+        "closures whose submaps share ground, and *no overlap* those whose submaps share none.",
         "",
         *([f"*left out: neighbours |i - j| <= {params.neighbours}*", ""] * bool(params.neighbours)),
         *_table(header, rows),

@@ -1,4 +1,4 @@
-"""Keypoints of a gradient map and their descriptors; one detector a file."""
+"""Keypoints of a gradient map and their descriptors; each detector has its own file."""
 
 from gpgrad_core.features.extraction import (
     DetectorName,

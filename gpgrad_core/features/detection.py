@@ -1,4 +1,4 @@
-"""What every detector gives back, in pixels of the image it was shown."""
+"""The result of a detector, in pixels of the image."""
 
 from dataclasses import dataclass
 
@@ -12,9 +12,16 @@ Image = Float[NDArray[np.float64], "rows columns"]
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Keypoints in pixels: (0, 0) is the centre of the first."""
+    """Keypoints in pixels; (0, 0) is the centre of the first pixel.
 
-    pixels: Float[NDArray[np.float64], "k 2"]  # (column, row)
-    diameters: Float[NDArray[np.float64], "k"]  # of the neighbourhood [pixels]
-    responses: Float[NDArray[np.float64], "k"]  # strength, as the detector has it
+    Attributes:
+        pixels: Position (column, row) of each keypoint (k, 2) [pixels].
+        diameters: Diameter of the described neighbourhood (k,) [pixels].
+        responses: Strength of each keypoint (k,), in the detector's own unit.
+        descriptors: Vectors of float32 or strings of bits (k, d).
+    """
+
+    pixels: Float[NDArray[np.float64], "k 2"]
+    diameters: Float[NDArray[np.float64], "k"]
+    responses: Float[NDArray[np.float64], "k"]
     descriptors: Float[NDArray[np.float32], "k d"] | UInt8[NDArray[np.uint8], "k d"]

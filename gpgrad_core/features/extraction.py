@@ -1,4 +1,4 @@
-"""Keypoints in trusted cells of a gradient map, and their descriptors."""
+"""Extracts keypoints from the trusted cells of a gradient map, and describes them."""
 
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
@@ -19,21 +19,21 @@ DetectorName = Literal["akaze", "kaze", "sift", "orb", "surf", "slope"]
 
 @dataclass(frozen=True)
 class DetectorParams:
-    """Which detector draws keypoints from the map, and how."""
+    """Which detector finds the keypoints, and its parameters."""
 
     name: Annotated[
         DetectorName,
         Doc(
-            "Detector and descriptor of keypoints: 'slope', of the slope vectors, which only "
-            "terrain has; the others, of the gradient image. The paper's is 'surf'."
+            "Detector and descriptor of the keypoints. 'slope' uses the slope vectors, which only "
+            "terrain has. The others use the gradient image; the paper uses 'surf'."
         ),
     ] = "slope"
     gradient_range: Annotated[
         float,
         Bounds(0.05, 20.0, 0.05, "m/m", slider=(0.2, 3.0)),
         Doc(
-            "Steepness that an 8-bit image, for SIFT and ORB, shows as white; the same for every "
-            "map of a dataset."
+            "Steepness that is white in the 8-bit image for SIFT and ORB. It is the same for all "
+            "maps of a dataset."
         ),
     ] = 1.5
 
@@ -44,21 +44,21 @@ class DetectorParams:
 
 @dataclass(frozen=True)
 class FeatureParams:
-    """Which keypoints are used."""
+    """Which keypoints are used: variance mask, number and detector."""
 
     max_std_ratio: Annotated[
         float,
         Bounds(0.01, 1.0, 0.01, "", slider=(0.02, 1.0)),
         Doc(
-            "Variance mask: trust cells whose standard deviation is up to this share of what "
-            "heights change by over the scale of comparison. It holds for keypoints, comparison "
-            "and overlap; 1 trusts every cell."
+            "Variance mask: a cell is trusted if its standard deviation is at most this share of "
+            "the typical change of height over the scale of comparison. Keypoints, comparison and "
+            "overlap use trusted cells only. 1 trusts every cell."
         ),
     ] = MAX_STD_RATIO
     max_keypoints: Annotated[
         int,
         Bounds(10, 20_000, 10, "", slider=(50, 3000)),
-        Doc("Keep at most this many keypoints of a map, the strongest."),
+        Doc("Largest number of keypoints of a map; the strongest are kept."),
     ] = 1000
     detector: DetectorParams = field(default_factory=DetectorParams)
 
@@ -68,20 +68,28 @@ class FeatureParams:
 
 
 def extract_features(gradient_map: GradientMap, params: FeatureParams | None = None) -> Features:
-    """Draw keypoints from the gradient image where the map can be trusted, Sec. V.
+    """Extract keypoints where the map is trusted (the paper's Sec. V).
 
     Args:
-        gradient_map: The map; the paper's I_g and I_v.
-        params: Detector and variance mask.
+        gradient_map: The map: the paper's I_g and I_v.
+        params: Detector, variance mask and number of keypoints.
+
+    Returns:
+        The keypoints, with positions and scales in metres.
     """
     params = params or FeatureParams()
     return select_trusted(detect_features(gradient_map, params.detector), params)
 
 
 def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Features:
-    """Detect and describe keypoints over the whole image, trusted or not.
+    """Detect and describe keypoints on the whole map, trusted or not.
 
-    The mask comes after (`select_trusted`), so that moving it needs no new detection.
+    The variance mask is applied afterwards (`select_trusted`), so that changing it needs no new
+    detection.
+
+    Args:
+        gradient_map: The map.
+        params: The detector.
     """
     found = _detect(gradient_map, params)
     grid = gradient_map.grid
@@ -97,7 +105,15 @@ def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Featur
 
 
 def select_trusted(features: Features, params: FeatureParams) -> Features:
-    """Keep the strongest keypoints in cells close enough to points: the paper's mask."""
+    """Keep the strongest keypoints in trusted cells: the paper's mask.
+
+    Args:
+        features: All keypoints of a map.
+        params: Variance mask and number of keypoints.
+
+    Returns:
+        The keypoints kept, in their order.
+    """
     trusted = np.flatnonzero(features.std_ratios <= params.max_std_ratio)
     strongest = np.argsort(-features.responses[trusted], kind="stable")[: params.max_keypoints]
     return features.select(trusted[np.sort(strongest)])

@@ -1,8 +1,8 @@
-"""SURF's detector: maxima of a Hessian's determinant made of box filters.
+"""SURF's detector: maxima of the determinant of a Hessian that box filters approximate.
 
-Bay et al., *SURF: Speeded Up Robust Features*, ECCV 2006, Sec. 3. A box filter of any size
-costs the same few differences of an integral image, here of the float image itself: the paper's
-gradient maps need not be cut down to 8 bits.
+Bay et al., *SURF: Speeded Up Robust Features*, ECCV 2006, Sec. 3. A box filter of any size costs
+the same few differences of an integral image. The integral image is that of the float image, so
+gradient maps need no conversion to 8 bits.
 """
 
 from dataclasses import dataclass
@@ -16,38 +16,46 @@ from gpgrad_core.features.detection import Image
 
 OCTAVES = 4
 LAYERS = 4
-"""Layers of an octave; keypoints are maxima in the inner ones."""
+"""Number of layers of an octave; keypoints are maxima in the inner layers."""
 XY_WEIGHT = 0.9
-"""Makes up for boxes in place of Gaussians in Dxy: the determinant is Dxx Dyy - (0.9 Dxy)²."""
+"""Corrects Dxy for boxes in place of Gaussians: the determinant is Dxx Dyy - (0.9 Dxy)²."""
 LEAST_RESPONSE = 1e-8
-"""Of the image's peak squared: less is rounding."""
+"""Smallest response, relative to the square of the image's peak; less is a rounding error."""
 
 Integral = Float[NDArray[np.float64], "corner_rows corner_columns"]
 Layer = Float[NDArray[np.float64], "rows columns"]
 Corners = dict[int, int]
-"""Weights of an integral image's corners, by their distance from the pixel's first corner."""
+"""Weights of the corners of an integral image, by their distance from the pixel's first corner."""
 
 
 @dataclass(frozen=True, eq=False)
 class Blobs:
     """Maxima over position and size; (0, 0) is the centre of the first pixel.
 
-    A filter of side L stands for a Gaussian of 1.2 L / 9 pixels.
+    A filter of side L approximates a Gaussian of 1.2 L / 9 pixels.
+
+    Attributes:
+        pixels: Position (column, row) of each blob (k, 2) [pixels].
+        sides: Side of its box filter, which is the blob's diameter (k,) [pixels].
+        responses: Determinant of the Hessian (k,).
+        signs: Sign of the Laplacian (k,): -1 for bright on dark, 1 for dark on bright.
     """
 
-    pixels: Float[NDArray[np.float64], "k 2"]  # (column, row)
-    sides: Float[NDArray[np.float64], "k"]  # of the box filter [pixels]: the blob's diameter
-    responses: Float[NDArray[np.float64], "k"]  # determinant
-    signs: Int[NDArray[np.int8], "k"]  # of the Laplacian: -1 bright on dark, 1 dark on bright
+    pixels: Float[NDArray[np.float64], "k 2"]
+    sides: Float[NDArray[np.float64], "k"]
+    responses: Float[NDArray[np.float64], "k"]
+    signs: Int[NDArray[np.int8], "k"]
 
 
 def integral_image(image: Image) -> Integral:
-    """Sum the image up from its first corner; the mean is left out, it only costs digits."""
+    """Compute the integral image, without the image's mean, which would only cost digits."""
     return cv2.integral(image - image.mean(), sdepth=cv2.CV_64F)
 
 
 def filter_sides(octave: int) -> list[int]:
-    """Sides of the box filters of an octave: 9 15 21 27, then 15 27 39 51, then 27 51 75 99.
+    """List the sides of the box filters of an octave [pixels].
+
+    They are 9 15 21 27 in octave 0, then 15 27 39 51, then 27 51 75 99.
 
     >>> filter_sides(1)
     [15, 27, 39, 51]
@@ -58,11 +66,12 @@ def filter_sides(octave: int) -> list[int]:
 def find_blobs(image: Image) -> Blobs:
     """Find maxima of the approximated Hessian's determinant over position and size.
 
-    Position and size are interpolated by a quadratic (Brown and Lowe). Nothing is found within
-    half a filter of the border.
+    Position and size are interpolated by a quadratic (Brown and Lowe 2002). Nothing is found
+    within half a filter of the border.
 
     Args:
-        image: Of any scale and contrast: there is no threshold but against rounding.
+        image: The image. Its contrast does not matter: the only threshold is against rounding
+            errors.
     """
     integral = integral_image(image)
     least = LEAST_RESPONSE * float(np.abs(image).max(initial=0.0)) ** 2
@@ -85,8 +94,9 @@ def _octave_blobs(integral: Integral, octave: int, least: float) -> Blobs:
         _fill_hessian(integral, side, step, responses[layer], traces[layer])
     layer, row, column = _maxima(responses, sides, step, least)
     offset = _quadratic_offset(responses, layer, row, column)
-    # Not half a cell, as for Gaussians: responses of boxes have edges, which throw the quadratic
-    # off; on maps turned by 37 degrees, 4 % more of the associations are right with a whole cell.
+    # Offsets up to a whole cell are allowed, not half a cell as for Gaussians: the responses of
+    # boxes have edges, which disturb the quadratic. On maps turned by 37 degrees, 4 % more of the
+    # associations are then right.
     near = (np.abs(offset) <= 1.0).all(axis=1)
     layer, row, column, offset = layer[near], row[near], column[near], offset[near]
     return Blobs(
@@ -100,15 +110,15 @@ def _octave_blobs(integral: Integral, octave: int, least: float) -> Blobs:
 def _fill_hessian(
     integral: Integral, side: int, step: int, determinant: Layer, trace: Layer
 ) -> None:
-    """Write determinant and trace of one filter size where the filter fits, 0 elsewhere.
+    """Write determinant and trace for one filter size where the filter fits; 0 elsewhere.
 
-    Each of the three filters is one along the rows times one along the columns.
+    Each of the three filters is a filter along the rows times one along the columns.
     """
     lobe, half = side // 3, side // 2
     bend: Corners = {half + 1: 1, -half: -1, lobe // 2 + 1: -3, -(lobe // 2): 3}  # lobes 1 -2 1
-    even: Corners = {lobe: 1, 1 - lobe: -1}  # 2 lobe - 1 pixels alike
-    odd: Corners = {lobe + 1: 1, 1: -1, 0: -1, -lobe: 1}  # lobes 1 0 -1, the 0 a pixel wide
-    # Of the step-th pixels, those that the filter fits around.
+    even: Corners = {lobe: 1, 1 - lobe: -1}  # 2 lobe - 1 pixels of equal weight
+    odd: Corners = {lobe + 1: 1, 1: -1, 0: -1, -lobe: 1}  # lobes 1 0 -1; the 0 is a pixel wide
+    # The filter fits around these of every step-th pixels.
     first = -(-half // step)
     rows, columns = (max(0, (size - 2 - half) // step - first + 1) for size in integral.shape)
     if rows == 0 or columns == 0:
@@ -132,14 +142,23 @@ def _weighted(
     step: int,
     count: int,
 ) -> Float[NDArray[np.float64], "p q"]:
-    """Sum ``start + shift``, and every step-th after it, along an axis, with a weight a shift."""
+    """Sum shifted copies of the corners with weights, at every step-th position along an axis.
+
+    Args:
+        corners: The array to sum.
+        axis: The axis along which it is shifted.
+        weights: The weight of each shift.
+        start: The first position.
+        step: Distance between positions.
+        count: Number of positions.
+    """
     shape = (count, corners.shape[1]) if axis == 0 else (corners.shape[0], count)
     span = (count - 1) * step + 1
     total = np.zeros(shape)
     for shift, weight in weights.items():
         line = slice(start + shift, start + shift + span, step)
         shifted = corners[line] if axis == 0 else corners[:, line]
-        if abs(weight) == 1:  # spares a pass over the memory, which is what this costs
+        if abs(weight) == 1:  # saves a pass over the memory, which takes most of the time
             (np.add if weight > 0 else np.subtract)(total, shifted, out=total)
         else:
             total += weight * shifted
@@ -152,8 +171,8 @@ def _maxima(
     step: int,
     least: float,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Cells above all 26 neighbours: (layer, row, column)."""
-    # Along the rows and columns by OpenCV, which is fast; then across the layers.
+    """Find the cells that are above all 26 neighbours: (layer, row, column)."""
+    # OpenCV compares along rows and columns, because it is fast; then the layers are compared.
     kernel = np.ones((3, 3), np.uint8)
     highest = np.stack([cv2.dilate(layer, kernel) for layer in responses])
     found: list[NDArray[np.intp]] = []
@@ -161,7 +180,7 @@ def _maxima(
         middle = responses[layer]
         peak = (middle >= highest[layer]) & (middle > least)
         peak &= (middle > highest[layer - 1]) & (middle > highest[layer + 1])
-        # Neighbours must be known too: the next larger filter has to fit.
+        # The neighbours must be known too, so the next larger filter has to fit.
         margin = -(-(sides[layer + 1] // 2) // step) + 1
         inside = np.zeros_like(peak)
         inside[margin:-margin, margin:-margin] = True
@@ -177,7 +196,7 @@ def _quadratic_offset(
     row: NDArray[np.intp],
     column: NDArray[np.intp],
 ) -> Float[NDArray[np.float64], "k 3"]:
-    """Where the quadratic through a maximum and its neighbours peaks: (layer, row, column)."""
+    """Find the peak of the quadratic through a maximum and its neighbours: (layer, row, column)."""
     unit = np.eye(3, dtype=np.intp)
 
     def at(shift: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -192,7 +211,7 @@ def _quadratic_offset(
             f = unit[j]
             mixed = (at(e + f) - at(e - f) - at(f - e) + at(-e - f)) / 4
             hessian[:, i, j] = hessian[:, j, i] = mixed
-    # A peak that is flat along some line has no place of its own on it: NaN is no offset.
+    # A peak that is flat along some line has no single position: its offset is NaN.
     flat = np.abs(np.linalg.det(hessian)) <= 1e-12 * np.abs(centre) ** 3
     hessian[flat] = np.eye(3)
     offset = -np.linalg.solve(hessian, slope[..., None])[..., 0].astype(np.float64)

@@ -1,4 +1,4 @@
-"""Values of an image between its pixels."""
+"""Interpolates images between their pixels."""
 
 from typing import Any, cast
 
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import NDArray
 
 MOST_ROWS = 16_384
-"""Rows of positions at a time: OpenCV maps no more than 32766."""
+"""Number of rows of positions at a time; OpenCV samples at most 32766."""
 
 
 def interpolate(
@@ -19,8 +19,11 @@ def interpolate(
     """Interpolate an image linearly, all channels at once.
 
     Args:
-        image: Its first pixel's centre is (0, 0).
-        where: Positions (column, row) [pixels]; beyond the image there is 0.
+        image: The image (rows, columns, channels); the centre of its first pixel is (0, 0).
+        where: Positions (column, row) (k, n, 2) [pixels].
+
+    Returns:
+        The values (k, n, channels); 0 beyond the image.
     """
     values = np.zeros((*where.shape[:2], image.shape[2]), np.float32)
     for start in range(0, len(where), MOST_ROWS):

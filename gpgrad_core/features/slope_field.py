@@ -1,17 +1,18 @@
-"""A detector for terrain: keypoints of its curvature, described by the slope *vectors* around.
+"""A detector for terrain: keypoints of its curvature, described by the slope *vectors* around them.
 
-A gradient image keeps how steep the ground is and forgets which way it falls. The GP knows both,
-exactly and smooth, in metres, and how far to trust them. So, unlike detectors made for photographs:
+A gradient image says how steep the ground is, but not in which direction it falls. The GP knows
+both, exact and smooth, and how far to trust them. So this detector differs from those made for
+photographs:
 
-- sizes are physical and few: a map has no unknown zoom, and its scale of comparison says what
-  detail it can hold. Nothing here depends on the map's resolution;
-- keypoints are extrema of the elevation's Hessian determinant: hills, pits and saddles. Its second
-  derivatives are differences of the exact slopes, over a fifth of that scale;
-- a keypoint's heading is the direction in which the ground around it rises;
-- its descriptor is the slope itself on rings around, turned into that heading, and not normalised:
-  how steep the ground is, is a fact, not a matter of lighting;
-- every slope counts as far as the points have determined the elevation there: beyond the edge of
-  what was seen a descriptor says nothing, and not that the ground is flat.
+- There are few sizes, and they are physical: a map has no unknown zoom, and its scale of comparison
+  says which detail it holds. Nothing depends on the map's resolution.
+- Keypoints are extrema of the determinant of the elevation's Hessian: hills, pits and saddles. The
+  second derivatives are differences of the exact slopes over a fifth of the scale of comparison.
+- A keypoint's heading is the direction in which the ground around it rises.
+- The descriptor is the slope itself on rings around the keypoint, rotated to the heading. It is not
+  normalised: the steepness of the ground is a fact, not a matter of lighting.
+- Each slope is weighted by how well the points determine the elevation there. Beyond the edge of
+  what was seen, the descriptor is 0 for "unknown", not for "flat".
 """
 
 from dataclasses import dataclass
@@ -26,18 +27,20 @@ from gpgrad_core.features.interpolation import interpolate
 from gpgrad_core.types import GradientMap
 
 SCALES = (0.5, 1.0)
-"""Gaussians under which keypoints are sought [scales of comparison]. The first describes them
-too, the last gives their headings."""
+"""Widths of the Gaussians under which keypoints are searched [scales of comparison]. The first is
+also used for the descriptors, and the last for the headings."""
 RINGS = (0.8, 1.7, 2.9, 4.5)
-"""Radii of the rings of a descriptor, in scales of comparison, around its centre."""
+"""Radii of the descriptor's rings around its centre [scales of comparison]."""
 SPOKES = 12
-"""Samples on each ring; every other ring is turned by half a step."""
+"""Number of samples on each ring; every other ring is rotated by half a step."""
 LEAST_WEIGHT = 1e-3
-"""Where less is known than this, slopes fade away instead of being divided by next to nothing."""
+"""Weights below this are raised to it before slopes are divided by them, so that unknown slopes
+fade to 0."""
 LEAST_RESPONSE = 1e-4
-"""Of the steepest slope: less is rounding, as on a plane."""
+"""Smallest response, relative to the steepest slope; less is a rounding error, as on a plane."""
 CELLS = 5
-"""Least cells of the working grid along a scale of comparison; more cost time, change nothing."""
+"""Smallest number of cells of the working grid along a scale of comparison. More cells take more
+time and do not change the result."""
 
 Layer = Float[NDArray[np.float32], "rows columns"]
 Slopes = Float[NDArray[np.float32], "rows columns 3"]  # weighted slope (x, y), and the weight
@@ -55,10 +58,11 @@ def detect_slope_field(gradient_map: GradientMap) -> Detection:
     """Detect hills, pits and saddles, and describe the slope vectors around them.
 
     Args:
-        gradient_map: Its slopes, variance and scale are used; its gradient image is not.
+        gradient_map: The map. Its slopes, variance and scale are used, not its gradient image.
 
     Returns:
-        Descriptors of 2 (1 + 12 · 4) slopes [m/m]: along and across the keypoint's heading.
+        The keypoints; the descriptors have 2 (1 + 12 · 4) values: the slopes along and across the
+        keypoint's heading [m/m].
     """
     length = gradient_map.scale / gradient_map.grid.resolution  # [pixels]
     stride = max(1, int(length / CELLS))
@@ -71,7 +75,7 @@ def detect_slope_field(gradient_map: GradientMap) -> Detection:
     cells = np.concatenate([keypoints.cells for keypoints in found])
     last = np.array(gradient_map.grid.shape[::-1]) - 1.0
     return Detection(
-        # The centre of a cell of stride x stride pixels; the last ones reach beyond the image.
+        # The centre of a cell of stride x stride pixels; the last cells reach beyond the image.
         pixels=np.clip(stride * cells.astype(np.float64) + (stride - 1) / 2, 0.0, last),
         diameters=2 * stride * np.concatenate([keypoints.sigmas for keypoints in found]),
         responses=np.concatenate([keypoints.responses for keypoints in found]),
@@ -80,9 +84,9 @@ def detect_slope_field(gradient_map: GradientMap) -> Detection:
 
 
 def _weighted_slopes(gradient_map: GradientMap, stride: int) -> Slopes:
-    """Average slopes over stride x stride pixels, times their weight.
+    """Average the weighted slopes over cells of stride x stride pixels.
 
-    The weight is the share of the detail's variance that the points have taken away: 1 where the
+    The weight is the share of the detail's variance that the points have removed: 1 where the
     elevation is known, 0 far from all points and beyond the image.
     """
     weight = 1 - np.clip(gradient_map.variance / gradient_map.detail_std**2, 0.0, 1.0)
@@ -96,7 +100,7 @@ def _weighted_slopes(gradient_map: GradientMap, stride: int) -> Slopes:
 
 
 def _smooth(slopes: Slopes, sigma: float) -> Slopes:
-    """Smooth slopes and weights alike: their ratio is the average by weight."""
+    """Smooth slopes and weights in the same way; their ratio is the weighted average."""
     side = 2 * int(np.ceil(3 * sigma)) + 1
     smoothed = cv2.GaussianBlur(slopes, (side, side), sigma, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(smoothed, np.float32)
@@ -105,14 +109,14 @@ def _smooth(slopes: Slopes, sigma: float) -> Slopes:
 def _find_keypoints(smoothed: Slopes, sigma: float) -> _Keypoints:
     """Find the extrema of the Hessian's determinant, of either sign.
 
-    The response is sigma √|det|, a slope, so that it ranks keypoints of all scales.
+    The response is sigma √|det|. It is a slope, so keypoints of all scales can be ranked by it.
     """
     weight = np.maximum(smoothed[..., 2:], LEAST_WEIGHT)
     slope = (smoothed[..., :2] / weight).astype(np.float32)
     xx, xy = _derivatives(slope[..., 0])
     yx, yy = _derivatives(slope[..., 1])
     least = LEAST_RESPONSE * float(np.abs(slope).max(initial=0.0))
-    # The two mixed ones differ where the weights do.
+    # The two mixed derivatives differ where the weights differ.
     determinant = xx * yy - ((xy + yx) / 2) ** 2
     cells: list[Points] = []
     responses: list[NDArray[np.float64]] = []
@@ -127,14 +131,14 @@ def _find_keypoints(smoothed: Slopes, sigma: float) -> _Keypoints:
 
 
 def _derivatives(layer: Layer) -> tuple[Layer, Layer]:
-    """Central differences along x and y, each smoothed a little across."""
+    """Compute central differences along x and y, each slightly smoothed in the other direction."""
     along_x = cv2.Sobel(layer, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
     along_y = cv2.Sobel(layer, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8)
     return np.asarray(along_x, np.float32), np.asarray(along_y, np.float32)
 
 
 def _peaks(strength: Layer) -> Bool[NDArray[np.bool_], "rows columns"]:
-    """Cells that are not below their eight neighbours; none at the border."""
+    """Find the cells that are not below any of their eight neighbours; none at the border."""
     peaks = strength >= cv2.dilate(strength, np.ones((3, 3), np.uint8))
     peaks[[0, -1]] = False
     peaks[:, [0, -1]] = False
@@ -144,7 +148,7 @@ def _peaks(strength: Layer) -> Bool[NDArray[np.bool_], "rows columns"]:
 def _peak_offset(
     strength: Layer, row: NDArray[np.intp], column: NDArray[np.intp], axis: int
 ) -> Float[NDArray[np.float32], "k"]:
-    """Where the parabola through a peak and its two neighbours peaks, in cells."""
+    """Find the peak of the parabola through a cell and its two neighbours [cells]."""
     down, right = (1, 0) if axis == 0 else (0, 1)
     before = strength[row - down, column - right]
     after = strength[row + down, column + right]
@@ -158,10 +162,10 @@ def _describe(
     """Sample the weighted slopes on rings around each keypoint, in its own frame.
 
     Args:
-        cells: Keypoints.
-        fine: What descriptors are made of.
-        coarse: What headings are taken from.
-        unit: Cells of a scale of comparison.
+        cells: Keypoints (column, row) [cells].
+        fine: The slopes for the descriptors.
+        coarse: The slopes for the headings.
+        unit: The scale of comparison [cells].
     """
     uphill = interpolate(coarse, cells[:, None])[:, 0]
     heading = np.arctan2(uphill[:, 1], uphill[:, 0])
@@ -176,7 +180,7 @@ def _describe(
 
 
 def _rings() -> tuple[Float[NDArray[np.float32], "n"], Float[NDArray[np.float32], "n"]]:
-    """Radius [scales of comparison] and angle [rad] of a descriptor's samples, the centre first."""
+    """List the radius [scales of comparison] and angle [rad] of each sample, the centre first."""
     spoke = np.arange(SPOKES)
     radius = np.concatenate([[0.0], *(np.full(SPOKES, ring) for ring in RINGS)])
     turned = [(spoke + (k % 2) / 2) * 2 * np.pi / SPOKES for k in range(len(RINGS))]

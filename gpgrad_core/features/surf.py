@@ -1,12 +1,12 @@
 """SURF, the paper's choice: blobs of a box-filtered Hessian, described by Haar wavelets.
 
-Bay et al., *SURF: Speeded Up Robust Features*, ECCV 2006. OpenCV has it too, but switched off in
-every package of it that can be installed by name.
+Bay et al., *SURF: Speeded Up Robust Features*, ECCV 2006. OpenCV contains SURF too, but it is
+disabled in all packaged builds.
 
-Two things are not Bay's. The cells of the descriptor overlap, as in Agrawal et al., *CenSurE*,
-ECCV 2008: samples do not jump from one cell to the next as the keypoint turns. And headings are
-taken from more and finer wavelets, over half a turn. On twelve grounds turned by 37 degrees, 97.4 %
-of the mutual matches are right, of SIFT's 97.0 % (``pytest tests/quality -k turned``).
+Two things differ from Bay. The cells of the descriptor overlap, as in Agrawal et al., *CenSurE*,
+ECCV 2008, so that samples do not jump between cells when the keypoint rotates. And headings are
+computed from more and finer wavelets, over half a turn. On twelve grounds rotated by 37 degrees,
+97.4 % of the mutual associations are right; with SIFT 97.0 % (``pytest tests/quality -k turned``).
 """
 
 import numpy as np
@@ -18,19 +18,20 @@ from gpgrad_core.features.fast_hessian import Integral, find_blobs, integral_ima
 from gpgrad_core.features.interpolation import interpolate
 
 SIGMA_OF_SIDE = 1.2 / 9
-"""Gaussian that a box filter stands for, in sides of the filter."""
+"""Width of the Gaussian that a box filter approximates, in sides of the filter."""
 HEADINGS = 72
-"""Steps of the window that slides over headings; it is half of them wide."""
+"""Number of steps of the window that slides over all headings; it is half of them wide."""
 HEADING_RADIUS, HEADING_WIDTH = 10, 4.0
-"""Reach of the wavelets that a heading is taken from, and of their Gaussian weight [sigma]."""
+"""Reach of the wavelets for a heading, and width of their Gaussian weight [sigma]."""
 CELL_WIDTH, SQUARE_WIDTH = 2.5, 6.0
-"""Gaussians by which samples count in a cell, and in the whole square [sigma]."""
+"""Widths of the Gaussian weights of a sample in a cell, and in the whole square [sigma]."""
 SAMPLES = 20
-"""Haar responses along each side of the described square, a sigma apart; a cell is 5 wide."""
+"""Number of Haar responses along each side of the square, one sigma apart; a cell has 5."""
 BLOCK = 4096
-"""Keypoints described at a time: it bounds the memory."""
+"""Number of keypoints described at a time, which bounds the memory."""
 SIGN_DISTANCE = 3.0
-"""Descriptors have length 1: two that agree are nearer than any two of different sign."""
+"""Distance between descriptors whose signs differ. It is larger than that of any two descriptors of
+length 1."""
 
 Points = Float[NDArray[np.float64], "k 2"]  # (column, row) [pixels]
 Responses = Float[NDArray[np.float32], "k n 2"]  # along (column, row)
@@ -39,8 +40,12 @@ Responses = Float[NDArray[np.float32], "k n 2"]  # along (column, row)
 def detect_surf(image: Image) -> Detection:
     """Detect and describe SURF keypoints.
 
-    The descriptor has Bay's 64 numbers, of length 1, and as 65th the sign of the Laplacian, so
-    large that bright blobs on dark ground match only such: the paper's indexing, by distance.
+    The descriptor has Bay's 64 numbers, of length 1. The 65th number is the sign of the Laplacian,
+    so large that bright blobs are associated only with bright blobs: Bay's indexing by the sign,
+    as a distance.
+
+    Args:
+        image: The gradient image (rows, columns) [m/m].
     """
     blobs = find_blobs(image)
     integral = integral_image(image)
@@ -57,10 +62,18 @@ def detect_surf(image: Image) -> Detection:
 def find_headings(
     integral: Integral, pixels: Points, sigmas: Float[NDArray[np.float64], "k"]
 ) -> Float[NDArray[np.float64], "k"]:
-    """Find the heading in which most Haar responses around each keypoint point, Sec. 4.1.
+    """Find the main heading of the Haar responses around each keypoint (Bay's Sec. 4.1).
 
     Responses of side 2 sigma are summed over a window of half a turn that slides over all
-    headings; the longest sum is the keypoint's heading [rad].
+    headings. The longest sum gives the heading.
+
+    Args:
+        integral: Integral image.
+        pixels: Keypoints (column, row) (k, 2) [pixels].
+        sigmas: Width of the keypoint's Gaussian (k,) [pixels].
+
+    Returns:
+        The headings (k,) [rad].
     """
     along = np.arange(-HEADING_RADIUS, HEADING_RADIUS + 1)
     steps = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
@@ -68,7 +81,7 @@ def find_headings(
     weights = np.exp(-np.sum(steps**2, axis=1) / (2 * HEADING_WIDTH**2)).astype(np.float32)
     where = pixels[:, None] + sigmas[:, None, None] * steps
     responses = _haar_responses(integral, where, sigmas) * weights[:, None]
-    # All responses of a keypoint, summed by the step of heading that they fall into.
+    # Sum all responses of a keypoint by the step of heading that they fall into.
     turns = np.arctan2(responses[..., 1], responses[..., 0]) / (2 * np.pi)
     step = np.floor(turns * HEADINGS).astype(np.intp) % HEADINGS
     bins = step + HEADINGS * np.arange(len(pixels))[:, None]
@@ -92,11 +105,20 @@ def describe(
     sigmas: Float[NDArray[np.float64], "k"],
     headings: Float[NDArray[np.float64], "k"],
 ) -> Float[NDArray[np.float32], "k 64"]:
-    """Describe the square of 20 sigma around each keypoint, along its heading, Sec. 4.2.
+    """Describe the square of 20 sigma around each keypoint, along its heading (Bay's Sec. 4.2).
 
-    In each of 4 x 4 cells Haar responses of side 2 sigma, turned into the keypoint's frame and
-    weighed by Gaussians about the cell and the keypoint, are summed to
-    (Σ dx, Σ dy, Σ |dx|, Σ |dy|).
+    In each of 4 x 4 cells the Haar responses of side 2 sigma are summed to
+    (Σ dx, Σ dy, Σ |dx|, Σ |dy|). They are rotated into the keypoint's frame and weighted by
+    Gaussians about the cell and about the keypoint.
+
+    Args:
+        integral: Integral image.
+        pixels: Keypoints (column, row) (k, 2) [pixels].
+        sigmas: Width of the keypoint's Gaussian (k,) [pixels].
+        headings: Heading of each keypoint (k,) [rad].
+
+    Returns:
+        Descriptors of length 1 (k, 64).
     """
     along = np.arange(SAMPLES) - (SAMPLES - 1) / 2
     square = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
@@ -106,7 +128,7 @@ def describe(
     where = pixels[:, None] + (sigmas[:, None, None] * square) @ turn
     responses = _haar_responses(integral, where, sigmas)
     own = responses @ np.swapaxes(turn, 1, 2).astype(np.float32)
-    # Which sample counts how much in which cell, so that all sums are one product.
+    # The weight of each sample in each cell, so that one matrix product gives all sums.
     middles = SAMPLES / 4 * (np.arange(4) - 1.5)
     near = np.exp(-((along - middles[:, None]) ** 2) / (2 * CELL_WIDTH**2))
     share = (np.kron(near, near) * weights).astype(np.float32)
@@ -120,15 +142,15 @@ def _haar_responses(
     where: Float[NDArray[np.float64], "k n 2"],
     halves: Float[NDArray[np.float64], "k"],
 ) -> Responses:
-    """Haar wavelets' responses at positions around each keypoint; 0 beyond the image.
+    """Compute Haar responses at positions around each keypoint; 0 beyond the image.
 
-    Keypoints whose wavelets have the same side, in whole pixels, share an image of responses,
-    which is smooth over a third of a side: so it is made that coarse, and interpolated.
+    Keypoints whose wavelets have the same side, in whole pixels, share an image of responses.
+    It is smooth over a third of a side, so it is computed at that step and interpolated.
 
     Args:
-        integral: Of the image.
-        where: n positions a keypoint (column, row) [pixels].
-        halves: Half the wavelet's side of each keypoint [pixels]; rounded.
+        integral: Integral image.
+        where: n positions (column, row) for each keypoint (k, n, 2) [pixels].
+        halves: Half the side of each keypoint's wavelet (k,) [pixels]; it is rounded.
     """
     responses = np.zeros(where.shape, np.float32)
     rounded = np.maximum(1, np.rint(halves)).astype(np.intp)
@@ -146,7 +168,7 @@ def _haar_responses(
 def _haar_image(
     integral: Integral, half: int, stride: int
 ) -> Float[NDArray[np.float32], "rows columns 2"]:
-    """Mean over one half of a square less that over the other, along (column, row)."""
+    """Compute the mean of one half of a square minus that of the other, along (column, row)."""
 
     def corners(down: int, right: int) -> Float[NDArray[np.float64], "rows columns"]:
         rows, columns = integral.shape

@@ -1,25 +1,26 @@
-"""How exact a fit is to be: both fast solvers stop at the same place."""
+"""How exact the solution of a fit has to be; both fast solvers use the same limits."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """What a fast solver may leave out.
+    """The limits at which a fast solver stops.
 
     Attributes:
-        residual: The heights are solved for until their residual is this, in units of the noise
-            (rms). The mean at the points is then no further off, for K (K + D)⁻¹ shrinks; but
-            between the points, beside them, and where the noise differs from point to point, it
-            can be off by more. At 0.01 it was, by up to 0.016 of the noise. At 0.003, over 300
-            random clouds with a noise of its own for each point, it is off by at most 0.004,
-            for one more step at the most (tests/quality/test_accuracy.py).
-        ripple: Of the kernel that the lattice of the variance stands for, times the information
-            of the data: the standard deviation is within 2 % (measured: half of this) of 0.03.
-        lattice_halo: Length-scales of neighbouring points that a strip of the lattice sees beside
-            its own, for the variance.
-        tile_halo: The same for a tile: the standard deviation is within 1 % where it is trusted,
-            and within 2 % elsewhere, at 3.
+        residual: The residual of the heights (rms, in units of the noise) at which the solver
+            stops. At the points the mean is then no further off, because K (K + D)⁻¹ shrinks
+            errors. Between and beside the points, and where the noise differs from point to
+            point, the error can be larger: at 0.01 it was up to 0.016 of the noise. At 0.003,
+            over 300 random clouds with different noise for each point, it is at most 0.004, for
+            one more step at most (tests/quality/test_accuracy.py).
+        ripple: Limit on the ripple of the kernel that the lattice for the variance stands for,
+            times the information of the data. At 0.03 the standard deviation is within 2 % (half
+            of that was measured).
+        lattice_halo: Width of the neighbouring points that a strip of the lattice sees, for the
+            variance [length-scales].
+        tile_halo: The same for a tile. At 3 the standard deviation is within 1 % where it is
+            trusted, and within 2 % elsewhere.
     """
 
     residual: float = 0.003
@@ -29,6 +30,6 @@ class Accuracy:
 
 
 EXACT = Accuracy()
-"""What all results are made with."""
+"""The accuracy of all results."""
 ROUGH = Accuracy(residual=0.1, ripple=0.3, lattice_halo=2.5, tile_halo=2.0)
-"""For a picture that a better one follows: deviations within 10 %, at half the time or less."""
+"""For a picture that a better one soon replaces: within 10 %, in half the time or less."""

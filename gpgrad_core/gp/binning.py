@@ -1,4 +1,4 @@
-"""Dense clouds, whole: the points of a small cell as their mean, which knows how many they are."""
+"""Bins dense clouds: a weighted mean with less noise replaces the points of a small cell."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,18 +9,19 @@ from gpgrad_core.arrays import Array
 def bin_points(
     points: Float[Array, "n 3"], cell: float, noise_std: float | Float[Array, "n"] = 1.0
 ) -> tuple[Float[Array, "b 3"], Float[Array, "b"]]:
-    """Replace the points of each square cell by their mean.
+    """Replace the points of each square cell by their weighted mean.
 
-    The mean keeps the mean position too, so a slope across the cell does no harm; what is left
-    is the terrain's curvature over a cell, ``z'' cell² / 24``.
+    The mean keeps the mean position too, so a slope across the cell does no harm. The error that
+    remains is the terrain's curvature over a cell, ``z'' cell² / 24``.
 
     Args:
-        points: Positions [m].
+        points: Positions (n, 3) [m].
         cell: Side of a cell, seen from above [m].
-        noise_std: One for all or one a point [m]; they weigh by the inverse square of it.
+        noise_std: Standard deviation of the heights [m], one for all or one for each point. The
+            weights are its inverse square.
 
     Returns:
-        Means [m], and the noise of each [m]: that of a weighted mean.
+        The means (b, 3) [m], and the standard deviation of each mean's height (b,) [m].
     """
     cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / cell).astype(np.int64)
     flat = cells[:, 1] * (cells[:, 0].max() + 1) + cells[:, 0]
@@ -37,18 +38,18 @@ def thin_dense(
     length_scale: float,
     signal_std: float,
 ) -> tuple[Float[Array, "b 3"], Float[Array, "b"]]:
-    """Bin a cloud to an eighth of a length-scale or less, where that at least halves it.
+    """Bin a cloud to cells of an eighth of a length-scale or less, if that at least halves it.
 
     Args:
-        points: Positions [m].
-        noise_std: Of each point [m].
-        length_scale: Of the GP [m].
-        signal_std: Of the terrain [m].
+        points: Positions (n, 3) [m].
+        noise_std: Standard deviation of each point's height (n,) [m].
+        length_scale: Length-scale of the GP [m].
+        signal_std: Standard deviation of the terrain [m].
 
     Returns:
-        Means [m] and their noise [m]; or the points as they are.
+        The means [m] and their noise [m]; or the points as they are, if binning does not pay.
     """
-    # What the ground bends within a cell must stay far below the noise.
+    # The curvature of the ground within a cell must stay far below the noise.
     flat_enough = float(np.sqrt(np.median(noise_std) / (5 * signal_std)))
     means, noise_of_mean = bin_points(points, length_scale * min(1 / 8, flat_enough), noise_std)
     return (means, noise_of_mean) if len(means) <= len(points) / 2 else (points, noise_std)

@@ -1,4 +1,4 @@
-"""Symmetric positive definite block-tridiagonal matrices: solve, and invert where needed."""
+"""Symmetric positive definite block-tridiagonal matrices: factors, solutions, inverse blocks."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ from gpgrad_core.arrays import NDArray
 Array = NDArray[np.floating]
 
 LARGEST_LEAF = 48
-"""Rows of a block that LAPACK inverts outright (measured from 24 to 128)."""
+"""Largest number of rows that LAPACK inverts directly; the best of those measured, 24 to 128."""
 
 
 class NotPositiveDefiniteError(ArithmeticError):
-    """A block could not be factorised: the matrix is not positive definite to rounding."""
+    """A block cannot be factorised: with rounding errors the matrix is not positive definite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +25,17 @@ class Factor:
 
     With diagonal blocks D_i and blocks E_i below them, the pivots are
     ``P_0 = D_0`` and ``P_(i+1) = D_(i+1) - E_i P_i⁻¹ E_iᵀ``.
+
+    Attributes:
+        inverses: The inverse pivots P_i⁻¹.
+        gains: The products E_i P_i⁻¹.
     """
 
-    inverses: list[Float[Array, "_ _"]]  # P_i⁻¹
-    gains: list[Float[Array, "_ _"]]  # E_i P_i⁻¹
+    inverses: list[Float[Array, "_ _"]]
+    gains: list[Float[Array, "_ _"]]
 
     def solve(self, right: list[Float[Array, "_"]]) -> list[Float[Array, "_"]]:
-        """Solve for one right-hand side, cut into blocks."""
+        """Solve for one right-hand side, divided into blocks; the solution is in blocks too."""
         forward: list[Array] = [right[0]]
         for gain, block in zip(self.gains, right[1:], strict=True):
             forward.append(block - gain @ forward[-1])
@@ -45,7 +49,7 @@ class Factor:
     ) -> Iterator[tuple[int, Float[Array, "_ _"], Float[Array, "_ _"] | None]]:
         """Yield (i, diagonal block i of the inverse, block (i + 1, i) or None), last first.
 
-        Takahashi's recursion: no other block of the inverse is ever made.
+        Takahashi's recursion computes no other block of the inverse.
         """
         last = len(self.inverses) - 1
         diagonal = self.inverses[last]
@@ -58,15 +62,18 @@ class Factor:
 
 
 def invert_pivot(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
-    """Invert a symmetric positive definite block, by halves: nearly all of it is matrix products.
+    """Invert a symmetric positive definite block by halves, mostly with matrix products.
 
-    LAPACK's own inversion runs at a tenth of the speed of a product at these sizes.
+    At these sizes LAPACK's own inversion runs at a tenth of the speed of a matrix product.
 
     Args:
-        pivot: The block; what is below its diagonal is not read.
+        pivot: The block (m, m); the part below its diagonal is not read.
+
+    Returns:
+        Its inverse (m, m).
 
     Raises:
-        NotPositiveDefiniteError: If it is not positive definite to rounding.
+        NotPositiveDefiniteError: If rounding errors make it indefinite.
     """
     size = len(pivot)
     if size <= LARGEST_LEAF:
@@ -90,7 +97,7 @@ def invert_pivot(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
 def _invert_leaf(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
     single = pivot.dtype == np.float32
     factorise, invert = (spotrf, strtri) if single else (dpotrf, dtrtri)
-    # The transpose of a C-ordered array is the F-ordered array that LAPACK wants.
+    # LAPACK needs an F-ordered array, which is the transpose of a C-ordered one.
     factor, failed = factorise(pivot.T, lower=1)
     if failed:
         raise NotPositiveDefiniteError(f"pivot {failed} is not positive")

@@ -1,4 +1,4 @@
-"""The paper's GP as it is printed: dense Cholesky, Eqs. (2)-(5); slow, the oracle of all else."""
+"""The paper's GP as printed, by a dense Cholesky factor, Eqs. (2)-(5): the slow reference."""
 
 from dataclasses import dataclass
 
@@ -12,13 +12,21 @@ from gpgrad_core.gp.kernel import SquaredExponential
 
 @dataclass(frozen=True, eq=False)
 class DensePosterior:
-    """A GP fitted to n points by a Cholesky factor of all of them."""
+    """A GP fitted to n points by a Cholesky factor of their full covariance.
+
+    Attributes:
+        kernel: Covariance of the terrain.
+        points_xy: Positions (n, 2) [m].
+        weights: [K(X, X) + D]⁻¹ Z, with D the noise variances (n,).
+        factor: Lower triangle of the Cholesky factor of K(X, X) + D (n, n).
+        mean: Height that was subtracted before the fit [m].
+    """
 
     kernel: SquaredExponential
-    points_xy: Float[Array, "n 2"]  # [m]
-    weights: Float[Array, "n"]  # [K(X, X) + σz² I]⁻¹ Z
-    factor: Float[Array, "n n"]  # lower triangle of the Cholesky factor
-    mean: float  # taken off before, added after [m]
+    points_xy: Float[Array, "n 2"]
+    weights: Float[Array, "n"]
+    factor: Float[Array, "n n"]
+    mean: float
 
 
 def fit_dense(
@@ -31,10 +39,10 @@ def fit_dense(
     """Fit the GP of Eq. (1) to points.
 
     Args:
-        points: Positions [m]. Memory grows as n², time as n³.
+        points: Positions (n, 3) [m]. Memory grows as n², time as n³.
         kernel: Covariance of the terrain.
-        noise_std: Standard deviation of the heights, one for all or one a point [m].
-        mean: Height that is taken off before and added after [m]; None: the points' mean.
+        noise_std: Standard deviation of the heights [m], one for all or one for each point.
+        mean: Height that is subtracted before and added after [m]; None takes the points' mean.
     """
     xy, z = points[:, :2], points[:, 2]
     offset = float(z.mean()) if mean is None else mean
@@ -45,12 +53,26 @@ def fit_dense(
 
 
 def infer_elevation(posterior: DensePosterior, query_xy: Float[Array, "q 2"]) -> Float[Array, "q"]:
-    """Posterior mean of the height [m], Eq. (2)."""
+    """Infer the posterior mean of the height at query positions [m], Eq. (2).
+
+        z(x*) = K(x*, X) [K(X, X) + D]⁻¹ Z    Le Gentil 2020, Eq. (2)
+
+    Args:
+        posterior: Fitted to n points.
+        query_xy: Positions (q, 2) [m].
+    """
     return posterior.kernel(query_xy, posterior.points_xy) @ posterior.weights + posterior.mean
 
 
 def infer_variance(posterior: DensePosterior, query_xy: Float[Array, "q 2"]) -> Float[Array, "q"]:
-    """Posterior variance of the height [m²], Eq. (3); cost q n²."""
+    """Infer the posterior variance of the height at query positions [m²], Eq. (3).
+
+        var(x*) = K(x*, x*) - K(x*, X) [K(X, X) + D]⁻¹ K(x*, X)ᵀ    Le Gentil 2020, Eq. (3)
+
+    Args:
+        posterior: Fitted to n points.
+        query_xy: Positions (q, 2) [m]. The time grows as q n².
+    """
     rows = posterior.kernel(posterior.points_xy, query_xy)
     whitened = solve_triangular(posterior.factor, rows, lower=True)
     return posterior.kernel.signal_std**2 - np.sum(whitened**2, axis=0)
@@ -59,18 +81,18 @@ def infer_variance(posterior: DensePosterior, query_xy: Float[Array, "q 2"]) -> 
 def infer_slope(posterior: DensePosterior, query_xy: Float[Array, "q 2"]) -> Float[Array, "q 2"]:
     """Infer the terrain's slope at query positions.
 
-    Differentiation is linear, so it passes through the GP: only the kernel row is
-    differentiated, and the weights solved for elevation serve again.
+    Differentiation is linear, so only the kernel row is differentiated, and the weights of the
+    elevation are used again.
 
         dz/dx(x*) = dK(x*, X)/dx · [K(X, X) + σz² I]⁻¹ Z    Le Gentil 2020, Eqs. (4), (5)
 
     Args:
-        posterior: Fitted to n points; holds their positions and solved weights.
-        query_xy: Positions in the submap frame [m]. Builds a (2, q, n) array: tile q.
+        posterior: Fitted to n points.
+        query_xy: Positions (q, 2) [m]. The kernel rows take 2 q n numbers: tile q.
 
     Returns:
-        Slope along x and along y [m/m]; decays to 0 far from all points, where the
-        variance must mask it.
+        Slope along x and along y (q, 2) [m/m]. It decays to 0 far from all points, where the
+        variance has to mask it.
     """
     return (posterior.kernel.gradient(query_xy, posterior.points_xy) @ posterior.weights).T
 
@@ -78,9 +100,9 @@ def infer_slope(posterior: DensePosterior, query_xy: Float[Array, "q 2"]) -> Flo
 def infer_slope_variance(
     posterior: DensePosterior, query_xy: Float[Array, "q 2"]
 ) -> Float[Array, "q 2"]:
-    """Posterior variance of the slope along x and along y [m²/m²]; the paper leaves it out.
+    """Infer the posterior variance of the slope along x and along y (q, 2) [m²/m²].
 
-    The linear operator of Eqs. (4), (5) passes through Eq. (3) as it does through Eq. (2):
+    The paper does not have it. The linear operator of Eqs. (4), (5) is applied to Eq. (3):
 
         var(dz/dx) = signal_std² / length_scale² - |L⁻¹ dK(X, x*)/dx|²
     """

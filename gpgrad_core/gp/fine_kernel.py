@@ -1,4 +1,4 @@
-"""The kernel itself, as bumps on a lattice fine enough: products with it cost little."""
+"""The kernel as a sum of bumps on a fine lattice, which makes products with it cheap."""
 
 from dataclasses import dataclass
 
@@ -12,19 +12,26 @@ from gpgrad_core.gp.spacing import gaussian_reach, lattice_spacing
 from gpgrad_core.gp.splat import Axis, Splat, gaussian, gaussian_slope
 
 RIPPLE = 1e-3
-"""Ripple of the lattice kernel times information of the data: the mean is then as near to exact,
-in units of the noise."""
+"""Limit on the ripple of the lattice kernel times the information of the data; the mean is then
+exact to this, in units of the noise."""
 CUT = 1e-4
-"""Height at which bumps are cut off, times information: far below the ripple."""
+"""Height at which bumps are cut off, times the information: far below the ripple."""
 MARGIN = 3.5
-"""Length-scales by which the lattice reaches beyond the points."""
+"""How far the lattice reaches beyond the points [length-scales]."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeanField:
-    """``K(x, X) weights`` for any x: the posterior mean of Eq. (2), and its slopes."""
+    """``K(x, X) weights`` for any x: the posterior mean of Eq. (2), and its slopes.
 
-    length_scale: float  # [m]
+    Attributes:
+        length_scale: Length-scale of the kernel [m].
+        x: Columns of the lattice.
+        y: Rows of the lattice.
+        weights: Weight of each node (rows, columns).
+    """
+
+    length_scale: float
     x: Axis
     y: Axis
     weights: Float[Array, "rows columns"]
@@ -34,9 +41,16 @@ class MeanField:
     ) -> tuple[
         Float[Array, "rows columns"], Float[Array, "rows columns"], Float[Array, "rows columns"]
     ]:
-        """Height [m] and slopes along x and y [m/m] at every pair of coordinates [m].
+        """Compute height and slopes at every pair of coordinates, Eqs. (2), (4) and (5).
 
-        Separability makes each a product of three matrices: Eqs. (2), (4) and (5).
+        The bumps are separable, so each field is a product of three matrices.
+
+        Args:
+            x: Coordinates of the columns [m].
+            y: Coordinates of the rows [m].
+
+        Returns:
+            The height [m], and the slopes along x and along y [m/m], each (rows, columns).
         """
         along_x = gaussian(x, self.x, self.length_scale)
         along_y = gaussian(y, self.y, self.length_scale)
@@ -48,10 +62,16 @@ class MeanField:
 
 
 class FineKernel:
-    """``K(X, X)`` of scattered points X, as a factor and its transpose."""
+    """``K(X, X)`` of scattered points X, as the product of a factor and its transpose."""
 
     def __init__(self, cloud: Cloud, kernel: SquaredExponential, information: float) -> None:
-        """Prepare for a cloud's points."""
+        """Prepare the factor for the points of a cloud.
+
+        Args:
+            cloud: The points X.
+            kernel: Covariance of the terrain.
+            information: Largest precision that data bring to one bump; see `spacing`.
+        """
         length = kernel.length_scale
         spacing = lattice_spacing(length, information, RIPPLE)
         low, high = cloud.xy.min(axis=0), cloud.xy.max(axis=0)
@@ -64,10 +84,10 @@ class FineKernel:
         self._splat = Splat(cloud.xy, self._x, self._y, length, reach)
 
     def times(self, values: Float[Array, "n"]) -> Float[Array, "n"]:
-        """``K(X, X) values``."""
+        """Compute ``K(X, X) values``."""
         return self._scale * self._splat.to_points(self._splat.to_nodes(values))
 
     def field(self, weights: Float[Array, "n"]) -> MeanField:
-        """``K(x, X) weights`` as a function of x."""
+        """Make ``K(x, X) weights`` as a function of x."""
         nodes = self._scale * self._splat.to_nodes(weights)
         return MeanField(self._length_scale, self._x, self._y, nodes)

@@ -1,4 +1,4 @@
-"""Fit the GP by whichever exact method is faster for the cloud at hand."""
+"""Fits the GP with the exact method that is faster for the cloud."""
 
 from typing import Literal, TypeAlias
 
@@ -17,7 +17,7 @@ from gpgrad_core.types import Array
 Solver = Literal["auto", "lattice", "tiles"]
 
 Posterior: TypeAlias = LatticePosterior | TilePosterior
-"""A fitted GP: holds its `kernel`, and samples elevation, variance and slope on any grid."""
+"""A fitted GP. It has its `kernel`, and samples elevation, variance and slope on any grid."""
 
 
 def fit_gp(
@@ -30,17 +30,21 @@ def fit_gp(
     accuracy: Accuracy = EXACT,
     progress: Progress = silent,
 ) -> Posterior:
-    """Fit the GP of Eq. (1) to points, exactly to the tolerances of either method.
+    """Fit the GP of Eq. (1) to points, exactly but for the given accuracy.
 
     Args:
-        points: Positions [m].
+        points: Positions (n, 3) [m].
         kernel: Covariance of the terrain.
-        noise_std: Standard deviation of the heights, one for all or one a point [m].
-        mean: Height that is taken off before and added after [m]; None: the points' mean.
-        solver: ``lattice`` costs by the area in length-scales, ``tiles`` by the points in one;
-            ``auto`` takes the one that is estimated to be faster.
-        accuracy: How exact it is to be.
-        progress: Called now and then; may raise Cancelled.
+        noise_std: Standard deviation of the heights [m], one for all or one for each point.
+        mean: Height that is subtracted before and added after [m]; None takes the points' mean.
+        solver: The time of ``lattice`` grows with the area in length-scales, that of ``tiles``
+            with the number of points in a length-scale. ``auto`` takes the one that is estimated
+            to be faster.
+        accuracy: How exact the solution has to be.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        The fitted GP, which can be sampled on any grid.
 
     Raises:
         InputError: If the GP would be too large or cannot be solved.

@@ -12,11 +12,11 @@ from gpgrad_core.arrays import Array
 class SquaredExponential:
     """``k(d) = signal_std² exp(-d² / (2 length_scale²))``, Eq. (6).
 
-    The paper prints both hyperparameters unsquared; here both have units one can think in.
+    The paper prints both hyperparameters unsquared. Here both are lengths in metres.
 
     Attributes:
         signal_std: Standard deviation of the terrain's height [m].
-        length_scale: Distance over which it stays alike [m].
+        length_scale: Distance over which the height changes little [m].
     """
 
     signal_std: float
@@ -28,7 +28,7 @@ class SquaredExponential:
         return self.signal_std / self.length_scale
 
     def __call__(self, a_xy: Float[Array, "a 2"], b_xy: Float[Array, "b 2"]) -> Float[Array, "a b"]:
-        """Covariance of the heights at two sets of positions [m²]."""
+        """Compute the covariance of the heights at two sets of positions (a, b) [m²]."""
         x = _bump(a_xy[:, 0], b_xy[:, 0], self.length_scale)
         y = _bump(a_xy[:, 1], b_xy[:, 1], self.length_scale)
         return self.signal_std**2 * x * y
@@ -36,9 +36,10 @@ class SquaredExponential:
     def gradient(
         self, a_xy: Float[Array, "a 2"], b_xy: Float[Array, "b 2"]
     ) -> Float[Array, "2 a b"]:
-        """Covariance of the slope at a (along x, along y) with the height at b [m].
+        """Compute the covariance of the slope at a with the height at b (2, a, b) [m].
 
-        The derivative of `__call__` with respect to a: the linear operator of Eqs. (4), (5).
+        It is the derivative of the covariance with respect to a, along x and along y: the linear
+        operator of Eqs. (4), (5).
         """
         covariance = self(a_xy, b_xy)
         offsets = (a_xy[:, None, :] - b_xy[None, :, :]) / self.length_scale**2

@@ -1,9 +1,10 @@
-"""The exact GP for dense clouds: weight space for its factor, the kernel itself for its mean.
+"""The exact GP for dense clouds: the variance in weight space, the mean with the kernel itself.
 
-The lattice of `weight_space`, in strips that see enough of their neighbours, gives the variance;
-cost is linear in area. The mean is not left to it: small noise amplifies a ripple in the kernel,
-and the mean is less local than the variance. It is solved for over all strips at once, on the
-kernel itself, with the strips as the preconditioner: three or four steps.
+The lattice of `weight_space` gives the variance. It is divided into strips along x that also see
+some of their neighbours' points, so the time grows linearly with the area. The mean needs more:
+with little noise a ripple in the kernel is amplified, and the mean is less local than the variance.
+So the mean is solved for over all strips at once, on the kernel itself, with the strips as the
+preconditioner. That takes three or four steps.
 """
 
 import threading
@@ -29,49 +30,68 @@ from gpgrad_core.run.threads import num_workers, single_threaded_blas
 from gpgrad_core.types import Grid
 
 PANEL_HALO = 7.0
-"""Length-scales of neighbouring points that a panel's mean is solved with beside its own: at the
-seam itself it is then within 0.008 of the noise, and its slope within 0.3 %."""
+"""Width of the neighbouring points that the mean of a panel is solved with [length-scales]. At the
+seam the mean is then within 0.008 of the noise, and its slope within 0.3 %."""
 MOST_PANEL_BYTES = 1 << 29
-"""Of the factors that are held at once while the mean of a panel is solved for."""
+"""Largest size of the factors that are kept while the mean of a panel is solved for."""
 FIXED_COST = 20.0**3
-"""What a strip costs however narrow it is; its cost beside that is its columns cubed."""
+"""Cost of a strip that does not depend on its width; its other cost is its columns cubed."""
 MAX_STEPS = 50
 MAX_STRIPS = 1024
 SECONDS_A_PRODUCT, SECONDS_A_BLOCK, SECONDS_A_POINT, SECONDS = 6.2e-11, 9e-4, 2.0e-5, 0.011
-"""What a fit and its samples took on two cores of 2.8 GHz: by the cube of the nodes in a block,
-by blocks and points (fitted to 90 clouds and length-scales, within 25 %)."""
+"""Seconds of a fit and its samples on two cores of 2.8 GHz: for the cube of the nodes in a block,
+for a block, for a point, and constant (fitted to 90 clouds and length-scales, within 25 %)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """The variance over one stretch of x."""
+    """The variance over one range of x.
 
-    low: float  # this strip answers for low <= x < high [m]
+    Attributes:
+        low: The strip is used for low <= x < high [m].
+        high: See ``low`` [m].
+        reduction: How much the data reduce the variance there.
+    """
+
+    low: float
     high: float
     reduction: VarianceReduction
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """The mean over one stretch of x: as many strips as are solved together."""
+    """The mean over one range of x: the strips that are solved together.
 
-    low: float  # this panel answers for low <= x < high [m]
+    Attributes:
+        low: The panel is used for low <= x < high [m].
+        high: See ``low`` [m].
+        mean: The posterior mean there.
+        strips: Strips from low to high x; where there is none, the prior variance holds.
+    """
+
+    low: float
     high: float
     mean: MeanField
-    strips: tuple[Strip, ...]  # from low to high x; the prior holds where there is none
+    strips: tuple[Strip, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class LatticePosterior:
-    """A fitted GP that can be sampled on any grid."""
+    """A fitted GP that can be sampled on any grid.
+
+    Attributes:
+        kernel: Covariance of the terrain.
+        mean: Height that was subtracted before the fit [m].
+        panels: Panels from low to high x.
+    """
 
     kernel: SquaredExponential
-    mean: float  # taken off before, added after [m]
-    panels: tuple[Panel, ...]  # from low to high x
+    mean: float
+    panels: tuple[Panel, ...]
 
     @property
     def strips(self) -> tuple[Strip, ...]:
-        """Strips of all panels, from low to high x."""
+        """The strips of all panels, from low to high x."""
         return tuple(strip for panel in self.panels for strip in panel.strips)
 
     def sample(self, grid: Grid) -> TerrainFields:
@@ -122,19 +142,19 @@ def fit_lattice(
     accuracy: Accuracy = EXACT,
     progress: Progress = silent,
 ) -> LatticePosterior:
-    """Fit the GP of Eq. (1) to points; cost linear in the points and in the area.
+    """Fit the GP of Eq. (1) to points, in a time that is linear in the points and in the area.
 
     Args:
-        points: Positions [m].
+        points: Positions (n, 3) [m].
         kernel: Covariance of the terrain.
-        noise_std: Standard deviation of the heights, one for all or one a point [m].
-        mean: Height that is taken off before and added after [m]; None: the points' mean.
-        accuracy: How exact it is to be.
-        progress: Called once a block of lattice rows.
+        noise_std: Standard deviation of the heights [m], one for all or one for each point.
+        mean: Height that is subtracted before and added after [m]; None takes the points' mean.
+        accuracy: How exact the solution has to be.
+        progress: Called once per block of lattice rows; may raise Cancelled.
 
     Raises:
-        InputError: If the lattice would be too large, or the equations cannot be solved to
-            the accuracy; says which parameter to change.
+        InputError: If the lattice would be too large, or if the equations cannot be solved to
+            that accuracy; the message says which parameter to change.
     """
     offset = float(points[:, 2].mean()) if mean is None else mean
     cloud = Cloud.of(points, noise_std, offset)
@@ -159,13 +179,13 @@ def estimate_seconds(
     information: float,
     accuracy: Accuracy = EXACT,
 ) -> float:
-    """Estimate what a fit takes [s], to tell whether another solver would be faster.
+    """Estimate the time of a fit [s], to compare it with that of another solver.
 
     Args:
-        xy: Positions of the points [m].
+        xy: Positions of the points (n, 2) [m].
         kernel: Covariance of the terrain.
-        information: Largest precision that data bring to one bump, see `spacing`.
-        accuracy: How exact it is to be.
+        information: Largest precision that data bring to one bump; see `spacing`.
+        accuracy: How exact the solution has to be.
     """
     length = kernel.length_scale
     spacing = lattice_spacing(length, information, accuracy.ripple)
@@ -185,7 +205,7 @@ def estimate_seconds(
 
 
 class _SharedProgress:
-    """Adds up the progress of strips that are fitted side by side; keeps a refusal for all."""
+    """Adds up the progress of strips that are fitted in parallel, and cancels all of them."""
 
     def __init__(self, progress: Progress, num_strips: int) -> None:
         self._progress, self._num_strips = progress, num_strips
@@ -193,7 +213,7 @@ class _SharedProgress:
         self._cancelled: Cancelled | None = None
 
     def advance(self, fraction: float) -> None:
-        """Report that a further fraction of one strip is done."""
+        """Report that another fraction of one strip is done."""
         with self._lock:
             if self._cancelled is not None:
                 raise self._cancelled
@@ -207,16 +227,16 @@ class _SharedProgress:
 
 @dataclass(frozen=True, eq=False)
 class _Preconditioner:
-    """A strip while the mean is solved for."""
+    """A strip, as a part of the preconditioner for the mean."""
 
-    members: Int[NDArray[np.intp], "m"]  # points that it sees
-    owned: Bool[NDArray[np.bool_], "m"]  # of these, those that it writes
+    members: Int[NDArray[np.intp], "m"]  # the points that the strip sees
+    owned: Bool[NDArray[np.bool_], "m"]  # which of these it writes
     weight_space: WeightSpace
 
 
 @dataclass(frozen=True)
 class _PanelFitter:
-    """What all strips of a panel are fitted with."""
+    """Fits the strips of a panel."""
 
     kernel: SquaredExponential
     information: float
@@ -226,11 +246,11 @@ class _PanelFitter:
     executor: Executor
 
     def fit(self, cloud: Cloud, edges: Float[Array, "edges"]) -> Panel:
-        """Fit the strips between edges, then the mean over all of them."""
+        """Fit the strips between the edges, then the mean over all of them."""
         halo = PANEL_HALO * self.kernel.length_scale
         x = cloud.xy[:, 0]
         seen = cloud.select((x >= edges[0] - halo) & (x < edges[-1] + halo))
-        # The outermost strips also solve for the points that the panel only sees.
+        # The outermost strips also write the points beyond the panel's edges.
         inner = edges[1:-1]
         owner = np.searchsorted(inner, seen.xy[:, 0], side="right")
         stretches = list(pairwise(edges))
@@ -281,15 +301,15 @@ class _PanelFitter:
     ) -> Float[Array, "n"]:
         """Solve ``(K + D) weights = heights`` by generalised conjugate residuals.
 
-        The preconditioner, in which every strip writes its own points only (restricted additive
-        Schwarz), is not symmetric: plain conjugate gradients would not do.
+        In the preconditioner every strip writes only its own points (restricted additive
+        Schwarz). So it is not symmetric, and plain conjugate gradients would not converge.
         """
         weights = np.zeros_like(cloud.heights)
         residual = cloud.heights.copy()
-        if not residual.any():  # perfectly flat ground: nothing to solve, and no way to step
+        if not residual.any():  # perfectly flat ground: there is nothing to solve
             return weights
         inverse_noise = 1 / cloud.noise_variance
-        steps: list[tuple[Array, Array]] = []  # directions and their images, these orthonormal
+        steps: list[tuple[Array, Array]] = []  # directions, and their images, which are orthonormal
         for _ in range(MAX_STEPS):
             step = self._precondition(residual, parts)
             image = fine.times(step) + cloud.noise_variance * step
@@ -329,20 +349,21 @@ class _PanelFitter:
 def _strip_edges(
     xy: Float[Array, "n 2"], length_scale: float, spacing: float, halo: float
 ) -> Float[Array, "edges"]:
-    """Cut the stretch of x so that fitting all strips takes the least time.
+    """Choose the edges of the strips so that fitting all of them takes the least time.
 
-    A strip's cost grows with the cube of its width, and it must see the halo of each neighbour
-    and reach the margin beyond: too few strips are wide, too many mostly overlap.
+    The cost of a strip grows with the cube of its width, and each strip also covers its halo and
+    margin. So a few wide strips cost much, and many narrow ones mostly overlap.
     """
     low, high = float(xy[:, 0].min()), float(xy[:, 0].max())
     width = high - low
     counts = np.arange(1, 1 + min(MAX_STRIPS, int(width / halo) + 1))
-    rounds = np.ceil(counts / 2)  # as on two cores, anywhere: cuts must not depend on the machine
+    # As on two cores, on any machine: the result must not depend on the number of cores.
+    rounds = np.ceil(counts / 2)
     shared = halo * np.minimum(counts - 1, 2) + 2 * MARGIN * length_scale
     columns = (width / counts + shared) / spacing
     cost = rounds * (columns**3 + FIXED_COST)
     edges = np.linspace(low, high, int(counts[np.argmin(cost)]) + 1)
-    edges[0], edges[-1] = -np.inf, np.inf  # the outermost strips answer for all beyond
+    edges[0], edges[-1] = -np.inf, np.inf  # the outermost strips cover everything beyond
     return edges
 
 
@@ -354,7 +375,7 @@ def _panels(
     halo: float,
     information: float,
 ) -> list[Float[Array, "edges_of_panel"]]:
-    """Group strips so that the factors of a group fit the memory."""
+    """Group the strips into panels so that the factors of a panel fit into the memory."""
     sides = xy.max(axis=0) - xy.min(axis=0)
     num_strips = len(edges) - 1
     columns = (sides[0] / num_strips + 2 * (halo + MARGIN * length_scale)) / spacing

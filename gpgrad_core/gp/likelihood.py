@@ -1,4 +1,4 @@
-"""How well hyperparameters explain points: the log marginal likelihood and its gradient."""
+"""The log marginal likelihood of hyperparameters, and its gradient."""
 
 from dataclasses import dataclass, field
 
@@ -10,19 +10,19 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.types import read_only
 
 JITTER = 1e-10
-"""Added to the covariance's diagonal, times signal_std²: without it the Cholesky factor fails
-where the noise is next to nothing. It stands for a hundred-thousandth of signal_std."""
+"""Added to the diagonal of the covariance, times signal_std², so that the Cholesky factor exists
+even with almost no noise. It is like a noise of 1e-5 signal_std."""
 
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """What the marginal likelihood is a function of; its logarithms are what is searched over.
+    """The hyperparameters of the marginal likelihood; a fit searches over their logarithms.
 
     Attributes:
-        length_scale: Distance over which the terrain's height stays alike [m].
+        length_scale: Distance over which the terrain's height changes little [m].
         signal_std: Standard deviation of the terrain's height [m].
-        noise_std: Standard deviation of one point's height [m]; a factor without a unit where
-            a patch tells the points' own.
+        noise_std: Standard deviation of one point's height [m]; or a factor without a unit, if
+            the patch gives the noise of each point.
     """
 
     length_scale: float
@@ -31,7 +31,7 @@ class Hyperparameters:
 
     @classmethod
     def from_logs(cls, logs: Float[Array, "3"]) -> "Hyperparameters":
-        """Read them from their natural logarithms, in the order of the fields."""
+        """Make them from their natural logarithms, in the order of the fields."""
         return cls(*np.exp(logs).tolist())
 
     @property
@@ -42,14 +42,15 @@ class Hyperparameters:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """Some points that are explained together; heights about zero.
+    """Points whose heights have one joint likelihood.
 
     Attributes:
-        xy: Positions [m].
-        heights: Above the terrain's mean [m].
-        point_noise_std: Each point's own noise [m], which ``noise_std`` then multiplies; ones
-            where all points share one.
-        squared_distances: Between all pairs [m²]; kept, since every evaluation needs them.
+        xy: Positions (n, 2) [m].
+        heights: Heights relative to the terrain's mean (n,) [m].
+        point_noise_std: Noise of each point (n,) [m], which ``noise_std`` multiplies; ones if
+            all points share one noise.
+        squared_distances: Squared distances between all points (n, n) [m²]; every evaluation
+            needs them.
     """
 
     xy: Float[Array, "n 2"]
@@ -58,7 +59,7 @@ class Patch:
     squared_distances: Float[Array, "n n"] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Measure the distances."""
+        """Compute the distances once."""
         x, y = self.xy.T
         squared = np.subtract.outer(x, x) ** 2 + np.subtract.outer(y, y) ** 2
         read_only(squared)
@@ -72,7 +73,7 @@ class Patch:
 def log_marginal_likelihood(
     patch: Patch, hyperparameters: Hyperparameters
 ) -> tuple[float, Float[Array, "3"]]:
-    """Evaluate the log density of a patch's heights, and its gradient.
+    """Compute the log density of a patch's heights, and its gradient.
 
     With ``K`` the covariance of the noisy heights ``z``, and ``α = K⁻¹ z``:
 
@@ -80,7 +81,7 @@ def log_marginal_likelihood(
         ∂ log p / ∂θ = ½ tr((α αᵀ - K⁻¹) ∂K/∂θ)              Eq. (5.9)
 
     Args:
-        patch: n points. Memory grows as n², time as n³.
+        patch: The n points. Memory grows as n², time as n³.
         hyperparameters: Where to evaluate.
 
     Returns:
@@ -98,19 +99,19 @@ def log_marginal_likelihood(
     noise_variance = (hyperparameters.noise_std * patch.point_noise_std) ** 2
     covariance[np.diag_indices(n)] += noise_variance + JITTER * signal_variance
 
-    # Symmetric, so it is in LAPACK's order of the entries as it is, and no copy is made.
+    # It is symmetric, so its entries are already in LAPACK's order and no copy is made.
     factor, info = dpotrf(covariance.T, lower=1, clean=1, overwrite_a=1)
     if info != 0:
         raise np.linalg.LinAlgError(f"covariance of {n} points is not positive definite")
     weights, _ = dpotrs(factor, z, lower=1)
     log_determinant = 2 * float(np.log(np.diagonal(factor)).sum())
-    inverse, _ = dpotri(factor, lower=1, overwrite_c=1)  # its lower triangle
+    inverse, _ = dpotri(factor, lower=1, overwrite_c=1)  # the lower triangle of the inverse
 
     value = -0.5 * (float(z @ weights) + log_determinant + n * float(np.log(2 * np.pi)))
-    # ½ tr((α αᵀ - K⁻¹) N) with the noise N; what is left of K is the signal's share.
+    # ½ tr((α αᵀ - K⁻¹) N) with the noise N; the rest of K is the signal's share.
     by_noise = float((weights**2 - np.diagonal(inverse)) @ noise_variance)
     by_signal = float(z @ weights) - n - by_noise
-    # The diagonal of ∂K / ∂ log length_scale is zero: the lower triangle is half of the trace.
+    # The diagonal of ∂K / ∂ log length_scale is zero, so the lower triangle is half of the trace.
     trace = 2 * float(np.vdot(inverse.T, by_length_scale))
     by_length = 0.5 * (float(weights @ by_length_scale @ weights) - trace)
     return value, np.array([by_length, by_signal, by_noise])

@@ -1,8 +1,9 @@
-"""The noise of each point, measured by its neighbours: scatter in small cells, outliers apart.
+"""Measures the noise of each point from the scatter of its neighbours, and finds the outliers.
 
-The ground within a cell of a few points is a plane, but for what the GP cannot follow either;
-what is left of the heights is noise. Cells hold few points, so their sums of squares are pooled
-with those of the cells around, and a little with the whole cloud's.
+Within a cell of a few points the ground is a plane, apart from detail that the GP cannot follow
+either. The scatter of the heights about that plane is the noise. Cells hold few points, so their
+sums of squares are pooled with those of the cells around, and a little with those of the whole
+cloud.
 """
 
 from dataclasses import dataclass
@@ -15,31 +16,33 @@ from scipy.special import ndtr
 from gpgrad_core.arrays import Array, NDArray
 
 POINTS_A_CELL = 9.0
-"""Wanted: a plane takes three of them, and the ground must not bend over a cell."""
+"""Number of points wanted in a cell. A plane uses up three of them; a larger cell is not flat."""
 MOST_LENGTH_SCALES = 1.0
-"""A cell is never wider: the GP follows what is wider than that."""
+"""Largest width of a cell [length-scales]; the GP follows what is wider."""
 POOLED_CELLS = 1.0
-"""Width of the Gaussian by which neighbouring cells are pooled, in cells."""
+"""Width of the Gaussian that pools neighbouring cells [cells]."""
 PRIOR_WEIGHT = 2.0
-"""Degrees of freedom that the whole cloud counts for in a cell, and the prior for the cloud."""
+"""Degrees of freedom with which the whole cloud counts in a cell, and the prior in the cloud."""
 CLIPPED_AT = 1.5
-"""Residuals count up to this many standard deviations, by Huber's second proposal: the few large
-ones must not make the noise of all others look large."""
+"""Residuals are clipped at this many standard deviations (Huber's second proposal), so that a few
+large ones do not raise the noise of all others."""
 OUTLYING = 5.0
-"""Standard deviations from the plane of its neighbours beyond which a point is an outlier."""
+"""A point is an outlier if it is further than this many standard deviations from the plane of its
+neighbours."""
 STARTED_WITHIN = 5.0
-"""Median residuals up to which the first guess counts a residual."""
+"""The first guess clips residuals at this many times their median."""
 ROUNDS = 3
-"""Of fitting planes and clipping; the first starts from medians."""
+"""Rounds of fitting planes and clipping residuals; the first starts from medians."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredNoise:
-    """Noise over an area, and of the points it was measured from.
+    """The noise over an area, and of each point that it was measured from.
 
     Attributes:
-        point_std: Of each point [m]: the noise there; more for outliers, by how far off they are.
-        outlying: Which points lie too far off the plane of their neighbours to be noise.
+        point_std: Noise of each point (n,) [m]. For an outlier it is the distance from the plane
+            of its neighbours.
+        outlying: Which points are outliers (n,).
     """
 
     point_std: Float[Array, "n"]
@@ -49,7 +52,7 @@ class MeasuredNoise:
     _std: Float[Array, "rows columns"]
 
     def std_at(self, xy: Float[Array, "q 2"]) -> Float[Array, "q"]:
-        """Standard deviation of an ordinary point there [m]."""
+        """Interpolate the noise of a point that is not an outlier at positions (q, 2) [m]."""
         at = ((xy - self._low) / self._cell - 0.5).T[::-1]
         return map_coordinates(self._std, at, order=1, mode="nearest")
 
@@ -59,11 +62,11 @@ def measure_noise(
     length_scale: float,
     prior_std: float,
 ) -> MeasuredNoise:
-    """Measure the noise of points from the scatter inside cells.
+    """Measure the noise of points from their scatter within cells.
 
     Args:
-        points: Positions [m].
-        length_scale: Of the GP [m]; detail of the ground far below it counts as noise.
+        points: Positions (n, 3) [m].
+        length_scale: Length-scale of the GP [m]; detail far below it counts as noise.
         prior_std: Noise where nothing can be measured [m].
     """
     cells = _Cells.over(points, length_scale)
@@ -73,7 +76,7 @@ def measure_noise(
     squares = np.minimum(residual**2, usual**2)
     variance = _pooled(cells, squares, np.maximum(cells.counts - 1, 0), prior)
     known = np.zeros(len(cells.counts), bool)
-    # What a plane leaves of n points scatters less than they do, by this.
+    # By this factor n points scatter less about their own plane than about the ground.
     left = np.sqrt(np.maximum(1 - 3 / np.maximum(cells.counts, LEAST_POINTS), 0.0))
     for _ in range(ROUNDS):
         limit = CLIPPED_AT * np.sqrt(variance)[cells.owner]
@@ -87,7 +90,7 @@ def measure_noise(
     there = std[cells.owner]
     off = np.abs(residual)
     outlying = known[cells.owner] & (off > OUTLYING * there)
-    # As Student's t would weigh it: beyond the limit, noise grows as the residual.
+    # As with Student's t: beyond the limit, the noise is as large as the residual.
     point_std = np.where(outlying, off, there)
     return MeasuredNoise(point_std, outlying, cells.low, cells.side, std.reshape(cells.shape))
 
@@ -95,10 +98,16 @@ def measure_noise(
 def find_outliers(
     points: Float[Array, "n 3"], length_scale: float, noise_std: Float[Array, "n"]
 ) -> tuple[Float[Array, "n"], Bool[NDArray[np.bool_], "n"]]:
-    """Give points that lie far off the plane of their neighbours the noise that this takes.
+    """Find the outliers, and raise their noise to their distance from the neighbours' plane.
+
+    Args:
+        points: Positions (n, 3) [m].
+        length_scale: Length-scale of the GP [m].
+        noise_std: Given noise of each point (n,) [m].
 
     Returns:
-        Noise of each point [m], and which are outliers by both their given and measured noise.
+        The noise of each point (n,) [m], and which points are outliers by both their given and
+        their measured noise (n,).
     """
     measured = measure_noise(points, length_scale, float(np.median(noise_std)))
     outlying = measured.outlying & (measured.point_std > OUTLYING * noise_std)
@@ -106,7 +115,7 @@ def find_outliers(
 
 
 def _clipped_mean_square() -> float:
-    """Mean square of a standard normal variable clipped at `CLIPPED_AT`."""
+    """Compute the mean square of a standard normal variable clipped at `CLIPPED_AT`."""
     within = 2 * ndtr(CLIPPED_AT) - 1
     density = np.exp(-0.5 * CLIPPED_AT**2) / np.sqrt(2 * np.pi)
     return float(within - 2 * CLIPPED_AT * density + CLIPPED_AT**2 * (1 - within))
@@ -137,15 +146,15 @@ class _Cells:
         return cls(low, side, shape, owner, counts)
 
     def sum(self, values: Float[Array, "n"]) -> Float[Array, "cells"]:
-        """Sum of the points' values, by cell."""
+        """Sum the points' values in each cell."""
         return np.bincount(self.owner, values, minlength=len(self.counts)).astype(np.float64)
 
     def mean(self, values: Float[Array, "n"]) -> Float[Array, "cells"]:
-        """Mean of the points' values, by cell; 0 in empty ones."""
+        """Average the points' values in each cell; 0 in empty cells."""
         return self.sum(values) / np.maximum(self.counts, 1)
 
     def median(self, values: Float[Array, "n"]) -> Float[Array, "n"]:
-        """Lower median of its cell, for each point."""
+        """Find, for each point, the lower median of its cell."""
         order = np.lexsort((values, self.owner))
         first = np.concatenate([[0], np.cumsum(self.counts)[:-1]]).astype(np.int64)
         middle = first + (np.maximum(self.counts, 1).astype(np.int64) - 1) // 2
@@ -154,7 +163,7 @@ class _Cells:
     def off_plane(
         self, points: Float[Array, "n 3"], weight: Float[Array, "n"]
     ) -> tuple[Float[Array, "n"], Bool[NDArray[np.bool_], "cells"]]:
-        """Heights over the weighted plane of their cell [m], and which cells have one."""
+        """Compute heights above the weighted plane of each cell [m], and which cells have one."""
         total = np.maximum(self.sum(weight), 1e-12)
         centre = [self.sum(weight * points[:, k]) / total for k in range(3)]
         x, y, z = (points[:, k] - centre[k][self.owner] for k in range(3))
@@ -169,9 +178,9 @@ class _Cells:
 
 
 MOST_CELLS = 4_000_000
-"""Of the whole area; they grow where it would take more."""
+"""Largest number of cells; on a larger area the cells grow."""
 LEAST_POINTS = 5
-"""In a cell whose plane is believed."""
+"""Smallest number of points to which a plane is fitted."""
 
 
 def _pooled(
@@ -180,7 +189,7 @@ def _pooled(
     freedom: Float[Array, "cells"],
     prior: float,
 ) -> Float[Array, "cells"]:
-    """Variance by cell: from its own points and those around, the whole cloud, and the prior."""
+    """Estimate the variance of each cell from its points, those around, the cloud and the prior."""
 
     def pool(values: Float[Array, "cells"]) -> Float[Array, "cells"]:
         image = values.reshape(cells.shape)

@@ -1,4 +1,4 @@
-"""Which points of a cloud are explained together, when its likelihood is taken patch by patch."""
+"""Draws the patches of a cloud over which its likelihood is summed."""
 
 from typing import Any
 
@@ -10,33 +10,33 @@ from gpgrad_core.arrays import Array, NDArray
 Members = Int[NDArray[np.intp], "_"]
 
 PATCH_POINTS = 500
-"""Points of a patch: its dense GP takes 10 ms. Smaller ones, though more, were worse on held-out
-points of real terrain, which is no stationary GP."""
+"""Number of points of a patch; its dense GP takes 10 ms. More but smaller patches gave a worse fit
+to held-out points of real terrain, which is not a stationary GP."""
 MOST_OFTEN = 2.0
-"""How often, in the mean, a point of a small cloud may be in a patch."""
+"""Largest mean number of patches that a point of a small cloud is in."""
 
 
 def draw_patches(
     xy: Float[Array, "n 2"], count: int, radius: float, rng: np.random.Generator
 ) -> list[Members]:
-    """Draw patches spread over a cloud, each a disc seen from above.
+    """Draw patches spread over a cloud; each is a disc seen from above.
 
-    A patch is the nearest neighbours of a point. Where these span less than the radius, it is as
-    many points within that radius, at random.
+    A patch is the nearest neighbours of a point. If these span less than the radius, it is as
+    many random points within the radius.
 
     Args:
-        xy: Positions of the points [m].
-        count: Patches wanted; fewer where the cloud is small.
-        radius: Least one of a patch [m], as far as the cloud goes.
-        rng: Chooses.
+        xy: Positions of the points (n, 2) [m].
+        count: Number of patches wanted; a small cloud has fewer.
+        radius: Smallest radius of a patch [m], as far as the cloud reaches.
+        rng: Generator of the random choices.
 
     Returns:
-        The rows of each patch's points.
+        The indices of each patch's points.
     """
     if len(xy) <= PATCH_POINTS:
         return [np.arange(len(xy))]
     count = min(count, int(np.ceil(MOST_OFTEN * len(xy) / PATCH_POINTS)))
-    # Here, because it takes a while to load, and only a fit needs it.
+    # Imported here because it loads slowly and only a fit needs it.
     from scipy.spatial import KDTree  # noqa: PLC0415
 
     tree = KDTree(xy)
@@ -51,9 +51,9 @@ def draw_patches(
 
 
 def _centres(tree: Any, count: int, rng: np.random.Generator) -> Members:
-    """Choose points evenly along the leaves of the tree, where neighbours are together.
+    """Choose points evenly along the leaves of the tree, in which neighbours are together.
 
-    So every part of the cloud has its share, by its number of points.
+    So every part of the cloud gets its share, by its number of points.
     """
     steps = (np.arange(count) + rng.uniform(size=count)) / count
     return tree.indices[(steps * tree.n).astype(np.intp)]

@@ -1,4 +1,4 @@
-"""What a fitted GP knows at every cell of a grid."""
+"""The posterior of a fitted GP at every cell of a grid."""
 
 from typing import NamedTuple
 
@@ -11,15 +11,21 @@ from gpgrad_core.types import Grid
 
 
 class TerrainFields(NamedTuple):
-    """Posterior of the terrain on a grid, Eqs. (2)-(5)."""
+    """Posterior of the terrain on a grid, Eqs. (2)-(5).
 
-    elevation: Float[Array, "rows columns"]  # [m]
-    variance: Float[Array, "rows columns"]  # of it [m²]
-    slope: Float[Array, "rows columns 2"]  # along x, along y [m/m]
+    Attributes:
+        elevation: Mean of the height (rows, columns) [m].
+        variance: Variance of the height (rows, columns) [m²].
+        slope: Slope along x and along y (rows, columns, 2) [m/m].
+    """
+
+    elevation: Float[Array, "rows columns"]
+    variance: Float[Array, "rows columns"]
+    slope: Float[Array, "rows columns 2"]
 
     @classmethod
     def prior(cls, grid: Grid, kernel: SquaredExponential, mean: float) -> "TerrainFields":
-        """Give what holds before any point is seen, in arrays to be filled."""
+        """Make the fields of the prior, in arrays that can be changed."""
         return cls(
             np.full(grid.shape, mean),
             np.full(grid.shape, kernel.signal_std**2),
@@ -28,5 +34,5 @@ class TerrainFields(NamedTuple):
 
 
 def clip_variance(variance: Float[Array, "*shape"], prior: float) -> Float[Array, "*shape"]:
-    """Clip a variance in place: rounding may leave it a hair below zero, or above the prior."""
+    """Clip a variance in place; rounding may leave it slightly below zero or above the prior."""
     return np.clip(variance, 1e-12 * prior, prior, out=variance)

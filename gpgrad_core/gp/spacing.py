@@ -1,4 +1,4 @@
-"""How fine a lattice must be to stand for the kernel, and what is too fine to be solved."""
+"""Chooses how fine a lattice must be to represent the kernel, and refuses what is too fine."""
 
 import numpy as np
 from jaxtyping import Float
@@ -8,17 +8,26 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.gp.kernel import SquaredExponential
 
 SPACINGS = (0.4, 0.8)
-"""Least and largest spacing, in length-scales; at the least the ripple is 8e-14."""
+"""Smallest and largest spacing [length-scales]; at the smallest the ripple is 8e-14."""
 MOST_INFORMATION = 1e10
-"""Beyond this, rounding errors of the solution are no longer far below the noise."""
+"""Largest information that is allowed. Beyond it, rounding errors are no longer far below the
+noise."""
 MOST_NODES = 16_000_000
-"""Of the finest lattice; each array of as many takes 128 MB."""
+"""Largest number of nodes of the finest lattice; an array of as many numbers takes 128 MB."""
 
 
 def information(
     xy: Float[Array, "n 2"], noise_variance: Float[Array, "n"], kernel: SquaredExponential
 ) -> float:
-    """Largest precision that the data bring to one bump, relative to its prior: s² max G."""
+    """Compute the largest precision that the data bring to one bump, relative to its prior.
+
+    It is s² max G in the terms of `weight_space`. It says how many digits a solution needs.
+
+    Args:
+        xy: Positions (n, 2) [m].
+        noise_variance: Variance of each point's height (n,) [m²].
+        kernel: Covariance of the terrain.
+    """
     cells = np.floor((xy - xy.min(axis=0)) / kernel.length_scale).astype(np.int64)
     _, owner = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True)
     densest = np.bincount(owner, weights=1 / noise_variance).max()
@@ -26,29 +35,42 @@ def information(
 
 
 def lattice_spacing(length_scale: float, information: float, ripple: float) -> float:
-    """Find the spacing at which the lattice kernel's ripple, times the information, is this [m].
+    """Find the spacing at which the ripple of the lattice kernel, times the information, is this.
 
-    The ripple of spacing h is 2 exp(-π² l² / (2 h²)) of the kernel's height.
+    With spacing h, the ripple is 2 exp(-π² l² / (2 h²)) of the kernel's height.
+
+    Args:
+        length_scale: Length-scale l of the kernel [m].
+        information: See `information`.
+        ripple: Ripple times information.
+
+    Returns:
+        The spacing [m].
     """
     ratio = np.pi / np.sqrt(2 * np.log(2 * information / ripple))
     return length_scale * float(np.clip(ratio, *SPACINGS))
 
 
 def gaussian_reach(information: float, error: float) -> float:
-    """Widths beyond which a Gaussian exp(-d²), times the information, is below an error."""
+    """Find the distance beyond which exp(-d²), times the information, is below an error."""
     return float(np.sqrt(np.log(information / error)))
 
 
 def check_solvable(xy: Float[Array, "n 2"], kernel: SquaredExponential, information: float) -> None:
-    """Refuse what would run out of digits or of memory.
+    """Check that a GP can be solved within the available digits and memory.
+
+    Args:
+        xy: Positions (n, 2) [m].
+        kernel: Covariance of the terrain.
+        information: See `information`.
 
     Raises:
-        InputError: Says which parameter to change, and to what.
+        InputError: If not; the message says which parameter to change, and to what.
     """
     excess = information / MOST_INFORMATION
     if excess > 1:
         raise InputError(
-            f"noise_std is too small beside signal_std {kernel.signal_std:.2g} m with so many "
+            f"noise_std is too small for signal_std {kernel.signal_std:.2g} m and so many "
             f"points in a length-scale of {kernel.length_scale:g} m: raise it "
             f"{np.ceil(np.sqrt(excess) * 10) / 10:g}-fold or more, or lower the length-scale"
         )

@@ -1,9 +1,9 @@
 """The exact GP for sparse clouds: small tiles of points, each with its neighbours.
 
-Where there are few points to a length-scale, a tile and its neighbours hold about a hundred
-points, and their covariance is inverted outright. The variance is local enough to be read off
-that inverse. The mean is not: the tiles' inverses correct it sweep by sweep, each writing its
-own points only (restricted additive Schwarz), until the heights are met everywhere.
+If there are few points in a length-scale, a tile and its neighbours hold about a hundred points,
+and their covariance is inverted directly. The variance is local enough to be computed from that
+inverse. The mean is not: the tiles' inverses correct it sweep by sweep, and each tile writes only
+its own points (restricted additive Schwarz), until the heights are met everywhere.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -27,43 +27,52 @@ from gpgrad_core.types import Grid
 Floats = NDArray[np.floating]
 Indices = NDArray[np.intp]
 Group = tuple[tuple[int, int], Indices]
-"""A tile (column, row) and the points that it sees."""
+"""A tile (column, row) and the indices of the points that it sees."""
 
 TILE = 5.0
-"""Side of a tile, in length-scales: the least work in all was measured from 5 to 6."""
+"""Side of a tile [length-scales]; the total work is smallest from 5 to 6 (measured)."""
 MOST_INFORMATION_IN_SINGLE = 1e3
-"""Up to here half the digits do for the inverses, at half the time (measured: the standard
-deviation moves by less than 0.1 %; the mean is made exact by the sweeps)."""
+"""Up to this information the inverses are float32, which takes half the time. The standard
+deviation changes by less than 0.1 % (measured), and the sweeps make the mean exact."""
 MAX_SWEEPS = 30
 LARGEST_LEAF = 24
-"""Rows that NumPy's own inversion takes at once; the rest is matrix products, at ten times its
-speed (measured from 8 to 64)."""
+"""Largest number of rows that NumPy's own inversion handles. Larger matrices are inverted by matrix
+products, at ten times its speed (measured from 8 to 64)."""
 BATCH = 32
-"""Tiles that are inverted, and sampled, at once; progress is told after each batch."""
+"""Number of tiles that are inverted or sampled at once; progress is reported after each batch."""
 SECONDS_A_PRODUCT, SECONDS_A_TILE, SECONDS_A_POINT, SECONDS = 2.7e-10, 5.8e-5, 1.2e-5, 0.034
-"""What a fit and its samples took on two cores of 2.8 GHz: by the cube of the points that a tile
-sees, by tiles and points (fitted to 90 clouds and length-scales, within 35 %)."""
+"""Seconds of a fit and its samples on two cores of 2.8 GHz: for the cube of the points that a tile
+sees, for a tile, for a point, and constant (fitted to 90 clouds and length-scales, within 35 %)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Batch:
-    """Tiles of about as many points each, padded to the same number."""
+    """Tiles with about the same number of points, padded to the same number."""
 
     tiles: Int[Indices, "b 2"]  # (column, row) of each tile
-    members: Int[Indices, "b p"]  # points of the tile and its neighbours
-    padding: Bool[NDArray[np.bool_], "b p"]  # entries of `members` that stand for no point
+    members: Int[Indices, "b p"]  # indices of the points of the tile and its neighbours
+    padding: Bool[NDArray[np.bool_], "b p"]  # entries of `members` that are only padding
     owned: Bool[NDArray[np.bool_], "b p"]  # members that lie in the tile itself
     inverse: Float[Floats, "b p p"]  # [K + D]⁻¹ of the members
 
 
 @dataclass(frozen=True, eq=False)
 class TilePosterior:
-    """A fitted GP that can be sampled on any grid."""
+    """A fitted GP that can be sampled on any grid.
+
+    Attributes:
+        kernel: Covariance of the terrain.
+        mean: Height that was subtracted before the fit [m].
+        field: The posterior mean, relative to ``mean``.
+        points_xy: Positions of the points (n, 2) [m].
+        tiling: The tiles.
+        batches: The inverses of all tiles, for the variance.
+    """
 
     kernel: SquaredExponential
-    mean: float  # taken off before, added after [m]
+    mean: float
     field: MeanField
-    points_xy: Float[Array, "n 2"]  # [m]
+    points_xy: Float[Array, "n 2"]
     tiling: "_Tiling"
     batches: tuple[_Batch, ...]
 
@@ -87,12 +96,12 @@ class TilePosterior:
     def _reduce(
         self, variance: Float[Array, "rows columns"], grid: Grid, *, sloping: tuple[bool, bool]
     ) -> None:
-        """Bring a prior variance down, in place, by what the data say: Eq. (3).
+        """Subtract what the data know from a prior variance, in place: Eq. (3).
 
         Args:
-            variance: Of the height, or of one slope.
+            variance: Variance of the height or of one slope.
             grid: Its cells.
-            sloping: Whether it is that of the slope along x, along y.
+            sloping: Whether it is the variance of the slope along x, and along y.
         """
         columns = self.tiling.edges(grid.x, axis=0)
         rows = self.tiling.edges(grid.y, axis=1)
@@ -118,7 +127,7 @@ class TilePosterior:
         y: Float[Array, "b height"],
         sloping: tuple[bool, bool],
     ) -> Float[Floats, "b height width"]:
-        """How far the data bring a variance of each tile down, ``k(x, X) [K + D]⁻¹ k(X, x)``."""
+        """Compute the reduction of the variance in each tile, ``k(x, X) [K + D]⁻¹ k(X, x)``."""
         at = self.points_xy[batch.members]
         length = self.kernel.length_scale
         along: list[Float[Floats, "b cells p"]] = []
@@ -148,22 +157,22 @@ def fit_tiles(
     accuracy: Accuracy = EXACT,
     progress: Progress = silent,
 ) -> TilePosterior | None:
-    """Fit the GP of Eq. (1) to points; cost grows with the cube of the points of a tile.
+    """Fit the GP of Eq. (1), in a time that grows with the cube of the points of a tile.
 
     Args:
-        points: Positions [m].
+        points: Positions (n, 3) [m].
         kernel: Covariance of the terrain.
-        noise_std: Standard deviation of the heights, one for all or one a point [m].
-        mean: Height that is taken off before and added after [m]; None: the points' mean.
-        accuracy: How exact it is to be.
-        progress: Called once a batch of tiles.
+        noise_std: Standard deviation of the heights [m], one for all or one for each point.
+        mean: Height that is subtracted before and added after [m]; None takes the points' mean.
+        accuracy: How exact the solution has to be.
+        progress: Called once per batch of tiles; may raise Cancelled.
 
     Returns:
-        The posterior; None if the sweeps do not converge, which dense clouds with little noise
-        can bring about: take `fit_lattice` for these.
+        The posterior; None if the sweeps do not converge, which can happen with dense clouds of
+        little noise. Use `fit_lattice` for these.
 
     Raises:
-        InputError: If the GP would be too large, or the noise too small to be solved for.
+        InputError: If the GP would be too large, or the noise is too small.
     """
     offset = float(points[:, 2].mean()) if mean is None else mean
     cloud = Cloud.of(points, noise_std, offset)
@@ -195,12 +204,12 @@ def fit_tiles(
 def estimate_seconds(
     xy: Float[Array, "n 2"], kernel: SquaredExponential, accuracy: Accuracy = EXACT
 ) -> float:
-    """Estimate what a fit takes [s], to tell whether another solver would be faster.
+    """Estimate the time of a fit [s], to compare it with that of another solver.
 
     Args:
-        xy: Positions of the points [m].
+        xy: Positions of the points (n, 2) [m].
         kernel: Covariance of the terrain.
-        accuracy: How exact it is to be.
+        accuracy: How exact the solution has to be.
     """
     cells = np.floor((xy - xy.min(axis=0)) / (TILE * kernel.length_scale)).astype(np.int64)
     columns = int(cells[:, 0].max()) + 1
@@ -222,7 +231,7 @@ def estimate_seconds(
 
 @dataclass(frozen=True)
 class _Tiling:
-    """Square tiles over the points; the outermost answer for all beyond them."""
+    """Square tiles over the points; the outermost tiles cover everything beyond."""
 
     low: tuple[float, float]  # [m]
     side: float  # [m]
@@ -235,17 +244,17 @@ class _Tiling:
         return cls((float(low[0]), float(low[1])), side, (int(counts[0]), int(counts[1])))
 
     def edges(self, coordinates: Float[Array, "c"], *, axis: int) -> Int[Indices, "tiles_and_one"]:
-        """Index of the first of some sorted coordinates in each tile; last, their number."""
+        """Find the index of the first sorted coordinate in each tile; the last is their number."""
         inner = self.low[axis] + self.side * np.arange(1, self.counts[axis])
         return np.concatenate([[0], np.searchsorted(coordinates, inner), [len(coordinates)]])
 
     def owner(self, xy: Float[Array, "n 2"]) -> Int[Indices, "n 2"]:
-        """Tile (column, row) of each point."""
+        """Find the tile (column, row) of each point."""
         tile = np.floor((xy - np.array(self.low)) / self.side).astype(np.intp)
         return np.clip(tile, 0, np.array(self.counts) - 1)
 
     def members(self, xy: Float[Array, "n 2"], halo: float) -> list[Group]:
-        """List each tile that has points within the halo [m], with these, the emptiest first."""
+        """List each tile with the points within its halo [m]; the tile with fewest comes first."""
         own = self.owner(xy)
         reach = int(np.ceil(halo / self.side))
         steps = np.arange(-reach, reach + 1)
@@ -281,13 +290,13 @@ def _invert(
         members[k, : len(chosen)] = chosen
         padding[k, : len(chosen)] = False
     at = cloud.xy[members]
-    # About the tile's own middle, in length-scales: half the digits then do for the positions.
+    # Relative to the tile's middle, in length-scales, float32 is precise enough for positions.
     at = ((at - at.mean(axis=1, keepdims=True)) / kernel.length_scale).astype(dtype)
     kernel_rows = (at[:, :, None, 0] - at[:, None, :, 0]) ** 2
     kernel_rows += (at[:, :, None, 1] - at[:, None, :, 1]) ** 2
     kernel_rows *= dtype(-0.5)
     np.exp(kernel_rows, out=kernel_rows)
-    # All digits from here: an inversion by halves loses as many as the matrix is ill-conditioned.
+    # float64 from here: an inversion by halves loses digits if the matrix is ill-conditioned.
     covariance = kernel_rows * np.float64(kernel.signal_std**2)
     covariance[padding[:, :, None] | padding[:, None, :]] = 0
     diagonal = np.einsum("bpp->bp", covariance)  # a view
@@ -302,7 +311,7 @@ def _invert_by_halves(stack: Float[Array, "b m m"]) -> Float[Array, "b m m"]:
     size = stack.shape[-1]
     if size <= LARGEST_LEAF:
         leaf = np.linalg.inv(stack)
-        # What follows takes symmetry for granted: rounding errors in it grew a million times.
+        # The next steps rely on symmetry; without this, rounding errors grew a million times.
         return 0.5 * (leaf + leaf.transpose(0, 2, 1))
     half = size // 2
     first = _invert_by_halves(stack[:, :half, :half])
@@ -318,7 +327,7 @@ def _invert_by_halves(stack: Float[Array, "b m m"]) -> Float[Array, "b m m"]:
 
 
 def _cells(edges: Int[Indices, "e"], tiles: Int[Indices, "b"]) -> Int[Indices, "b most"]:
-    """Indices of the cells of each tile along one axis, padded by repeating the last."""
+    """List the indices of each tile's cells along one axis, padded by repeating the last."""
     most = max(1, int(np.diff(edges)[tiles].max()))
     return np.minimum(edges[tiles][:, None] + np.arange(most), max(int(edges[-1]) - 1, 0))
 
@@ -326,7 +335,7 @@ def _cells(edges: Int[Indices, "e"], tiles: Int[Indices, "b"]) -> Int[Indices, "
 def _sweep(
     cloud: Cloud, fine: FineKernel, batches: list[_Batch], tolerance: float
 ) -> Float[Array, "n"] | None:
-    """Solve ``(K + D) weights = heights``; None if it does not converge."""
+    """Solve ``(K + D) weights = heights``; return None if it does not converge."""
     weights = np.zeros_like(cloud.heights)
     residual = cloud.heights
     for _ in range(MAX_SWEEPS):

@@ -1,6 +1,6 @@
-"""The GP in weight space: bumps on a lattice make its matrices small, banded, and images.
+"""The GP in weight space: bumps on a lattice make its matrices small and banded.
 
-The squared exponential is, but for a ripple, a sum of Gaussian bumps on a regular lattice with
+Apart from a ripple, the squared exponential is a sum of Gaussian bumps on a regular lattice with
 independent weights:
 
     k(x, x') ≈ Σ_a φ_a(x) φ_a(x'),   φ_a(x) = s_h exp(-|x - a|² / l²),
@@ -12,22 +12,21 @@ precision is
     Q = I + Φᵀ D⁻¹ Φ,   Q[a, a'] = δ + s_h² exp(-|a - a'|² / (2 l²)) G((a + a') / 2)
     G(m) = Σ_p exp(-2 |p - m|² / l²) / noise_p²
 
-because the product of two bumps is a narrower bump at their midpoint. So the whole matrix comes
-out of one image G on the lattice of half the spacing, however many points there are; and the
-same identity turns the inverse back into an image:
+because the product of two bumps is a narrower bump at their midpoint. So one image G on the lattice
+of half the spacing gives the whole matrix, for any number of points. The same identity turns the
+inverse into an image:
 
     var(x) = Σ_aa' Q⁻¹[a, a'] φ_a(x) φ_a'(x) = Σ_m V(m) exp(-2 |x - m|² / l²)
     V(m) = s_h² Σ_{a + a' = 2m} Q⁻¹[a, a'] exp(-|a - a'|² / (2 l²))
 
-The slopes' variance comes from the same pairs. With δ = (a - a') / 2,
+The variance of the slopes comes from the same pairs. With δ = (a - a') / 2,
 
     ∂φ_a/∂x ∂φ_a'/∂x = 4/l⁴ ((x - m)_x² - δ_x²) φ_a φ_a'
 
-so that one more image for each direction, in which every pair also counts δ² times, is all it
-takes.
+so it needs one more image for each direction, in which every pair is weighted by δ².
 
-Q is banded; its factor, and the part of its inverse that V needs, come from a block-tridiagonal
-recursion in matrix products.
+Q is banded. A block-tridiagonal recursion of matrix products gives its factor, and the part of its
+inverse that V needs.
 """
 
 from dataclasses import dataclass
@@ -47,42 +46,50 @@ from gpgrad_core.run.progress import Progress
 Array = NDArray[np.floating]
 
 DROPPED = 0.05
-"""Largest entry left out of Q beside its band, relative to the prior precision."""
+"""Largest entry of Q that may be left out beside its band, relative to the prior precision."""
 CUT = 1e-3
-"""Height at which bumps are cut off, times information."""
+"""Height at which bumps are cut off, times the information."""
 MARGIN = 2.5
-"""Length-scales by which the lattice reaches beyond the points: exp(-2 x 2.5²) is 4e-6."""
+"""How far the lattice reaches beyond the points [length-scales]; exp(-2 x 2.5²) is 4e-6."""
 NEGLIGIBLE = 1e-12
-"""Of the height of a bump: what is below this is as good as zero."""
+"""Values below this share of the height of a bump are set to zero."""
 MOST_INFORMATION_IN_SINGLE = 1e4
-"""Up to here half the digits do for the factor, at half the time (measured: the standard
-deviation moves by less than 0.1 %; the mean is made exact by other means)."""
+"""Up to this information the factor is float32, which takes half the time. The standard deviation
+changes by less than 0.1 % (measured), and other means make the mean exact."""
 
 MOST_INFORMATION_UNREFINED = 1e3
-"""From here on, solutions with half the digits are refined once: small noise amplifies errors."""
+"""Above this information float32 solutions are refined once, as small noise amplifies errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class VarianceReduction:
-    """How far the data bring the variances below the prior, for any x."""
+    """How much the data reduce the prior variances, at any x.
 
-    length_scale: float  # [m]
+    Attributes:
+        length_scale: Length-scale of the kernel [m].
+        x: Columns of the lattice of half the spacing.
+        y: Rows of the lattice of half the spacing.
+        pairs: V at each node (half_rows, half_cols) [m²].
+        apart: V weighted by δ² along x, and along y (2, half_rows, half_cols) [m⁴].
+    """
+
+    length_scale: float
     x: Axis
     y: Axis
-    pairs: Float[NDArray[np.float64], "half_rows half_cols"]  # V [m²]
-    apart: Float[NDArray[np.float64], "2 half_rows half_cols"]  # V with δ² along x, along y [m⁴]
+    pairs: Float[NDArray[np.float64], "half_rows half_cols"]
+    apart: Float[NDArray[np.float64], "2 half_rows half_cols"]
 
     def of_height(
         self, x: Float[NDArray[np.float64], "columns"], y: Float[NDArray[np.float64], "rows"]
     ) -> Float[NDArray[np.float64], "rows columns"]:
-        """Reduction of the height's variance [m²] at every pair of coordinates [m]."""
+        """Compute the reduction of the height's variance [m²] at every pair of coordinates [m]."""
         along_x, along_y = self._along(x, y)
         return along_y @ (self.pairs @ along_x.T)
 
     def of_slope(
         self, x: Float[NDArray[np.float64], "columns"], y: Float[NDArray[np.float64], "rows"]
     ) -> Float[NDArray[np.float64], "rows columns 2"]:
-        """Reduction of both slopes' variance [m²/m²] at every pair of coordinates [m]."""
+        """Compute the reduction of the slopes' variance [m²/m²] at all pairs of coordinates [m]."""
         along_x, along_y = self._along(x, y)
         spread_x = along_x * (x[:, None] - self.x.nodes) ** 2
         spread_y = along_y * (y[:, None] - self.y.nodes) ** 2
@@ -105,8 +112,8 @@ class VarianceReduction:
 class WeightSpace:
     """The factorised posterior precision Q of the bumps' weights.
 
-    Nodes are taken in blocks of `_band` rows, so that a block meets only the next. Each block
-    keeps the columns from the first to the last that data can reach; the others keep their prior.
+    The nodes are divided into blocks of `_band` rows, so that each block meets only the next one.
+    A block keeps the columns that data can reach; the other columns keep their prior.
     """
 
     def __init__(
@@ -122,12 +129,12 @@ class WeightSpace:
         Args:
             cloud: Points in patches.
             kernel: Covariance of the terrain.
-            information: Largest precision that data bring to one bump, see `spacing`.
-            spacing: Of the lattice [m].
-            advance: Called with the further fraction done, once a block.
+            information: Largest precision that data bring to one bump; see `spacing`.
+            spacing: Distance between nodes [m].
+            advance: Called once per block with the further fraction done.
 
         Raises:
-            NotPositiveDefiniteError: If rounding gets the better of it.
+            NotPositiveDefiniteError: If rounding errors make the precision indefinite.
         """
         self._length_scale = length = kernel.length_scale
         self._dtype = np.float32 if information <= MOST_INFORMATION_IN_SINGLE else np.float64
@@ -142,7 +149,7 @@ class WeightSpace:
         self._spacing_ratio = spacing / length
         self._scale2 = kernel.signal_std**2 * 2 * self._spacing_ratio**2 / np.pi  # s_h²
         reach = gaussian_reach(information, CUT)
-        # What is to be refined needs a residual of all digits.
+        # A refinement needs a residual in float64.
         digits = np.float64 if self._refined else self._dtype
         self._splat = Splat(xy, self._x, self._y, length, reach, digits)
         self._precision = precision
@@ -158,22 +165,22 @@ class WeightSpace:
 
     @property
     def num_bytes(self) -> int:
-        """Bytes of the factor."""
+        """Size of the factor [bytes]."""
         return sum(block.nbytes for block in [*self._factor.inverses, *self._factor.gains])
 
     def _rows(self, block: int) -> slice:
         return slice(block * self._band, (block + 1) * self._band)
 
     def _decay(self, nodes_apart: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """``exp(-d² / (2 l²))`` along one axis; zero before it comes near the least number.
+        """Compute ``exp(-d² / (2 l²))`` along one axis, with zeros in place of tiny values.
 
-        Products of numbers that are not quite zero cost ten times as much as others.
+        Products of tiny values would be denormal numbers, which are ten times slower.
         """
         decay = np.exp(-0.5 * (nodes_apart * self._spacing_ratio) ** 2)
         return np.where(decay < NEGLIGIBLE, 0.0, decay).astype(self._dtype)
 
     def _row_decay(self, blocks_apart: int) -> Float[Array, "r r"]:
-        """Decay between the rows of a block and those of the same or the previous block."""
+        """Compute the decay between a block's rows and those of the same or previous block."""
         apart = self._rows_apart(blocks_apart)
         return np.where(np.abs(apart) <= self._band, self._decay(apart), self._dtype(0))
 
@@ -182,13 +189,13 @@ class WeightSpace:
         return rows[:, None] - rows + blocks_apart * self._band
 
     def _pair_decay(self, blocks_apart: int) -> Float[Array, "r columns r columns"]:
-        """Decay between all nodes of a block and those of the same or the previous block."""
+        """Compute the decay between a block's nodes and those of the same or previous block."""
         columns = np.arange(self._x.count, dtype=np.float64)
         along_x = self._decay(columns[:, None] - columns)
         return self._row_decay(blocks_apart)[:, None, :, None] * along_x[None, :, None, :]
 
     def _couple(self, i: int, j: int) -> Float[Array, "m_i m_j"]:
-        """Entries of ``Q - I`` between the nodes of block i and those of block j."""
+        """Compute the entries of ``Q - I`` between the nodes of block i and those of block j."""
         a, b = self._windows[i], self._windows[j]
         shape = (self._band, a.stop - a.start, self._band, b.stop - b.start)
         # G at the midpoints of all pairs of nodes, as a view.
@@ -198,7 +205,7 @@ class WeightSpace:
             self._overlap.strides * 2,
             writeable=False,
         )
-        pairs = np.empty(shape, self._dtype)  # in the order in which it is a matrix
+        pairs = np.empty(shape, self._dtype)  # contiguous, so that the reshape makes no copy
         np.multiply(midpoints, self._decays[i - j][:, a, :, b], out=pairs)
         return pairs.reshape(shape[0] * shape[1], shape[2] * shape[3])
 
@@ -221,11 +228,11 @@ class WeightSpace:
         coupling: Float[Array, "n m"],
         pivot: Float[Array, "n n"],
     ) -> Float[Array, "n m"]:
-        """Take ``coupling inverse couplingᵀ`` off the next block's pivot; give the gain.
+        """Subtract ``coupling inverse couplingᵀ`` from the next block's pivot; return the gain.
 
-        A row of nodes meets none that is further away than the band: of the block before, those
-        from the same row on. So two fifths of the first product fall away; and of the second,
-        of which half is not needed either, three quarters.
+        A row of nodes is coupled only to rows within the band: in the previous block, to those
+        from the same row on. This saves two fifths of the first product. Of the second product
+        half is not needed either, so three quarters of it are saved.
         """
         width, before = len(coupling) // self._band, len(inverse) // self._band
         gain = np.empty_like(coupling)
@@ -236,21 +243,21 @@ class WeightSpace:
         return gain
 
     def variance_reduction(self) -> VarianceReduction:
-        """Sum ``I - Q⁻¹`` by midpoints: V of the module's text, less the prior's.
+        """Sum ``I - Q⁻¹`` by midpoints: the V of the module's docstring, without the prior's.
 
-        The prior itself is left out, so that it holds exactly, also beyond the lattice.
+        Without the prior, the prior variance holds exactly, also beyond the lattice.
         """
         band = self._band
-        # By the row of the midpoint, the columns apart, and the first column; in the second
-        # half each pair also counts by the square of the rows apart.
+        # Sorted by the row of the midpoint, the columns apart, and the first column. In the second
+        # half each pair is also weighted by the square of the rows apart.
         sums = np.zeros((2, 2 * self._y.count - 1, 2 * band + 1, self._x.count), self._dtype)
         by_row = [self._midpoint_rows(blocks_apart) for blocks_apart in (0, 1)]
         for i, diagonal, below in self._factor.inverse_blocks():
-            reduced = diagonal.copy()  # the recursion goes on with its own
+            reduced = diagonal.copy()  # the recursion still needs the original
             np.einsum("ii->i", reduced)[:] -= 1
             self._add_pairs(sums, i, i, reduced, by_row[0])
             if below is not None:
-                self._add_pairs(sums, i + 1, i, below, 2 * by_row[1])  # for its mirror image too
+                self._add_pairs(sums, i + 1, i, below, 2 * by_row[1])  # and its mirror image
         images = np.zeros((3, *self._overlap.shape))  # V; V with δ² along x; along y
         columns_apart = np.arange(-band, band + 1)
         sums *= self._decay(columns_apart.astype(np.float64))[:, None]
@@ -277,10 +284,10 @@ class WeightSpace:
         block: Float[Array, "m_i m_j"],
         by_row: Float[Array, "twice_midpoints row_pairs"],
     ) -> None:
-        """Add a block of pairs of nodes by the rows of their midpoints and the columns apart."""
+        """Add a block of pairs of nodes, sorted by the midpoint's row and the columns apart."""
         a, b = self._windows[i], self._windows[j]
         band, width = self._band, a.stop - a.start
-        # The other columns, from `band` before the first to `band` behind the last.
+        # The columns of the other block, from `band` before the first to `band` after the last.
         padded = np.zeros((band, width, band, width + 2 * band), self._dtype)
         first, last = max(b.start, a.start - band), min(b.stop, a.stop + band)
         if last <= first:
@@ -301,9 +308,9 @@ class WeightSpace:
         sums[:, into_rows, :, a] += rows.reshape(2, 2 * band - 1, 2 * band + 1, width)
 
     def _midpoint_rows(self, blocks_apart: int) -> Float[Array, "twice_midpoints row_pairs"]:
-        """Matrix that sums pairs of rows by their midpoint, each times its decay.
+        """Make the matrix that sums pairs of rows by their midpoint, weighted by their decay.
 
-        Below it the same with the square of the rows apart.
+        Its lower half is also weighted by the square of the rows apart.
         """
         band = self._band
         sums = np.add.outer(np.arange(band), np.arange(band)).ravel()
@@ -328,7 +335,7 @@ class WeightSpace:
     def _solve(
         self, right: Float[NDArray[np.float64], "rows columns"]
     ) -> Float[NDArray[np.float64], "rows columns"]:
-        """Solve ``Q weights = right``, to the digits of the factor."""
+        """Solve ``Q weights = right``, with the precision of the factor."""
         narrow = right.astype(self._dtype)
         blocks = [(self._rows(i), window) for i, window in enumerate(self._windows)]
         solution = self._factor.solve([narrow[block].ravel() for block in blocks])
@@ -339,11 +346,11 @@ class WeightSpace:
 
 
 def band_of(information: float, spacing_ratio: float) -> int:
-    """Nodes apart beyond which two bumps share too little to matter."""
+    """Compute the number of nodes beyond which two bumps hardly overlap."""
     return max(2, int(np.ceil(np.sqrt(2 * np.log(information / DROPPED)) / spacing_ratio)) - 1)
 
 
 def _span(reached: Bool[NDArray[np.bool_], "columns"]) -> slice:
-    """Columns from the first to the last that is reached; one of them if none is."""
+    """Find the columns from the first to the last that is reached; at least one column."""
     columns = np.flatnonzero(reached)
     return slice(int(columns[0]), int(columns[-1]) + 1) if len(columns) else slice(0, 1)

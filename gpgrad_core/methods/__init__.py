@@ -1,6 +1,6 @@
-"""Ways of detecting loop closures: the pipeline and its rivals, one a file, each a `LoopDetector`.
+"""Methods of loop-closure detection: the pipeline and the methods it is compared with.
 
-`registry` has them by the names that users give them.
+Each method has its own file and is a `LoopDetector`. `registry` lists them by name.
 """
 
 from gpgrad_core.methods.registry import METHODS, Method, find_method

@@ -1,8 +1,8 @@
-"""Appearance: ORB and a binary bag of words that grows, in the manner of iBoW-LCD (Garcia 2018).
+"""Appearance: ORB and a growing binary bag of words, similar to iBoW-LCD (Garcia 2018).
 
-For datasets with camera images of their submaps. It says whether a place was seen before, not
-where exactly: its registrations have no motion, and no pair is accepted; what counts is how it
-ranks them.
+It is for datasets with camera images of their submaps. It recognises a place, but does not say
+where exactly it is: its registrations have no motion, and no pair is accepted. What counts is its
+ranking of the pairs.
 """
 
 from dataclasses import dataclass, field
@@ -22,22 +22,28 @@ from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Registration, Submap
 
 NUM_FEATURES = 1500
-"""ORB features of an image; the paper's Sec. VII-B."""
+"""Largest number of ORB features of an image (the paper's Sec. VII-B)."""
 RATIO = 0.8
-"""A descriptor is a known word if its nearest is so much nearer than the second nearest."""
+"""A descriptor is a known word if the distance to the nearest word is below this share of the
+distance to the second nearest."""
 MIN_SIMILARITY = 0.3
-"""Share of the best candidate's similarity from which on the geometry is checked."""
+"""The geometry is checked if the similarity is at least this share of the best candidate's."""
 MIN_MATCHES = 8
-"""Associations that a fundamental matrix needs."""
+"""Smallest number of associations for a fundamental matrix."""
 EPIPOLAR_DISTANCE = 2.0
-"""Of an inlier from its epipolar line [pixels]."""
+"""Largest distance of an inlier from its epipolar line [pixels]."""
 
 Descriptors = UInt8[NDArray[np.uint8], "_ 32"]
 
 
 @dataclass(frozen=True, eq=False)
 class ImageFeatures:
-    """ORB features of one image."""
+    """ORB features of one image.
+
+    Attributes:
+        pixels: Positions (k, 2) [pixels].
+        descriptors: Strings of bits (k, 32) [bytes].
+    """
 
     pixels: Float[NDArray[np.float64], "k 2"]
     descriptors: Descriptors
@@ -45,12 +51,13 @@ class ImageFeatures:
 
 @dataclass(frozen=True, eq=False)
 class SeenSubmap:
-    """What was seen from a submap, and how much of it had been seen before.
+    """The image features of a submap, and its similarity to earlier submaps.
 
     Attributes:
         place: Fingerprint of the submap.
         images: Features of its images.
-        similarity: Of earlier submaps, by fingerprint; the most similar has 1.
+        similarity: Similarity of each earlier submap in [0, 1], by fingerprint; the most similar
+            has 1.
     """
 
     place: str
@@ -60,34 +67,39 @@ class SeenSubmap:
 
 @dataclass(frozen=True, eq=False)
 class AppearanceDetector:
-    """An `OrderedDetector`: its words are those of the submaps before."""
+    """An `OrderedDetector` whose words come from the earlier submaps.
+
+    Attributes:
+        params: Parameters; only the seed is used.
+        memo: Keeps the features of each submap; it is empty at first in another process.
+    """
 
     params: PipelineParams
     memo: Memo
 
     def __call__(self, query: Submap, database: Submap) -> Registration:
-        """Compare two submaps with no others known."""
+        """Compare two submaps without any other submaps."""
         both = self.gather([self.extract(database), self.extract(query)])
         return self.compare(both[1], both[0])
 
     def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
-        """Nothing comes before the features."""
+        """Return the submap itself, because this method has no map."""
         progress(1.0)
         return submap
 
     def extract(self, made: Submap, progress: Progress = silent) -> SeenSubmap:
-        """Draw features from the submap's images."""
+        """Extract features from the submap's images."""
         seen = self.memo(see, made)
         progress(1.0)
         return seen
 
     def gather(self, extracted: list[SeenSubmap]) -> list[SeenSubmap]:
-        """Add to each submap how similar the earlier ones are."""
+        """Add to each submap its similarity to the earlier ones."""
         vocabulary = Vocabulary()
         return [SeenSubmap(s.place, s.images, vocabulary.look_up_and_learn(s)) for s in extracted]
 
     def compare(self, query: SeenSubmap, database: SeenSubmap) -> Registration:
-        """Score a pair by its similarity, and by epipolar inliers where it is similar enough."""
+        """Score a pair by its similarity, and by epipolar inliers if it is similar enough."""
         similarity = query.similarity.get(database.place, 0.0)
         if similarity < MIN_SIMILARITY:
             return outcome(None, np.zeros(0, bool), similarity)
@@ -101,15 +113,15 @@ class AppearanceDetector:
 
 
 def see(submap: Submap) -> SeenSubmap:
-    """Draw ORB features from all images of a submap.
+    """Extract ORB features from all images of a submap.
 
     Raises:
-        InputError: If it has none, or one cannot be read.
+        InputError: If the submap has no images, or one cannot be read.
     """
     if not submap.images:
         raise InputError(
-            f"{submap.id}: appearance needs camera images, and the dataset has none of this "
-            "submap: put them into images/, in a folder of the submap's number"
+            f"{submap.id}: appearance needs camera images, and this submap has none: "
+            "put them into images/, in a folder named by the submap's number"
         )
     images = read_images(submap.images)
     return SeenSubmap(submap.fingerprint, tuple(_features(image) for image in images))
@@ -123,20 +135,26 @@ def _features(image: UInt8[NDArray[np.uint8], "rows columns"]) -> ImageFeatures:
 
 
 class Vocabulary:
-    """Words that grow with what is seen, and who saw them."""
+    """The words seen so far, and the submaps that saw them."""
 
     def __init__(self) -> None:
-        """Know nothing."""
+        """Begin without words."""
         self._words: Descriptors = np.zeros((0, 32), np.uint8)
-        self._seen_at: list[dict[str, int]] = []  # of each word: how often, by place
+        self._seen_at: list[dict[str, int]] = []  # for each word, how often each place saw it
         self._num_words_at: dict[str, int] = {}
 
     def look_up_and_learn(self, seen: SeenSubmap) -> dict[str, float]:
-        """Tell how similar each earlier place is, then learn this one.
+        """Compute the similarity of each earlier place, then add this place.
 
-        The similarity is the sum of tf-idf over the words in common, stretched so that the most
-        similar place has 1 and the least 0. A word takes the bits that all its descriptors have
-        in common; what resembles no word becomes one.
+        The similarity is the sum of tf-idf over the common words, scaled so that the most similar
+        place has 1 and the least similar 0. A known word keeps the bits that all its descriptors
+        have in common, and a descriptor that resembles no word becomes a word.
+
+        Args:
+            seen: The features of the place.
+
+        Returns:
+            The similarity of each earlier place, by its fingerprint.
         """
         descriptors = np.concatenate([image.descriptors for image in seen.images])
         nearest = nearest_words(descriptors, self._words)
@@ -161,7 +179,7 @@ class Vocabulary:
 
 
 def nearest_words(descriptors: Descriptors, words: Descriptors) -> Int[NDArray[np.intp], "k"]:
-    """Index of the word that each descriptor is, by the ratio of the two nearest; -1: of none."""
+    """Find the word that each descriptor is, by the ratio of the two nearest; -1 if none is."""
     found = np.full(len(descriptors), -1, dtype=np.intp)
     if len(words) < 2 or len(descriptors) == 0:
         return found
@@ -178,12 +196,12 @@ def _stretched(scores: dict[str, float]) -> dict[str, float]:
     low, high = min(scores.values()), max(scores.values())
     if high <= 0:
         return dict.fromkeys(scores, 0.0)
-    low = low if high > low else 0.0  # one place alone is the most similar
+    low = low if high > low else 0.0  # a single place is the most similar one
     return {place: (score - low) / (high - low) for place, score in scores.items()}
 
 
 def epipolar_inliers(query: ImageFeatures, database: ImageFeatures, seed: int) -> int:
-    """Count the associations of two images that one fundamental matrix explains."""
+    """Count the associations between two images that fit one fundamental matrix."""
     nearest = nearest_words(query.descriptors, database.descriptors)
     matched = np.flatnonzero(nearest >= 0)
     if len(matched) < MIN_MATCHES:
@@ -198,5 +216,5 @@ def epipolar_inliers(query: ImageFeatures, database: ImageFeatures, seed: int) -
 
 
 def appearance_detector(params: PipelineParams, memo: Memo) -> AppearanceDetector:
-    """Make the appearance baseline; for datasets with images."""
+    """Make the appearance baseline, for datasets with images."""
     return AppearanceDetector(params, memo)

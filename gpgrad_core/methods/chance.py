@@ -1,4 +1,4 @@
-"""Chance: a score drawn at random, as the paper's random classifier."""
+"""Chance: a random score, like the paper's random classifier."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,11 @@ from gpgrad_core.types import Registration, Submap
 
 @dataclass(frozen=True, eq=False)
 class Name:
-    """A submap known by nothing but a number."""
+    """A number that stands for a submap.
+
+    Attributes:
+        seed: The number, from the submap's fingerprint.
+    """
 
     seed: int
 

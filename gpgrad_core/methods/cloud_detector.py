@@ -1,4 +1,4 @@
-"""A rival in two pure functions: what it makes of one submap, and how it compares two."""
+"""A method made of two pure functions: one describes a submap, the other compares two of them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ class CloudDetector(Generic[D]):
     """A `StagedDetector` made of two functions of a module, so that it can be pickled.
 
     Attributes:
-        describe: Makes of a submap all that the comparison needs; a frozen dataclass.
-        register: Registers the first, the query, to the second.
-        params: Given to both.
-        memo: Keeps descriptions; empty at first in another process.
+        describe: Makes everything that the comparison needs of a submap: a frozen dataclass.
+        register: Registers its first argument, the query, to its second.
+        params: The parameters that both functions get.
+        memo: Keeps the descriptions; it is empty at first in another process.
     """
 
     describe: Callable[[Submap, PipelineParams], D]
@@ -33,7 +33,7 @@ class CloudDetector(Generic[D]):
         return self.compare(self.extract(query), self.extract(database))
 
     def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
-        """Nothing comes before the description: there is no map."""
+        """Return the submap itself, because there is no map."""
         progress(1.0)
         return submap
 

@@ -1,4 +1,4 @@
-"""SHOT with the colours of the points beside their normals: CSHOT-1344 (Tombari 2011)."""
+"""SHOT with the colours of the points as well as their normals: CSHOT-1344 (Tombari 2011)."""
 
 import cv2
 import numpy as np
@@ -22,11 +22,11 @@ from gpgrad_core.types import Submap
 
 COLOR_DIFFERENCES = 31
 LAB_RANGE = np.array([100.0, 120.0, 120.0])
-"""What L, a and b are divided by, as in the point cloud library."""
+"""Ranges of L, a and b, by which they are divided, as in the Point Cloud Library."""
 
 
 def cshot_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedCloud]:
-    """Make CSHOT on keypoints of high curvature, with RANSAC; for coloured clouds."""
+    """Make CSHOT on keypoints of high curvature, with RANSAC, for coloured clouds."""
     return CloudDetector(describe_cshot, register_by_ransac, params, memo)
 
 
@@ -39,7 +39,7 @@ def describe_cshot(submap: Submap, params: PipelineParams) -> DescribedCloud:
     surface = curved_surface(submap, params)
     if surface.colors is None:
         raise InputError(
-            f"{submap.id}: cshot needs the colours of the points, and its cloud has none; "
+            f"{submap.id}: cshot needs the colours of the points, and this cloud has none; "
             "use shot, or clouds with red, green and blue"
         )
     points, keypoints, radius = surface.points, surface.keypoints, surface.radius
@@ -56,15 +56,19 @@ def color_shot(
     keypoints: Float[Array, "k 3"],
     radius: float,
 ) -> Float[Array, "k 992"]:
-    """Describe keypoints by how the colours around differ from their own.
+    """Describe keypoints by how much the colours around them differ from their own.
 
-    As `shot`, with the L1 distance of CIELab colours in place of the normals' cosine.
+    This is like `shot`, with the L1 distance of CIELab colours in place of the cosine of the
+    normals.
 
     Args:
-        points: Of the cloud, the keypoints among them [m].
-        colors: Of the points in [0, 1].
-        keypoints: Where to describe [m].
-        radius: Of the support [m].
+        points: Points of the cloud (n, 3) [m]; the keypoints are among them.
+        colors: Red, green and blue of the points (n, 3) in [0, 1].
+        keypoints: The keypoints (k, 3) [m].
+        radius: Radius of the support [m].
+
+    Returns:
+        Descriptors of unit length (k, 992).
     """
     lab = cv2.cvtColor(colors.astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0] / LAB_RANGE
     near = neighbours_within(points, keypoints, radius)

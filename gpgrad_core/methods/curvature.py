@@ -1,4 +1,4 @@
-"""Keypoints in regions of high curvature, for the 3D descriptors of the paper's Sec. VII-C."""
+"""Finds keypoints of high curvature, for the 3D descriptors (the paper's Sec. VII-C)."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -8,10 +8,17 @@ from gpgrad_core.methods.neighbours import neighbours_within
 
 
 def surface_variation(points: Float[Array, "n 3"], radius: float) -> Float[Array, "n"]:
-    """Measure how far each neighbourhood is from flat, in [0, 1/3]: Pauly 2002.
+    """Measure how far each neighbourhood is from flat (Pauly 2002).
 
-    The smallest eigenvalue of its covariance over the sum of all three; zero where there are
-    fewer than five neighbours.
+    It is the smallest eigenvalue of the neighbourhood's covariance, divided by the sum of all
+    three.
+
+    Args:
+        points: Points of a cloud (n, 3) [m].
+        radius: Radius of a neighbourhood [m].
+
+    Returns:
+        The variation of each point (n,) in [0, 1/3]; 0 if it has fewer than five neighbours.
     """
     near = neighbours_within(points, points, radius)
     offsets = points[near.index] - points[near.query]
@@ -28,13 +35,16 @@ def surface_variation(points: Float[Array, "n 3"], radius: float) -> Float[Array
 def curved_keypoints(
     points: Float[Array, "n 3"], radius: float, spacing: float, most: int
 ) -> Int[NDArray[np.intp], "k"]:
-    """Choose the points that are more curved than all near them, the most curved first.
+    """Choose the points whose curvature is highest in their neighbourhood, the highest first.
 
     Args:
-        points: Of a thinned cloud [m].
-        radius: Of the neighbourhoods whose curvature is measured [m].
-        spacing: Between two keypoints at least [m].
-        most: Keypoints to keep.
+        points: Points of a thinned cloud (n, 3) [m].
+        radius: Radius of the neighbourhoods whose curvature is measured [m].
+        spacing: Smallest distance between two keypoints [m].
+        most: Largest number of keypoints.
+
+    Returns:
+        The indices of the keypoints (k,).
     """
     curvature = surface_variation(points, radius)
     near = neighbours_within(points, points, spacing)

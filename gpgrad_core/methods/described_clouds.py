@@ -1,4 +1,4 @@
-"""What methods with 3D descriptors share: thinned clouds with normals, and associations."""
+"""Thinned clouds with normals, and associations, which all methods with 3D descriptors share."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,20 +18,26 @@ NORMAL_NEIGHBOURS = 30
 
 @dataclass(frozen=True, eq=False)
 class DescribedCloud:
-    """Keypoints of a cloud with their descriptors."""
+    """Keypoints of a cloud with their descriptors.
 
-    points: Float[Array, "k 3"]  # [m]
+    Attributes:
+        points: The keypoints (k, 3) [m].
+        descriptors: Their descriptors (k, d).
+        middle: Mean of the whole cloud (1, 3) [m].
+    """
+
+    points: Float[Array, "k 3"]
     descriptors: Float[NDArray[np.float32], "k d"]
-    middle: Float[Array, "1 3"]  # of the whole cloud [m]
+    middle: Float[Array, "1 3"]
 
 
 def thinned(submap: Submap, voxel: float, normal_radius: float) -> Any:
-    """Thin a cloud to one mean a voxel, with normals that point up.
+    """Thin a cloud to one mean per voxel, with normals that point up.
 
     Args:
-        submap: Its points, and colours where it has them.
+        submap: The points, and their colours if it has them.
         voxel: Side of a voxel [m].
-        normal_radius: Neighbourhood that a normal is fitted to [m].
+        normal_radius: Radius of the neighbourhood to which a normal is fitted [m].
 
     Returns:
         An Open3D cloud.
@@ -50,13 +56,17 @@ def thinned(submap: Submap, voxel: float, normal_radius: float) -> Any:
 
 
 def mutual_matches(query: DescribedCloud, database: DescribedCloud) -> Int[NDArray[np.intp], "m 2"]:
-    """Associate the keypoints that are each other's nearest by descriptor."""
+    """Associate keypoints whose descriptors are the nearest of each other.
+
+    Returns:
+        Indices (query, database) of each association (m, 2).
+    """
     if len(query.points) == 0 or len(database.points) == 0:
         return np.zeros((0, 2), np.intp)
     a, b = query.descriptors, database.descriptors
     squared = (b * b).sum(axis=1) - 2 * (a @ b.T)
     nearest = squared.argmin(axis=1)
-    # The query's own lengths do not change its order of neighbours, but the database's.
+    # The lengths of the query's descriptors matter only for the neighbours of the database.
     squared += (a * a).sum(axis=1)[:, None]
     rows = np.arange(len(a))
     kept = squared.argmin(axis=0)[nearest] == rows
@@ -66,7 +76,7 @@ def mutual_matches(query: DescribedCloud, database: DescribedCloud) -> Int[NDArr
 def register_by_ransac(
     query: DescribedCloud, database: DescribedCloud, params: PipelineParams
 ) -> Registration:
-    """Associate mutually, find the motion by RANSAC, score it by its inliers."""
+    """Make mutual associations, find the motion by RANSAC, and score it by its inliers."""
     pairs = mutual_matches(query, database)
     found = ransac_se3(
         query.points[pairs[:, 0]],

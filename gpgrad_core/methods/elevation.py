@@ -1,4 +1,4 @@
-"""The elevation image: the pipeline, with keypoints drawn from heights rather than steepness."""
+"""The elevation image: the pipeline with keypoints on the heights instead of the steepness."""
 
 from dataclasses import replace
 
@@ -11,9 +11,9 @@ from gpgrad_core.types import GradientMap
 
 
 def elevation_params(params: PipelineParams) -> PipelineParams:
-    """Look at the image with AKAZE, where the detector asked for looks at slope vectors.
+    """Replace the detector for slope vectors by AKAZE.
 
-    Of the detectors for images it ranks pairs best.
+    Of the detectors for images, AKAZE ranks the pairs best.
     """
     if params.features.detector.name != "slope":
         return params
@@ -26,10 +26,10 @@ def elevation_detector(params: PipelineParams, memo: Memo) -> MapDetector:
 
 
 def elevation_as_image(gradient_map: GradientMap) -> GradientMap:
-    """Put the height above the lowest cell where keypoints look for the steepness.
+    """Make a map whose gradient image is the height above the lowest cell.
 
-    The image is the length of the slope vector: with (height, 0) for it, it is the height. What
-    comes after the keypoints is given the map itself.
+    The gradient image is the length of the slope vector, so a slope of (height, 0) makes it the
+    height. The stages after the keypoints use the original map.
     """
     height = gradient_map.elevation - gradient_map.elevation.min()
     return replace(gradient_map, slope=np.stack([height, np.zeros_like(height)], axis=-1))

@@ -21,10 +21,10 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
 
 VOXEL = 0.5
-"""Side of a voxel in length-scales: 15 cm at the default 0.3 m."""
+"""Side of a voxel [length-scales]: 15 cm with the default length-scale of 0.3 m."""
 NORMAL_RADIUS = 2.0
 FEATURE_RADIUS = 5.0
-"""Radii in voxels, as in Open3D's examples."""
+"""Radii for normals and for features [voxels], as in Open3D's examples."""
 FEATURE_NEIGHBOURS = 100
 
 _open3d_random = Lock()
@@ -61,7 +61,7 @@ def register_by_fgr(
 ) -> Registration:
     """Register by fast global registration over mutual associations.
 
-    It has no score of its own: its inliers are counted as RANSAC's are.
+    It has no score of its own, so its inliers are counted as RANSAC's are.
     """
     pairs = mutual_matches(query, database)
     if len(pairs) < 3:
@@ -77,7 +77,7 @@ def register_by_fgr(
         o3d.utility.Vector2iVector(pairs.astype(np.int32)),
         option,
     )
-    with _open3d_random:  # Open3D's random numbers are the process's
+    with _open3d_random:  # Open3D has one random generator for the whole process
         o3d.utility.random.seed(params.registration.seed)
         found = o3d.pipelines.registration.registration_fgr_based_on_correspondence(*arguments)
     motion = np.array(found.transformation, dtype=np.float64)

@@ -16,19 +16,24 @@ from gpgrad_core.types import Registration, Submap
 
 PACKAGE = "kiss_matcher"
 VOXEL = 0.5
-"""Side of a voxel in length-scales: 15 cm at the default."""
+"""Side of a voxel [length-scales]: 15 cm with the default length-scale of 0.3 m."""
 
 
 @dataclass(frozen=True, eq=False)
 class KissMatcherCloud:
-    """Points as the package takes them."""
+    """The points of a submap in the form that the package needs.
 
-    points: Float[NDArray[np.float32], "n 3"]  # [m]
-    middle: Float[NDArray[np.float64], "1 3"]  # [m]
+    Attributes:
+        points: Points (n, 3) [m].
+        middle: Their mean (1, 3) [m].
+    """
+
+    points: Float[NDArray[np.float32], "n 3"]
+    middle: Float[NDArray[np.float64], "1 3"]
 
 
 def kiss_matcher_detector(params: PipelineParams, memo: Memo) -> CloudDetector[KissMatcherCloud]:
-    """Make KISS-Matcher; it must be installed."""
+    """Make KISS-Matcher; the package must be installed."""
     return CloudDetector(_cloud, _register, params, memo)
 
 
@@ -41,9 +46,9 @@ def _cloud(submap: Submap, params: PipelineParams) -> KissMatcherCloud:  # noqa:
 def _register(
     query: KissMatcherCloud, database: KissMatcherCloud, params: PipelineParams
 ) -> Registration:
-    """Match and solve; its score is the number of its final inliers."""
+    """Associate and solve; the score is the number of the final inliers."""
     package: Any = load_library(PACKAGE, "gpgrad[peers]")
-    # Quatro turns about the vertical alone: both clouds are gravity-aligned.
+    # Quatro rotates about the vertical only, because both clouds are gravity-aligned.
     config = package.KISSMatcherConfig(VOXEL * params.map.terrain.length_scale, use_quatro=True)
     matcher = package.KISSMatcher(config)
     solution = matcher.estimate(query.points, database.points)

@@ -1,4 +1,4 @@
-"""All neighbours within a radius, as flat arrays for NumPy."""
+"""Finds all neighbours within a radius, as flat arrays for NumPy."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,14 +12,20 @@ from gpgrad_core.libraries import load_library
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """Pairs (query, neighbour), by query and then by the neighbour's index."""
+    """Pairs (query, neighbour), sorted by query and then by the neighbour's index.
+
+    Attributes:
+        query: Index of the query of each pair (p,).
+        index: Index of the neighbour of each pair (p,).
+        counts: Number of neighbours of each query (q,).
+    """
 
     query: Int[NDArray[np.int64], "p"]
     index: Int[NDArray[np.int64], "p"]
-    counts: Int[NDArray[np.int64], "q"]  # neighbours of each query
+    counts: Int[NDArray[np.int64], "q"]
 
     def sum_up(self, values: Float[Array, "p c"]) -> Float[Array, "q c"]:
-        """Add up values of the pairs, for each query."""
+        """Sum values of the pairs (p, c) for each query (q, c)."""
         columns = [
             np.bincount(self.query, column, len(self.counts)).astype(np.float64)
             for column in values.T
@@ -30,7 +36,13 @@ class Neighbours:
 def neighbours_within(
     points: Float[Array, "n 3"], queries: Float[Array, "q 3"], radius: float
 ) -> Neighbours:
-    """Find the points within a radius [m] of each query, itself included if it is one."""
+    """Find the points within a radius of each query.
+
+    Args:
+        points: Points (n, 3) [m].
+        queries: Positions (q, 3) [m]. A query that is one of the points is its own neighbour.
+        radius: The radius [m].
+    """
     core: Any = load_library("open3d").core
     search = core.nns.NearestNeighborSearch(core.Tensor(points))
     search.fixed_radius_index(radius)
@@ -38,5 +50,5 @@ def neighbours_within(
     index, ends = found.numpy().astype(np.int64), splits.numpy().astype(np.int64)
     counts = np.diff(ends)
     query = np.repeat(np.arange(len(queries)), counts)
-    order = np.lexsort([index, query])  # the search's own order may depend on its threads
+    order = np.lexsort([index, query])  # the order of the search may depend on its threads
     return Neighbours(query, index[order], counts)

@@ -1,4 +1,4 @@
-"""Registrations of rival methods, most of which have no dense check."""
+"""Makes the registrations of the other methods, most of which have no dense check."""
 
 from dataclasses import replace
 
@@ -27,11 +27,11 @@ def outcome(
 
 
 LEAST_INLIERS = 8
-"""Smallest number of inliers of a rival's loop closure; the parameters can only raise it."""
+"""Smallest number of inliers of another method's loop closure; parameters can only raise it."""
 
 
 def judged_by_inliers(params: PipelineParams) -> PipelineParams:
-    """Let the number of inliers decide, because a rival's score has another scale."""
+    """Let the number of inliers decide, because another method's score has another scale."""
     num = max(params.closure.min_inliers, LEAST_INLIERS)
     return replace(params, closure=replace(params.closure, min_inliers=num, min_score=0.0))
 

@@ -1,7 +1,7 @@
-"""The paper to the letter: its map, its keypoints, its Algorithm 1 with n and h.
+"""The paper to the letter: its map, its keypoints, and its Algorithm 1 with n and h.
 
-Where the paper leaves a number or a step open, `paper_params` says what was taken. The pipeline
-itself differs by its detector, by its noise, by one-to-one inliers and by its dense check.
+If the paper leaves a number or a step open, `paper_params` says what is used. The pipeline differs
+from the paper by its detector, its noise, its one-to-one inliers and its dense check.
 """
 
 from dataclasses import dataclass, replace
@@ -15,28 +15,30 @@ from gpgrad_core.features.interpolation import interpolate
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.matching import MatchParams, match_features
 from gpgrad_core.pipeline import PipelineParams, extract_kept, infer_map
+from gpgrad_core.pipeline.all_pairs import StagedDetector
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2, fit_se2
 from gpgrad_core.types import Features, GradientMap, Matches, Registration, Submap
 
 LENGTH_SCALE = 0.316
-"""√0.1 m: Eq. (6) prints 2 l_k where others have 2 l², and l_k is about 0.1 (Sec. VI-B)."""
+"""√0.1 m: Eq. (6) prints 2 l_k in place of the usual 2 l², and l_k is about 0.1 (Sec. VI-B)."""
 MIN_INLIERS = 5
-"""Of a loop closure: all the paper's were right from five inliers on (Sec. VII-C)."""
+"""Smallest number of inliers of a loop closure; in the paper's Sec. VII-C all closures with five or
+more inliers were right."""
 RATIO = 0.8
-"""Of the nearest descriptor's distance to the second's. With all associations kept, places that
-do not meet reach five inliers too."""
+"""Largest ratio of the nearest descriptor's distance to the second's. Without it, pairs without
+overlap reach five inliers too."""
 INLIER_RADIUS = 0.15
-"""The paper's "2D distance threshold" [m] has no number: five pixels of its maps."""
+"""The paper's "2D distance threshold" [m], which has no number there: five pixels of its maps."""
 ITERATIONS = 5000
-"""Max Nb Iterations of Algorithm 1; the paper has no number."""
+"""Max Nb Iterations of Algorithm 1, for which the paper gives no number."""
 MAX_DISSIMILARITY = np.inf
-"""AcceptTransformation's threshold on h: the paper found that on n "the most effective"."""
+"""Threshold on h in AcceptTransformation; the paper found a threshold on n "the most effective"."""
 
 
 def paper_params(params: PipelineParams) -> PipelineParams:
-    """Turn parameters into the paper's, Secs. V and VI-B; only the seed and the noise are kept.
+    """Replace all parameters but the seed and the noise by the paper's (Secs. V and VI-B).
 
     | what | paper | taken |
     |---|---|---|
@@ -67,34 +69,35 @@ def paper_params(params: PipelineParams) -> PipelineParams:
 
 @dataclass(frozen=True, eq=False)
 class PaperSubmap:
-    """All that the paper's comparison needs of one submap."""
+    """What the paper's comparison needs of one submap.
+
+    Attributes:
+        gradient_map: Its gradient map.
+        features: Its keypoints.
+    """
 
     gradient_map: GradientMap
     features: Features
 
 
 @dataclass(frozen=True, eq=False)
-class PaperDetector:
-    """The paper as a `LoopDetector`: the pipeline's maps and keypoints, its own Algorithm 1.
+class PaperDetector(StagedDetector):
+    """The paper as a `LoopDetector`: the pipeline's maps and keypoints, and Algorithm 1 as printed.
 
     Attributes:
-        params: Those of `paper_params`.
-        memo: Keeps what was made of each submap; empty at first in another process.
+        params: The parameters from `paper_params`.
+        memo: Keeps the results of each submap; it is empty at first in another process.
     """
 
     params: PipelineParams
     memo: Memo
-
-    def __call__(self, query: Submap, database: Submap) -> Registration:
-        """Register the query to the database."""
-        return self.compare(self.extract(self.infer(query)), self.extract(self.infer(database)))
 
     def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
         """Make the map."""
         return infer_map(submap, self.params, self.memo, progress)
 
     def extract(self, made: GradientMap, progress: Progress = silent) -> PaperSubmap:
-        """Draw the keypoints."""
+        """Extract the keypoints."""
         features = extract_kept(made, self.params, self.memo)
         progress(1.0)
         return PaperSubmap(made, features)
@@ -122,22 +125,22 @@ def register_as_printed(
     iterations: int,
     seed: int,
 ) -> Registration:
-    """Run Algorithm 1, line by line.
+    """Run Algorithm 1 line by line.
 
-    Two things are computed in another way, with the same result: the inliers of all iterations are
-    counted at once, and the expensive h is computed only where the rest of the condition holds.
+    Two things are computed differently, with the same result: the inliers of all iterations are
+    counted at once, and the expensive h is computed only if the rest of the condition holds.
 
     Args:
-        query: I_g^q and I_v^q.
-        database: I_g^d and I_v^d.
-        matches: A.
-        inlier_radius: Of GetInliers [m].
+        query: The query's map: I_g^q and I_v^q.
+        database: The database's map: I_g^d and I_v^d.
+        matches: The set of associations A.
+        inlier_radius: Distance threshold of GetInliers [m].
         iterations: Max Nb Iterations.
-        seed: Of SelectRandomAsso.
+        seed: Seed of SelectRandomAsso.
 
     Returns:
-        T, n as inliers and score, and h as dissimilarity. T is None where no iteration has two
-        inliers.
+        The motion T, n as inliers and score, and h as dissimilarity. T is None if no iteration
+        has two inliers.
     """
     best = Registration(None, np.zeros(len(matches), bool), np.inf, 0.0, 0.0, 0.0)
     if len(matches) < 2:
@@ -148,10 +151,11 @@ def register_as_printed(
     for inliers, count in zip(inliers_of_all, counts, strict=True):
         if count <= max(best.num_inliers, 1):
             continue
-        # GetSE2Transform(A_i), which puts the inliers of the pair on a firmer base.
+        # GetSE2Transform(A_i), the motion fitted to all inliers.
         motion = fit_se2(matches.query_xy[inliers], matches.database_xy[inliers])
         h, area = ssd_metric(query, database, motion)
-        if h <= MAX_DISSIMILARITY:  # AcceptTransformation; by n outside, so that it can be swept
+        # AcceptTransformation by h; that by n comes afterwards, so that n can be varied.
+        if h <= MAX_DISSIMILARITY:
             best = Registration(motion, inliers, h, area, 0.0, float(count))
     return best
 
@@ -159,10 +163,17 @@ def register_as_printed(
 def ssd_metric(
     query: GradientMap, database: GradientMap, T_database_query: SE2
 ) -> tuple[float, float]:
-    """ComputeSSDMetric: ``h = Σ (I_g^q - I_g^d)² / (I_v^q I_v^d)`` over all common cells.
+    """Compute the paper's metric h over all common cells (ComputeSSDMetric).
+
+        h = Σ (I_g^q - I_g^d)² / (I_v^q I_v^d)    Le Gentil 2020, Sec. V
+
+    Args:
+        query: The query's map.
+        database: The database's map.
+        T_database_query: The motion.
 
     Returns:
-        h, infinite where the maps do not meet; and the area of the common cells [m²].
+        h, which is infinite if the maps do not overlap; and the area of the common cells [m²].
     """
     there = T_database_query.inverse().apply(database.grid.positions)
     pixels = query.grid.to_pixel(there)
@@ -177,7 +188,7 @@ def ssd_metric(
 
 
 def _random_pairs(num: int, iterations: int, seed: int) -> Int[NDArray[np.intp], "t 2"]:
-    """SelectRandomAsso: two different associations an iteration."""
+    """SelectRandomAsso: draw two different associations for each iteration."""
     generator = np.random.default_rng(seed)
     first = generator.integers(num, size=iterations)
     second = generator.integers(num - 1, size=iterations)
@@ -187,7 +198,7 @@ def _random_pairs(num: int, iterations: int, seed: int) -> Int[NDArray[np.intp],
 def _inliers_of_all(
     pairs: Int[NDArray[np.intp], "t 2"], matches: Matches, radius: float
 ) -> Bool[NDArray[np.bool_], "t m"]:
-    """GetSE2Transform of each pair, in closed form, and GetInliers."""
+    """Compute GetSE2Transform of each pair, in closed form, and GetInliers."""
     query, database = (xy[:, 0] + 1j * xy[:, 1] for xy in (matches.query_xy, matches.database_xy))
     spans = [np.diff(points[pairs])[:, 0] for points in (query, database)]
     turn = np.exp(1j * np.angle(spans[1] * np.conj(spans[0])))

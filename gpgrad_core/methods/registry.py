@@ -1,4 +1,4 @@
-"""The ways of detecting loop closures, by the names that users give them."""
+"""The methods of loop-closure detection, by their names."""
 
 import importlib.util
 from collections.abc import Callable, Sequence
@@ -29,15 +29,15 @@ def _as_given(params: PipelineParams) -> PipelineParams:
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """A way of detecting loop closures.
+    """A method of loop-closure detection.
 
     Attributes:
         name: Its name, as in ``--method``.
         summary: What it does, in one line.
         detector: Makes its detector, which keeps the results of each submap in the memo.
         adapt: Turns the given parameters into those with which the method runs.
-        fitted: Whether it runs with parameters that are fitted to the dataset. The others take
-            what is not given as `MapParams` says.
+        fitted: Whether it runs with parameters that are fitted to the dataset. The other methods
+            use the defaults of `MapParams` for parameters that are not given.
         package: A module that it needs and that may be missing, because it belongs to an extra or
             needs a shared library of the system.
         install: The argument of ``pip install`` that brings the package.
@@ -58,13 +58,13 @@ class Method:
         memo: Memo | None = None,
         progress: Progress = silent,
     ) -> PipelineParams:
-        """Turn the parameters asked for into those that the method runs with on a dataset.
+        """Turn the given parameters into those with which the method runs on a dataset.
 
         Args:
-            submaps: Of the dataset; automatic parameters are fitted to them, if need be.
-            params: What is asked for.
+            submaps: The submaps of the dataset, to which automatic parameters are fitted.
+            params: The given parameters.
             memo: Keeps the fits.
-            progress: Called now and then; may raise Cancelled.
+            progress: Called with the fraction done; may raise Cancelled.
 
         Raises:
             InputError: If the parameters cannot be fitted.

@@ -1,4 +1,4 @@
-"""RANSAC for motions in space over associations of 3D keypoints, as the paper's Sec. VII-C."""
+"""RANSAC for motions in space over associations of 3D keypoints (the paper's Sec. VII-C)."""
 
 from math import log
 
@@ -8,11 +8,12 @@ from jaxtyping import Bool, Float
 from gpgrad_core.arrays import Array, NDArray
 
 CONFIDENCE = 0.99
-"""Probability of having drawn a sample without outliers at which RANSAC stops; the paper's."""
+"""RANSAC stops when it has drawn a sample without outliers with this probability (the paper's)."""
 MAX_TRIALS = 50_000
 BATCH = 5_000
 SIMILAR_EDGES = 0.9
-"""Triangles match if each side has at least this share of the other's; as Open3D's examples."""
+"""Two triangles are similar if the shorter of each two sides has at least this share of the longer
+one, as in Open3D's examples."""
 REFITS = 3
 
 
@@ -22,17 +23,18 @@ def ransac_se3(
     radius: float,
     seed: int,
 ) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "m"]] | None:
-    """Find the rigid motion that most associations agree with.
+    """Find the rigid motion with the most inliers.
 
     Args:
-        query: Keypoints [m], query frame.
-        database: The associated keypoints [m], database frame.
-        radius: An association is an inlier if its keypoints meet within this distance [m].
-        seed: Of the random triples.
+        query: Keypoints in the query's frame (m, 3) [m].
+        database: The associated keypoints in the database's frame (m, 3) [m].
+        radius: An association is an inlier if the motion brings its keypoints within this
+            distance of each other [m].
+        seed: Seed of the random triples.
 
     Returns:
-        The motion, which maps the query's frame into the database's, refitted to its inliers,
-        and which associations these are; None where no three support one.
+        The motion from the query's frame to the database's (4, 4), fitted to its inliers, and
+        which associations these are (m,). None if no motion has three inliers.
     """
     num = len(query)
     if num < 3:
@@ -58,7 +60,7 @@ def ransac_se3(
 def _similar_triples(
     triples: NDArray[np.int64], query: Float[Array, "m 3"], database: Float[Array, "m 3"]
 ) -> NDArray[np.int64]:
-    """Keep the triples that span about the same triangle in both clouds."""
+    """Keep the triples that form similar triangles in both clouds."""
     similar = np.ones(len(triples), bool)
     for a, b in ((0, 1), (1, 2), (2, 0)):
         first, second = triples[:, a], triples[:, b]
@@ -72,14 +74,22 @@ def _similar_triples(
 def fit_rigid(
     query: Float[Array, "t k 3"], database: Float[Array, "t k 3"]
 ) -> Float[Array, "t 4 4"]:
-    """Fit t rigid motions to k associations each, least squares, by the SVD of Arun 1987."""
+    """Fit t rigid motions to k associations each by least squares, with the SVD of Arun 1987.
+
+    Args:
+        query: Keypoints in the query's frame (t, k, 3) [m].
+        database: The associated keypoints in the database's frame (t, k, 3) [m].
+
+    Returns:
+        The motions (t, 4, 4).
+    """
     middle_query, middle_database = query.mean(axis=1), database.mean(axis=1)
     covariance = np.einsum(
         "tki,tkj->tij", query - middle_query[:, None], database - middle_database[:, None]
     )
     u, _, vt = np.linalg.svd(covariance)
     v, ut = vt.transpose(0, 2, 1).copy(), u.transpose(0, 2, 1)
-    v[:, :, 2] *= np.sign(np.linalg.det(v @ ut))[:, None]  # a turn, not a mirror
+    v[:, :, 2] *= np.sign(np.linalg.det(v @ ut))[:, None]  # a rotation, not a reflection
     motions = np.broadcast_to(np.eye(4), (len(query), 4, 4)).copy()
     motions[:, :3, :3] = v @ ut
     motions[:, :3, 3] = middle_database - np.einsum("tij,tj->ti", v @ ut, middle_query)
@@ -89,7 +99,7 @@ def fit_rigid(
 def _errors(
     motions: Float[Array, "t 4 4"], query: Float[Array, "m 3"], database: Float[Array, "m 3"]
 ) -> Float[Array, "t m"]:
-    """Squared distances [m²] between associated keypoints under each motion."""
+    """Compute the squared distances between associated keypoints under each motion [m²]."""
     moved = np.einsum("tij,mj->tmi", motions[:, :3, :3], query) + motions[:, None, :3, 3]
     return np.sum((moved - database) ** 2, axis=2)
 

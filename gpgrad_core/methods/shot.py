@@ -19,7 +19,7 @@ NORMAL_RADIUS = 1.2
 CURVATURE_RADIUS = 0.9
 KEYPOINT_SPACING = 0.45
 SUPPORT_RADIUS = 5.0
-"""All in length-scales: 12, 36, 27, 14 and 150 cm at the default 0.3 m."""
+"""All in length-scales: 12, 36, 27, 14 and 150 cm with the default length-scale of 0.3 m."""
 MAX_KEYPOINTS = 600
 
 AZIMUTHS, ELEVATIONS, SHELLS = 8, 2, 2
@@ -34,7 +34,7 @@ def shot_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Described
 
 
 def describe_shot(submap: Submap, params: PipelineParams) -> DescribedCloud:
-    """Describe a submap's keypoints by SHOT-352."""
+    """Describe a submap's keypoints with SHOT-352."""
     surface = curved_surface(submap, params)
     described = shot(surface.points, surface.normals, surface.keypoints, surface.radius)
     middle = submap.points.mean(axis=0, keepdims=True)
@@ -43,13 +43,21 @@ def describe_shot(submap: Submap, params: PipelineParams) -> DescribedCloud:
 
 @dataclass(frozen=True, eq=False)
 class CurvedSurface:
-    """A thinned cloud and its keypoints."""
+    """A thinned cloud and its keypoints.
 
-    points: Float[Array, "n 3"]  # [m]
+    Attributes:
+        points: Points (n, 3) [m].
+        normals: Unit normals of the points (n, 3).
+        colors: Red, green and blue of the points (n, 3) in [0, 1]; None if the cloud has none.
+        keypoints: Keypoints (k, 3) [m].
+        radius: Radius of the descriptors' support [m].
+    """
+
+    points: Float[Array, "n 3"]
     normals: Float[Array, "n 3"]
-    colors: Float[Array, "n 3"] | None  # in [0, 1]
-    keypoints: Float[Array, "k 3"]  # [m]
-    radius: float  # of the descriptors' support [m]
+    colors: Float[Array, "n 3"] | None
+    keypoints: Float[Array, "k 3"]
+    radius: float
 
 
 def curved_surface(submap: Submap, params: PipelineParams) -> CurvedSurface:
@@ -75,17 +83,20 @@ def shot(
     keypoints: Float[Array, "k 3"],
     radius: float,
 ) -> Float[Array, "k 352"]:
-    """Describe keypoints by where their neighbours lie, and how these are turned.
+    """Describe keypoints by the positions and the normals of their neighbours.
 
-    Each neighbour counts in one of 32 sectors of the keypoint's own frame, by the cosine
-    between its normal and the frame's z; shared linearly with the bins beside it along all four
-    coordinates. The whole is of unit length.
+    Each neighbour counts in one of 32 sectors of the keypoint's own frame, in a histogram of the
+    cosine between its normal and the frame's z axis. It is shared linearly with the neighbouring
+    bins along all four coordinates.
 
     Args:
-        points: Of the cloud [m].
-        normals: Of the points, all to one side of the surface.
-        keypoints: Where to describe [m].
-        radius: Of the support [m].
+        points: Points of the cloud (n, 3) [m].
+        normals: Normals of the points (n, 3), all on one side of the surface.
+        keypoints: The keypoints (k, 3) [m].
+        radius: Radius of the support [m].
+
+    Returns:
+        Descriptors of unit length (k, 352).
     """
     near = neighbours_within(points, keypoints, radius)
     frames = local_frames(points, keypoints, near, radius)
@@ -97,10 +108,10 @@ def shot(
 def local_frames(
     points: Float[Array, "n 3"], keypoints: Float[Array, "k 3"], near: Neighbours, radius: float
 ) -> Float[Array, "k 3 3"]:
-    """Find each keypoint's own frame; its rows are x, y and z.
+    """Find the local frame of each keypoint; its rows are x, y and z.
 
-    The eigenvectors of the covariance about the keypoint, nearer points weighing more; x and z
-    point to where most of the neighbours lie.
+    The axes are the eigenvectors of the covariance about the keypoint, in which nearer points
+    have more weight. x and z point to the side with more neighbours.
     """
     offsets = points[near.index] - keypoints[near.query]
     weights = radius - np.linalg.norm(offsets, axis=1)
@@ -126,7 +137,7 @@ def sectors_of(
     frames: Float[Array, "k 3 3"],
     radius: float,
 ) -> Float[Array, "p 3"]:
-    """Place each neighbour: (azimuth, elevation, shell), in bins."""
+    """Compute the sector of each neighbour: (azimuth, elevation, shell) [bins]."""
     offsets = points[near.index] - keypoints[near.query]
     x, y, z = np.einsum("pij,pj->ip", frames[near.query], offsets)
     distance = np.maximum(np.linalg.norm(offsets, axis=1), 1e-12)
@@ -141,7 +152,7 @@ def sector_histograms(
     values: Float[Array, "p"],
     num_values: int,
 ) -> Float[Array, "k d"]:
-    """Count neighbours by sector and value, each shared among the nearest bins: at most 16."""
+    """Count neighbours by sector and value; each is shared among the 16 nearest bins."""
     counted = near.counts[near.query] >= MIN_NEIGHBOURS
     coordinates = np.column_stack([sectors, values])[counted]
     sizes = np.array([AZIMUTHS, ELEVATIONS, SHELLS, num_values])
@@ -154,7 +165,7 @@ def sector_histograms(
         step = np.array(corner)
         weight = np.where(step, share, 1 - share).prod(axis=1)
         bins = low + step
-        bins[:, 0] %= AZIMUTHS  # all around; the others end at their last bin
+        bins[:, 0] %= AZIMUTHS  # azimuths wrap around; the others end at their last bin
         bins = np.clip(bins, 0, sizes - 1)
         at = np.ravel_multi_index(tuple(bins.T), tuple(sizes))
         histograms += np.bincount(query * length + at, weight, len(histograms))

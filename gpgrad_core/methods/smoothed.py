@@ -1,6 +1,6 @@
-"""The smoothed grid: mean heights in cells, blurred. The toughest rival: it has no GP at all.
+"""The smoothed grid: blurred mean heights of cells. It is the strongest baseline without a GP.
 
-It gives a map like the GP's, which then goes through the same keypoints, matching and check.
+It makes a map like the GP's, which then goes through the same keypoints, matching and check.
 """
 
 import cv2
@@ -15,14 +15,14 @@ from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import GradientMap, Grid, Submap
 
 BLUR = 0.4
-"""Standard deviation of the blur in length-scales: 12 cm at the default 0.3 m."""
+"""Standard deviation of the blur [length-scales]: 12 cm with the default length-scale of 0.3 m."""
 WIDER = 4.0
-"""Where no point is near, a blur so many times as wide fills in."""
+"""If no point is near, a blur that is this many times as wide fills the cell."""
 FILLED_BELOW = 0.05
-"""Sum of weights around a cell below which the wider blur takes over."""
+"""If the sum of weights around a cell is below this, the wider blur dominates."""
 KNOWN_FROM = 0.5
-"""Sum of weights around a cell from which on its height counts as measured: one point within
-1.2 standard deviations of the blur."""
+"""A cell's height counts as measured if the sum of weights around it is at least this: one point
+within 1.2 standard deviations of the blur."""
 
 
 def smoothed_detector(params: PipelineParams, memo: Memo) -> MapDetector:
@@ -33,7 +33,7 @@ def smoothed_detector(params: PipelineParams, memo: Memo) -> MapDetector:
 def kept_smoothed_map(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> GradientMap:
-    """Make a submap's smoothed map, and keep it."""
+    """Make a submap's smoothed map, and keep it in the memo."""
     made = memo(smoothed_map, submap, params)
     progress(1.0)
     return made
@@ -50,16 +50,15 @@ def smooth(
     """Bin, blur and differentiate a submap's heights.
 
     The blur is a normalised convolution: with Gaussian weights g of the points around a cell,
-    ``elevation = Σ g z / Σ g``. Its own estimate of the variance is the scatter of the heights
-    around it over the effective number of points, ``(Σ g)² / Σ g²``. Slopes are finite
-    differences.
+    ``elevation = Σ g z / Σ g``. The variance of the elevation is the scatter of the heights around
+    it divided by the effective number of points, ``(Σ g)² / Σ g²``. Slopes are finite differences.
 
     Args:
         submap: Gravity-aligned points [m].
-        params: Grid, length-scale, noise and signal as for the GP.
+        params: Grid, length-scale, noise and signal, as for the GP.
 
     Returns:
-        The map, and the variance of single heights around each cell [m²].
+        The map, and the variance of single heights around each cell (rows, columns) [m²].
 
     Raises:
         InputError: If the grid would be too large.
@@ -101,7 +100,7 @@ def _as_map(
 def _binned(
     grid: Grid, points: Float[Array, "n 3"], values: Float[Array, "n"] | None
 ) -> Float[Array, "rows columns"]:
-    """Add up values, or count points, in the cells that they fall into."""
+    """Sum values, or count points, in the cells in which they lie."""
     column, row = np.rint(grid.to_pixel(points[:, :2])).astype(np.intp).T
     sums = np.bincount(row * grid.shape[1] + column, values, grid.num_cells)
     return sums.astype(np.float64).reshape(grid.shape)
@@ -110,7 +109,7 @@ def _binned(
 def _blurred(
     image: Float[Array, "rows columns"], std: float, grid: Grid
 ) -> Float[Array, "rows columns"]:
-    """Sum with weights ``exp(-d² / (2 std²))``, one at the cell itself; nothing lies outside."""
+    """Sum with weights ``exp(-d² / (2 std²))``, 1 at the cell itself; nothing lies outside."""
     sigma = std / grid.resolution
     blurred = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
     # OpenCV's weights add up to one along each axis.

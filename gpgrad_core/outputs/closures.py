@@ -47,7 +47,7 @@ class PairRecord:
         covariance: Covariance of x [m], y [m] and yaw [rad], row by row; None if it is not known.
         z_std: Standard deviation of ``z_offset`` [m]; None if it is not known.
         scale: Scale at which the maps were compared [m]; None if they were not compared.
-        agreement: How far the heights differ, and how far they might; None if it is not known.
+        agreement: How well the heights agree; None if it is not known.
     """
 
     query: str
@@ -103,10 +103,13 @@ def report_closures(
 
     Args:
         dataset: The dataset that was searched.
-        result: The result of the detection. If it tells the parameters that automatic ones came
-            to, the file has those.
+        result: The result of the detection. If it has the values of automatic parameters, the
+            file has these.
         params: The parameters of the detection.
         method: The name of the method.
+
+    Returns:
+        The content of ``closures.json``.
     """
     params = result.params or params
     return ClosureReport(
@@ -123,6 +126,10 @@ def report_closures(
 
 def write_closures(path: Path | str, report: ClosureReport) -> None:
     """Write a report as JSON, completely or not at all.
+
+    Args:
+        path: The file.
+        report: Its content, such as `report_closures` makes.
 
     Raises:
         InputError: If the file cannot be written there.
@@ -150,6 +157,12 @@ def write_closures(path: Path | str, report: ClosureReport) -> None:
 
 def read_closures(path: Path | str) -> ClosureReport:
     """Read a file that `write_closures` wrote.
+
+    Args:
+        path: The file; any tool may have written it in the same format.
+
+    Returns:
+        Its content.
 
     Raises:
         InputError: If the file is not JSON, or a value is missing or is none that it can be; the
@@ -210,6 +223,12 @@ def restore_closures(report: ClosureReport) -> tuple[LoopClosure, ...]:
 
     The file has the number of inliers, but not which associations they are, and it does not have
     the correlation.
+
+    Args:
+        report: The content of the file.
+
+    Returns:
+        The loop closures, accepted and refused, in the order of the file.
     """
     return tuple(_closure(pair) for pair in report.pairs)
 

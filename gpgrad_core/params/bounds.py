@@ -7,14 +7,14 @@ from gpgrad_core.errors import InputError
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a parameter may be, and what a slider offers of it.
+    """The range of a parameter, and the part of it that a slider offers.
 
     Attributes:
         low: Smallest value allowed.
         high: Largest value allowed.
-        step: What a slider moves by; slider values are rounded to it.
-        unit: Of the value, as printed; "" where it has none.
-        slider: The stretch within low..high that a slider offers; None means all of it.
+        step: Step of a slider; slider values are rounded to it.
+        unit: Unit of the value, as printed; "" if it has none.
+        slider: The range that a slider offers, within low and high; None means all of it.
     """
 
     low: float
@@ -41,10 +41,11 @@ class Bounds:
 
         Args:
             name: What the message calls the parameter.
-            value: NaN is refused too.
+            value: The value; NaN is outside of all bounds.
 
         Raises:
-            InputError: If it does not; names the parameter, the rule and the value.
+            InputError: If the value is outside; the message names the parameter, the rule and the
+                value.
         """
         if not self.low <= value <= self.high:
             unit = f" {self.unit}" if self.unit else ""

@@ -1,4 +1,4 @@
-"""The fields of params dataclasses: what each may be, and how to check, read and change it."""
+"""The fields of params dataclasses: how to list, check, read and change them."""
 
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
@@ -11,7 +11,7 @@ from gpgrad_core.params.bounds import Bounds
 P = TypeVar("P")
 
 AUTOMATIC = "automatic"
-"""What files say instead of None, which TOML does not have."""
+"""The word for None in files, because TOML has no None."""
 
 
 @dataclass(frozen=True)
@@ -19,13 +19,13 @@ class Field:
     """One field of a params dataclass: a parameter, or a group of them.
 
     Attributes:
-        path: Where it lies in the params, such as ``map.length_scale``.
-        kind: ``bool``, ``int`` or ``float``; the values of a choice; or, of a group, its
+        path: Path of the field in the params, such as ``map.length_scale``.
+        kind: ``bool``, ``int`` or ``float``; the values of a choice; or, for a group, its
             dataclass.
-        bounds: Of a number; None if it has none.
-        optional: Whether None, "automatic", is a value too.
+        bounds: Bounds of a number; None if it has none.
+        optional: Whether None ("automatic") is a value too.
         default: Its value in params that are made without arguments; None if there is none.
-        doc: What it is, in a sentence for people.
+        doc: Its description, in a sentence for people.
     """
 
     path: str
@@ -37,17 +37,17 @@ class Field:
 
     @property
     def name(self) -> str:
-        """Its name in its dataclass."""
+        """The field's name in its dataclass."""
         return self.path.rpartition(".")[2]
 
     @property
     def is_group(self) -> bool:
-        """Whether it is a dataclass of parameters."""
+        """Whether the field is a group of parameters."""
         return is_dataclass(self.kind)
 
     @property
     def label(self) -> str:
-        """Its name in words, with the unit."""
+        """The field's name in words, with the unit."""
         return with_unit(self.name.replace("_", " "), self.bounds)
 
 
@@ -60,13 +60,13 @@ def with_unit(name: str, bounds: Bounds | None) -> str:
 def fields_of(params: type, prefix: str = "") -> tuple[Field, ...]:
     """List the fields of a params dataclass, in order of definition.
 
-    Checks, files, flags and widgets all know params by this list. A type that one of them could
-    not handle is an error here, not a parameter missing there.
+    Checks, files, flags and widgets all use this list. So a type that one of them cannot handle is
+    an error here, instead of a parameter that is missing there.
 
     Args:
         params: A dataclass whose fields are params dataclasses, truth values, choices (``Literal``)
             or numbers; ``Annotated[float, Bounds(…), Doc("…")]`` gives bounds and a text.
-        prefix: What the paths begin with.
+        prefix: Beginning of the paths.
 
     Raises:
         TypeError: If a field is of another type.
@@ -107,8 +107,8 @@ def parameters_of(params: type, prefix: str = "") -> tuple[Field, ...]:
     """List the parameters of a dataclass and of the groups within it.
 
     Args:
-        params: As `fields_of`.
-        prefix: What the paths begin with.
+        params: A dataclass, as for `fields_of`.
+        prefix: Beginning of the paths.
     """
     found: list[Field] = []
     for field in fields_of(params, prefix):
@@ -120,7 +120,7 @@ def parameters_of(params: type, prefix: str = "") -> tuple[Field, ...]:
 
 
 def bounds_of(params: type) -> dict[str, Bounds]:
-    """Give the bounds of a dataclass's own fields, by name; fields without bounds are left out."""
+    """Return the bounds of a dataclass's own fields by name; fields without bounds are omitted."""
     return {one.name: one.bounds for one in fields_of(params) if one.bounds is not None}
 
 
@@ -128,7 +128,8 @@ def check_bounds(params: object) -> None:
     """Check every bounded field of a params object; call it from ``__post_init__``.
 
     Raises:
-        InputError: If a value lies outside its bounds; names the field, the rule, the value.
+        InputError: If a value is outside its bounds; the message names the field, the rule and the
+            value.
     """
     if not is_dataclass(params) or isinstance(params, type):
         raise TypeError(f"check_bounds needs a dataclass object, got {params!r}")

@@ -1,4 +1,4 @@
-"""Read and write params as TOML: ``[map] length_scale = 0.3`` sets the field of that name."""
+"""Reads and writes params as TOML: ``[map] length_scale = 0.3`` sets the field of that name."""
 
 import difflib
 from collections.abc import Mapping
@@ -18,34 +18,38 @@ MAX_NUMBER = 2**63 - 1
 
 
 def read_parameters(path: Path | str, base: P) -> P:
-    """Read a TOML file of parameters over a base.
+    """Read a TOML file of parameters; it overrides a base.
 
     Args:
-        path: One table for each group: ``[map]`` holds ``length_scale = 0.3``, and so on.
-        base: Params to use wherever the file says nothing.
+        path: The file. It has one table for each group: ``[map]`` holds ``length_scale = 0.3``.
+        base: Params that are used where the file has no value.
 
     Returns:
         Params of the same type as the base.
 
     Raises:
         InputError: If the file is not TOML, names an unknown parameter, or gives one a value of
-            the wrong type or outside its bounds; names the file and the key.
+            the wrong type or outside its bounds; the message names the file and the key.
         OSError: If the file cannot be read.
     """
     return with_tables(base, read_toml(Path(path)), str(path))
 
 
 def preferred_parameters(dataset: Dataset, base: P) -> P:
-    """Lay the parameters that a dataset prefers over a base.
+    """Use the parameters that a dataset prefers; they override a base.
 
     Args:
-        dataset: Its ``dataset.toml`` may have tables such as ``[preferred.map]``.
-        base: Params to use wherever the dataset says nothing.
+        dataset: The dataset; its ``dataset.toml`` may have tables such as ``[preferred.map]``.
+        base: Params that are used where the dataset has no value.
+
+    Returns:
+        Params of the same type as the base.
 
     Raises:
-        InputError: As `read_parameters`.
+        InputError: If a parameter is unknown, or its value has the wrong type or is outside its
+            bounds.
     """
-    # The same table also names the submaps to open first; they are no parameters.
+    # The same table also names the submaps to open first, which are not parameters.
     tables = {key: value for key, value in dataset.preferred.items() if isinstance(value, Mapping)}
     return with_tables(base, tables, f"{dataset.name}: dataset.toml, [preferred]")
 
@@ -59,7 +63,8 @@ def with_tables(base: P, tables: Mapping[str, object], where: str) -> P:
         where: The tables' source, for the error message.
 
     Raises:
-        InputError: As `read_parameters`.
+        InputError: If a parameter is unknown, or its value has the wrong type or is outside its
+            bounds.
     """
     return _replaced(base, tables, where, "")
 
@@ -102,7 +107,7 @@ def _replaced(base: P, tables: Mapping[str, object], where: str, prefix: str) ->
 
 
 def _checked(field: Field, value: object, where: str) -> object:
-    """Return the value as the parameter wants it."""
+    """Check a value, and convert it to the parameter's type."""
     if field.optional and value == AUTOMATIC:
         return None
     if isinstance(field.kind, tuple):

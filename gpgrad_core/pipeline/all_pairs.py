@@ -30,14 +30,14 @@ one, and they are square, so that few submaps are sent to another process for ma
 class StagedDetector(Protocol):
     """A `LoopDetector` whose work on single submaps is done first, once for each submap.
 
-    Calling it with two submaps gives the same as ``infer`` and then ``extract`` for each of them,
-    followed by ``compare``. For an executor of processes the detector and the results of its
-    stages must be picklable.
+    Calling it with two submaps does ``infer`` and then ``extract`` for each of them, followed by
+    ``compare``; a detector that derives from this class inherits that. For an executor of processes
+    the detector and the results of its stages must be picklable.
     """
 
     def __call__(self, query: Submap, database: Submap) -> Registration:
         """Register the query to the database."""
-        ...
+        return self.compare(self.extract(self.infer(query)), self.extract(self.infer(database)))
 
     def infer(self, submap: Submap, progress: Progress = silent) -> Any:
         """Make what features are extracted from: a map or a prepared cloud."""

@@ -1,4 +1,4 @@
-"""Parameters that choose themselves: what stands at None is fitted to the dataset."""
+"""Chooses automatic parameters: those that are None are fitted to the dataset."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,11 +15,11 @@ from gpgrad_core.scale import FEWEST_ACROSS, finest_of_kernel, resolved_scale
 from gpgrad_core.types import Submap
 
 DIGITS = 4
-"""Significant digits of what is chosen: enough for any use, and few enough to be read and typed."""
+"""Number of significant digits of the chosen values: enough for any use, and easy to type."""
 
 
 def is_resolved(params: PipelineParams) -> bool:
-    """Tell whether nothing is left to be chosen."""
+    """Tell whether no parameter is automatic."""
     of_map, radius = params.map, params.registration.inlier_radius
     return None not in (of_map.length_scale, of_map.noise_std, of_map.scale, radius)
 
@@ -30,26 +30,28 @@ def resolve_parameters(
     memo: Memo | None = None,
     progress: Progress = silent,
 ) -> PipelineParams:
-    """Choose the parameters that are not given, once for a dataset: it takes a few seconds.
+    """Choose the automatic parameters of a dataset, which takes a few seconds.
 
     Length-scale, noise and signal maximise the marginal likelihood of the points
-    (`fit_parameters`). What is given stays as it is, and the rest is fitted beside it. A signal
-    of None stays None, which means the points' own, where length-scale and noise are given. The
-    scale of comparison follows from the points alone: from a fit of everything, whatever is given.
+    (`fit_parameters`). Given values stay, and the others are fitted with them. If length-scale and
+    noise are given, a signal of None stays None, which means the points' own. The scale of
+    comparison depends on the points alone: it comes from a fit of all parameters, whatever is
+    given.
 
     Args:
-        submaps: Of the dataset. Those that `fitting.representative` names are enough: with them
-            alone the answer is the same.
-        params: What is given; None: nothing is.
-        memo: Keeps the fits; asking again for the same submaps then costs nothing.
-        progress: Called now and then; may raise Cancelled.
+        submaps: The submaps of the dataset. Those that `fitting.representative` chooses are
+            enough; with them alone the result is the same.
+        params: The parameters; None makes all of them automatic.
+        memo: Keeps the fits, so that a second call for the same submaps costs nothing.
+        progress: Called with the fraction done; may raise Cancelled.
 
     Returns:
-        The same with numbers for ``map.length_scale``, ``map.noise_std`` and ``map.scale``, and
-        for the inlier radius, which follows from the scale.
+        The parameters with numbers for ``map.length_scale``, ``map.noise_std`` and ``map.scale``,
+        and for the inlier radius, which follows from the scale.
 
     Raises:
-        InputError: If there is no submap, or none of the noise that the noise model wants.
+        InputError: If there is no submap, or if the noise model is ``file`` and a cloud gives no
+            noise.
     """
     params = params or PipelineParams()
     if is_resolved(params):
@@ -80,7 +82,7 @@ def resolve_parameters(
 
 
 def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
-    """Say in a line what was chosen; empty if nothing was.
+    """Describe the chosen parameters in one line; the line is empty if none was chosen.
 
     Args:
         asked: The parameters before `resolve_parameters`.
@@ -104,7 +106,7 @@ def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
 
 
 def _given(asked: MapParams) -> tuple[Hyperparameter, ...]:
-    """What a fit must leave as it is."""
+    """List the hyperparameters that a fit must not change."""
     given: list[Hyperparameter] = []
     if asked.length_scale is not None:
         given.append("length_scale")
@@ -121,12 +123,12 @@ def _fitted(
     fixed: tuple[Hyperparameter, ...],
     progress: Progress = silent,
 ) -> TerrainParams:
-    """Fit, as a stage that a memo can keep."""
+    """Fit the parameters, in a form that a memo can keep."""
     return fit_parameters(submaps, start, fixed=fixed, progress=progress).params
 
 
 def _with(of_map: MapParams, fitted: TerrainParams, given: tuple[Hyperparameter, ...]) -> MapParams:
-    """Put what was fitted in the place of what was not given."""
+    """Insert the fitted values for those that were not given."""
     changes: dict[str, float] = {}
     for name in ("length_scale", "signal_std"):
         value = getattr(fitted, name)
@@ -145,7 +147,7 @@ def _rounded(value: float, name: str) -> float:
 
 
 def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
-    """Tell the scale of comparison from the fit of everything [m]: the middle of the submaps'."""
+    """Compute the scale of comparison from a fit of all parameters [m]: the submaps' median."""
     found: list[float] = []
     for submap in (submaps[k] for k in representative(len(submaps))):
         width, height = np.ptp(submap.points[:, :2], axis=0).tolist()

@@ -11,7 +11,7 @@ from gpgrad_core.gp.inference import Posterior
 from gpgrad_core.gradient_map import fit_terrain, map_grid, sample_map
 from gpgrad_core.loop_closure import classify
 from gpgrad_core.matching import match_features
-from gpgrad_core.pipeline.all_pairs import compare_all
+from gpgrad_core.pipeline.all_pairs import StagedDetector, compare_all
 from gpgrad_core.pipeline.automatic import is_resolved, resolve_parameters
 from gpgrad_core.pipeline.params import PipelineParams
 from gpgrad_core.registration import (
@@ -39,7 +39,17 @@ FIT_SHARE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class PairResult:
-    """The results of all stages for one pair of submaps."""
+    """The results of all stages for one pair of submaps.
+
+    Attributes:
+        query_map: Gradient map of the query.
+        database_map: Gradient map of the database.
+        query_features: Keypoints of the query's map.
+        database_features: Keypoints of the database's map.
+        matches: Associations between the keypoints.
+        registration: The registration of the query to the database.
+        closure: The verdict.
+    """
 
     query_map: GradientMap
     database_map: GradientMap
@@ -56,10 +66,10 @@ class DetectionResult:
 
     Attributes:
         closures: Every unordered pair once; the database submap is the earlier one.
-        seconds: Time spent, by stage: maps, features, pairs, total; and fit, where parameters
+        seconds: Time of each stage [s]: maps, features, pairs and total; and fit, if parameters
             were fitted.
-        params: What the pipeline ran with: what was automatic has its number here. None where
-            another detector ran.
+        params: The parameters that the pipeline used, with numbers for all automatic ones; None
+            if another detector ran.
     """
 
     closures: tuple[LoopClosure, ...]
@@ -157,6 +167,9 @@ def register_pair(
         progress: Called with the fraction done; may raise Cancelled.
         helper: Takes over one of the submaps if both are new; the result is the same.
 
+    Returns:
+        The results of all stages.
+
     Raises:
         InputError: If a submap's map cannot be made.
     """
@@ -195,14 +208,19 @@ MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], Gradien
 
 @dataclass(frozen=True, eq=False)
 class ExtractedSubmap:
-    """What the comparison needs of one submap; it is small, because processes exchange it."""
+    """What the comparison needs of one submap; it is small, because processes exchange it.
+
+    Attributes:
+        features: Keypoints of its map.
+        prepared: Its map, prepared for registration.
+    """
 
     features: Features
     prepared: Prepared
 
 
 @dataclass(frozen=True, eq=False)
-class MapDetector:
+class MapDetector(StagedDetector):
     """The pipeline as a `LoopDetector`; with other maps or images, it is also some of its rivals.
 
     Attributes:
@@ -217,10 +235,6 @@ class MapDetector:
     memo: Memo
     make_map: MapMaker = infer_map
     drawn_from: Callable[[GradientMap], GradientMap] | None = None
-
-    def __call__(self, query: Submap, database: Submap) -> Registration:
-        """Register the query to the database."""
-        return self.compare(self.extract(self.infer(query)), self.extract(self.infer(database)))
 
     def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
         """Make the map."""
@@ -269,6 +283,9 @@ def detect_loop_closures(
         memo: Shares results with other calls; None keeps what this call needs. Other processes do
             not fill it.
         progress: Called from this thread from time to time; may raise Cancelled.
+
+    Returns:
+        The verdict on every pair, sorted by query and then by database.
 
     Raises:
         InputError: If a submap's map cannot be made.

@@ -11,7 +11,15 @@ from gpgrad_core.registration import RegistrationParams
 
 @dataclass(frozen=True)
 class PipelineParams:
-    """All parameters, one group per stage."""
+    """All parameters of the pipeline, one group per stage.
+
+    Attributes:
+        map: How a submap becomes a gradient map.
+        features: Which keypoints are used.
+        matching: Which nearest neighbours count as associations.
+        registration: How a pair of maps is registered.
+        closure: When a registration counts as a loop closure.
+    """
 
     map: MapParams = field(default_factory=MapParams)
     features: FeatureParams = field(default_factory=FeatureParams)

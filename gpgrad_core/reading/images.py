@@ -74,13 +74,13 @@ def _decoded(files: Sequence[Path]) -> Iterator[Image]:
         raise InputError(f"{error.filename}: cannot be read: {error.strerror or error}") from None
     for file, content in zip(files, contents, strict=True):
         if reason := _damage(content):
-            raise InputError(f"{file}: is no image that can be read: {reason}")
+            raise InputError(f"{file}: is not an image that can be read: {reason}")
     packed = b"".join(LENGTH.pack(len(content)) + content for content in contents)
     try:
         decoded = decode_apart("images", packed, len(files) * (MAX_PIXELS + IMAGE_HEAD.size))
     except DecodingError as error:
         if len(files) == 1:
-            raise InputError(f"{files[0]}: is no image that can be read: {error}") from None
+            raise InputError(f"{files[0]}: is not an image that can be read: {error}") from None
         for file in files:  # to find the one to blame
             yield from _decoded([file])
         return
@@ -90,7 +90,7 @@ def _decoded(files: Sequence[Path]) -> Iterator[Image]:
         position += IMAGE_HEAD.size
         if not rows:
             raise InputError(
-                f"{file}: is no image that can be read, or has over {MAX_PIXELS:,} pixels"
+                f"{file}: is not an image that can be read, or has over {MAX_PIXELS:,} pixels"
             )
         values = np.frombuffer(decoded, np.uint8, rows * columns, position)
         position += rows * columns

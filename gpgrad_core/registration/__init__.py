@@ -1,4 +1,4 @@
-"""Registers a pair of maps: hypotheses, alignment, and how surprising their agreement is."""
+"""Registers a pair of maps: candidate motions, their alignment, and the score."""
 
 from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.register import (

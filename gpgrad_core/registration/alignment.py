@@ -1,4 +1,4 @@
-"""Aligns two reliefs to a few centimetres: robust Gauss-Newton on their elevation."""
+"""Aligns two reliefs to a few centimetres by robust Gauss-Newton on their elevation."""
 
 from dataclasses import dataclass
 
@@ -12,25 +12,25 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array
 
 FEWEST_CELLS = 30
-"""Fewer common cells hold no motion."""
+"""Smallest number of common cells that a motion is estimated from."""
 STRETCHES_ACROSS = 40.0
-"""Submaps are warped by drift, and what one view hides is wrong in whole stretches: an independent
-sample of the difference stands for a stretch of 2π (width / this)², and not for a cell."""
+"""Drift warps submaps, and occlusion makes whole stretches of a map wrong. So one independent
+sample of the difference covers a stretch of 2π (width / this)², which is much more than a cell."""
 COVARIANCE_FACTOR = 3.0
-"""Errors of accepted pairs have this many times the covariance of independent stretches (measured
-on four sets, whole, thinned and noisy)."""
+"""The errors of accepted pairs have this many times the covariance that independent stretches
+would give (measured on four datasets, whole, thinned and noisy)."""
 ROBUSTNESS = 1.0
-"""Residuals count half from this many (robust) variances on."""
+"""A residual whose square is this many (robust) variances has half of the full weight."""
 
 
 @dataclass(frozen=True)
 class Warp:
-    """How far one map may be out of shape against the other; none of it is a part of the motion.
+    """How much the shapes of two maps may differ. The warp is not part of the motion.
 
     Attributes:
-        tilt_std: Of their tilt [rad]: how well gravity is known.
-        bend_std: Of the coefficients of x², xy and y² of their difference [1/m], by which a
-            submap bends as its odometry drifts; None: they are not bent.
+        tilt_std: Standard deviation of the tilt between them [rad]: how well gravity is known.
+        bend_std: Standard deviation of the coefficients of x², xy and y² of their height
+            difference [1/m]. A submap bends when its odometry drifts. None allows no bend.
     """
 
     tilt_std: float
@@ -38,24 +38,24 @@ class Warp:
 
 
 LEVEL = Warp(0.005)
-"""Little freedom: what many wrong starts could not use to look right."""
+"""A small tilt only. With more freedom, many wrong starts could be made to look right."""
 DRIFTED = Warp(0.03, 0.005)
-"""Enough for submaps as odometry makes them: a right motion is placed a quarter to a third
-better (measured on three sets), and beyond it nothing is gained."""
+"""Enough for submaps that drift as they are built. The error of a right motion becomes a quarter
+to a third smaller (measured on three datasets); more freedom brings nothing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignments:
-    """Motions after alignment, a row each.
+    """Motions after alignment, one row each.
 
     Attributes:
-        motions: x [m], y [m], yaw [rad] of ``T_database_query``.
-        z_offsets: What is to be added to the query's heights [m].
-        z_stds: Standard deviations of these [m].
-        covariances: Of x, y and yaw.
-        likeness: How well the levelled terrain correlates, all octaves at once: a quick look at how
-            good a motion is.
-        held: Where the maps have enough in common; elsewhere the motion is as it was.
+        motions: x [m], y [m] and yaw [rad] of each ``T_database_query`` (m, 3).
+        z_offsets: Height to add to the query so that it lies on the database (m,) [m].
+        z_stds: Standard deviations of the height offsets (m,) [m].
+        covariances: Covariances of x, y and yaw (m, 3, 3).
+        likeness: How well the terrain of both maps correlates (m,), both octaves levelled to the
+            same strength: a quick measure of how good a motion is.
+        held: Whether the maps overlap enough (m,); if they do not, the motion is unchanged.
     """
 
     motions: Float[Array, "m 3"]
@@ -66,7 +66,7 @@ class Alignments:
     held: Bool[NDArray[np.bool_], "m"]
 
     def motion(self, k: int) -> SE2:
-        """One motion, its yaw in (-pi, pi]."""
+        """Motion number k, with its yaw in (-pi, pi]."""
         x, y, yaw = (float(value) for value in self.motions[k])
         return SE2(x, y, float(np.arctan2(np.sin(yaw), np.cos(yaw))))
 
@@ -80,19 +80,22 @@ def align(
     iterations: int,
     warp: Warp = LEVEL,
 ) -> Alignments:
-    """Improve motions by what the ground says, all at once.
+    """Align two maps from several starts at once.
 
-    Minimises the difference in elevation over the overlap, less an offset and a small warp:
-    what is left of it under the right motion is noise. Residuals weigh as Cauchy's, since
-    rocks hide the ground behind them from one side only.
+    Minimises the difference of the elevations over the overlap, apart from an offset and a small
+    warp. Under the right motion the remaining difference is noise. The residuals have the weights
+    of Cauchy's distribution, because rocks hide the ground behind them from one side only.
 
     Args:
-        query: Map to be placed.
-        database: Map it is placed on.
-        starts: ``T_database_query``, up to a few scales of comparison off.
-        num_cells: Cells of the database that are looked at, about, evenly chosen.
-        iterations: Of Gauss-Newton.
-        warp: How far the maps may be out of shape.
+        query: The map to be placed.
+        database: The map on which it is placed.
+        starts: ``T_database_query`` of each start, up to a few scales of comparison off.
+        num_cells: Approximate number of the database's cells to use; they are evenly spaced.
+        iterations: Number of Gauss-Newton steps.
+        warp: How much the shapes of the maps may differ.
+
+    Returns:
+        One aligned motion for each start.
     """
     problem = _Problem(query, database, num_cells, warp)
     motions = np.array([[one.x, one.y, one.yaw] for one in starts])
@@ -114,14 +117,14 @@ def align(
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    change: Float[Array, "m p"]  # of x, y [m], yaw [rad], offset [m], tilts [rad], bends [1/m]
+    change: Float[Array, "m p"]  # x, y [m], yaw [rad], offset [m], tilts [rad], bends [1/m]
     covariance: Float[Array, "m p p"]
     weight: Float[Image, "m cells"]
     held: Bool[NDArray[np.bool_], "m"]
 
 
 class _Problem:
-    """The least-squares problems of one query and one database."""
+    """The least-squares problem of one query and one database."""
 
     def __init__(self, query: Relief, database: Relief, num_cells: int, warp: Warp) -> None:
         rows, columns = np.nonzero(database.trusted)
@@ -130,14 +133,14 @@ class _Problem:
         self._query, self._database = query, database
         self._warp = warp
         positions = database.grid.to_position(np.column_stack([columns, rows]).astype(float))
-        # About their middle half the digits are fine, however far the frame's origin lies.
+        # Relative to their middle, float32 is precise enough, however far the origin lies.
         self._middle = positions.mean(axis=0) if len(positions) else np.zeros(2)
         x, y = (positions - self._middle).astype(np.float32).T
         self._positions = np.stack([x, y, np.ones_like(x)])
         self._elevation = database.elevation[rows, columns]
         self._half_slope = np.float32(0.5) * database.slope[rows, columns].T
         self._terrain = database.terrain[rows, columns]
-        # How many cells one independent sample of the residual stands for.
+        # The number of cells that one independent sample of the residual covers.
         patch = 2 * np.pi * database.scale**2
         cell = every * database.grid.resolution**2
         self._cells_a_patch = max(1.0, patch / cell)
@@ -149,9 +152,10 @@ class _Problem:
     def linearise(
         self, motions: Float[Array, "m 3"], weight: Float[Image, "m cells"] | None
     ) -> _Step:
-        """Take one step of each motion, with the weights that the step before found.
+        """Compute one step for each motion, with the weights from the previous step.
 
-        Cell by cell in float32, which noise of centimetres allows and which takes half the time.
+        Cell by cell it computes in float32, which takes half the time and is precise enough for
+        noise of centimetres.
         """
         elevation, along, across, trusted = cv2.split(self._sample(self._image, motions))
         common = trusted > 0.999
@@ -160,11 +164,11 @@ class _Problem:
         shown = common.astype(np.float32)
         weight = shown if weight is None else weight * shown
 
-        # The Jacobian, a row each for x, y, yaw, offset, tilts and bends; and the residual.
+        # The Jacobian has one row each for x, y, yaw, offset, tilts and bends; then the residual.
         size = len(self._precision)
         system = np.empty((len(motions), size + 1, shown.shape[1]), np.float32)
         by_x, by_y, by_yaw = system[:, 0], system[:, 1], system[:, 2]
-        # The mean of both slopes: it is less noisy, and swapping the maps changes nothing.
+        # The mean of both slopes is less noisy, and swapping the maps does not change it.
         c, s = (np.float32(0.5) * factor for factor in _cos_sin(motions))
         np.subtract(s * across - c * along, self._half_slope[0], out=by_x)
         np.subtract(-s * along - c * across, self._half_slope[1], out=by_y)
@@ -183,7 +187,7 @@ class _Problem:
 
         products = ((system * weight[:, None]) @ system.transpose(0, 2, 1)).astype(np.float64)
         normal, gradient = products[:, :size, :size], products[:, :size, size]
-        # The warp is held by its prior, worth as much as the noise of one patch.
+        # The prior of the warp weighs as much as the noise of one patch.
         weighed = np.maximum(products[:, 3, 3, None], 1e-12)
         off = residual - (gradient[:, 3, None] / weighed).astype(np.float32)
         scale = _robust_variance(np.square(off, out=off), common, count)
@@ -207,7 +211,7 @@ class _Problem:
         )
 
     def likeness(self, motions: Float[Array, "m 3"]) -> Float[Array, "m"]:
-        """Correlate the terrain under each motion; see `Alignments`."""
+        """Compute how well the terrain correlates under each motion; see `Alignments`."""
         image = np.dstack([self._query.terrain, self._image[..., 3]])
         terrain, trusted = cv2.split(self._sample(image, motions))
         common = (trusted > 0.999).astype(np.float32)
@@ -221,7 +225,7 @@ class _Problem:
     def _sample(
         self, image: Float[Image, "rows columns fields"], motions: Float[Array, "m 3"]
     ) -> Float[Image, "m cells fields"]:
-        """Fields of the query under the database's cells; 0 beyond its edge."""
+        """Sample images of the query at the database's cells; 0 beyond the query's edge."""
         grid = self._query.grid
         yaw = motions[:, 2]
         c, s = np.cos(yaw) / grid.resolution, np.sin(yaw) / grid.resolution
@@ -236,7 +240,7 @@ class _Problem:
 
 
 def _precision(warp: Warp) -> Float[Array, "p"]:
-    """Of the prior of each column of the Jacobian; the motion and the offset have none."""
+    """Prior precision of each parameter; the motion and the offset have no prior."""
     tilts = [warp.tilt_std**-2] * 2
     bends = [] if warp.bend_std is None else [warp.bend_std**-2] * 3
     return np.array([0.0] * 4 + tilts + bends)
@@ -252,7 +256,7 @@ def _robust_variance(
     common: Bool[NDArray[np.bool_], "m cells"],
     count: NDArray[np.intp],
 ) -> Float[Array, "m"]:
-    """Variance by the median of squared residuals, which rocks do not move."""
+    """Estimate the variance from the median of the squared residuals, which rocks do not change."""
     ordered = np.sort(np.where(common, squared, np.float32(np.inf)), axis=1)
     median = ordered[np.arange(len(squared)), np.maximum(count - 1, 0) // 2]
     return np.where(count > 0, median, 0.0).astype(np.float64) / 0.455 + 1e-12

@@ -1,4 +1,4 @@
-"""Both maps under one motion: common area, correlation of the slopes, the paper's h."""
+"""Compares two maps under one motion: overlap area, correlation of the slopes, the paper's h."""
 
 from dataclasses import dataclass
 
@@ -13,17 +13,18 @@ from gpgrad_core.types import MAX_STD_RATIO, Array, GradientMap, Grid
 BoolArray = NDArray[np.bool_]
 
 CHECKED_CELLS = 6000
-"""Cells of a map that the dense check looks at; slopes are smooth over many cells."""
+"""Approximate number of cells of a map that the dense check uses. More are not needed, because
+slopes change little from cell to cell."""
 
 
 @dataclass(frozen=True, eq=False)
 class ThinMap:
-    """Every so manyth cell of a map: slopes are smooth over many cells.
+    """Every n-th row and column of a map.
 
     Attributes:
-        grid: Of the cells kept.
+        grid: Grid of the cells kept.
         image: Slope along x and y [m/m], variance of the elevation [m²], and 1 where trusted.
-        map_cells: Cells of the map that each stands for.
+        map_cells: Number of the map's cells that one of these stands for.
     """
 
     grid: Grid
@@ -32,12 +33,17 @@ class ThinMap:
 
 
 def thin_out(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> ThinMap:
-    """Keep about `CHECKED_CELLS` of a map's cells; `max_std_ratio` is the variance mask."""
+    """Keep about `CHECKED_CELLS` of a map's cells.
+
+    Args:
+        gradient_map: The map.
+        max_std_ratio: Threshold of the variance mask.
+    """
     grid = gradient_map.grid
     stride = max(1, round(np.sqrt(grid.num_cells / CHECKED_CELLS)))
     thin = (slice(None, None, stride), slice(None, None, stride))
     fields = gradient_map.slope[thin], gradient_map.variance[thin]
-    # One image of four channels: one remapping a motion.
+    # As one image of four channels, it is sampled once per motion.
     image = np.dstack([*fields, gradient_map.trusted(max_std_ratio)[thin]]).astype(np.float32)
     shape = (image.shape[0], image.shape[1])
     return ThinMap(Grid(grid.origin, stride * grid.resolution, shape), image, stride**2)
@@ -47,7 +53,7 @@ class DenseCheck:
     """Compares two maps under a motion."""
 
     def __init__(self, query: ThinMap, database: ThinMap) -> None:
-        """Lay out the database's trusted cells."""
+        """Prepare the database's trusted cells."""
         self._query, self._database = query, database
         trusted = database.image[..., 3] > 0
         y, x = np.meshgrid(database.grid.y, database.grid.x, indexing="ij")
@@ -58,7 +64,12 @@ class DenseCheck:
     def _overlap(
         self, T_database_query: SE2
     ) -> tuple[BoolArray, Float[Array, "common 2"], Float[Array, "common"]]:
-        """Which cells both maps know; the query's slope there (turned) and its variance."""
+        """Find the cells that both maps trust.
+
+        Returns:
+            Which of the database's cells are common, and the query's slope there, rotated into
+            the database's frame, and its variance.
+        """
         there = T_database_query.inverse().apply(self._positions)
         pixels = self._query.grid.to_pixel(there).astype(np.float32)
         sampled = (
@@ -77,22 +88,24 @@ class DenseCheck:
         return common, T_database_query.rotate(sampled[common, :2]), sampled[common, 2]
 
     def compare(self, T_database_query: SE2) -> tuple[float, float]:
-        """Overlap area [m²], and correlation of the slope vectors over it."""
+        """Compute the overlap area [m²] and the correlation of the slope vectors over it."""
         common, query, _ = self._overlap(T_database_query)
         area = len(query) * self._database.grid.resolution**2
         if len(query) < 2:
             return area, 0.0
         database = self._slope[common]
-        # As matrix products: NumPy's own means of long arrays of pairs are ten times slower.
+        # By matrix products, because NumPy's means of long arrays of pairs are ten times slower.
         share = np.full(len(query), 1 / len(query))
         query, database = query - share @ query, database - share @ database
         energy = float(np.sqrt(np.vdot(query, query) * np.vdot(database, database)))
         return area, float(np.vdot(query, database)) / energy if energy > 0 else 0.0
 
     def dissimilarity(self, T_database_query: SE2) -> float:
-        """ComputeSSDMetric, the paper's h: Σ (I_g^q - I_g^d)² / (I_v^q I_v^d) over the overlap.
+        """Compute the paper's metric h (ComputeSSDMetric) over the overlap.
 
-        Summed over the thinned cells, each for the map's cells that it stands for.
+            h = Σ (I_g^q - I_g^d)² / (I_v^q I_v^d)    Le Gentil 2020, Sec. V
+
+        The sum over the thinned cells is multiplied by the number of cells that each stands for.
         """
         common, query, variance = self._overlap(T_database_query)
         difference = np.hypot(*query.T) - np.hypot(*self._slope[common].T)

@@ -3,44 +3,35 @@
 from dataclasses import dataclass
 from math import exp, expm1, log, log1p, pi, sqrt
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Float
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array
+from gpgrad_core.registration.overlay import overlay, smooth_between, take_warp_out
 from gpgrad_core.registration.relief import Relief
 from gpgrad_core.registration.uncertainty import NUM_BANDS, band_edges
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement
 
 FEWEST_CELLS = 30
-"""Fewer common cells are not compared."""
-TILT_STD, BEND_STD = 0.03, 0.005
-"""How far two submaps may be tilted [rad] and bent [1/m] against each other by the drift of the
-odometry that they are made with; the same as the alignment allows."""
-WARP_ROUNDS = 3
-"""Rounds of weighted least squares that tell the warp apart from rocks."""
-WARP_CELLS = 600
-"""Cells that the warp is told by: it is smooth."""
+"""Smallest number of common cells that are compared."""
 DRIFT_SHARE = 0.04
-"""Share of a band's relief that drift within a submap, and a motion that is a little off, may
-change. On true pairs of dense clouds the differences are 3 to 5 per cent larger than the noise
-alone would make them."""
+"""Share of a band's relief that drift within a submap and a slightly wrong motion may change. On
+true pairs of dense clouds the differences are 3 to 5 per cent larger than noise alone makes
+them."""
 FREEDOM = 3.0
-"""Degrees of freedom of Student's t, which the differences follow: ground that only one of the two
-views could see, or a rock that was moved, must not decide alone."""
+"""Degrees of freedom of Student's t, the distribution of the differences. Its long tails keep a
+rock that was moved, or ground that only one of the views saw, from deciding alone."""
 INLIER_WEIGHT = 3.0
-"""Weight of log(1 + n) beside what the terrain says."""
+"""Weight of log(1 + n), for n inliers, relative to the terrain's evidence."""
 BAND_WEIGHTS = (1.0, 0.5)
-"""Weights of the bands. Much of the longer waves goes with the warp; what is left counts less."""
+"""Weights of the bands. The second counts less, because the warp absorbs much of its waves."""
 UNRELATED_LEVEL, UNRELATED_SPREAD = 0.8, 2.0
-"""Gumbel distribution of the most evidence that pairs of unrelated submaps reach. Of 3,017 such
-pairs of 20 sets (real and simulated; whole, thinned and noisy; flat and steep) 21 reach a score of
-2, and none a score of 3; nor does a slightly wrong motion on steep smooth ground. Fits to the upper
-quarter of all sets but one give levels of 1.7 to 2.3 and spreads of 2.0 to 2.2."""
-
-Pair = Float32[NDArray[np.float32], "rows columns 2"]
-Mask = Bool[NDArray[np.bool_], "rows columns"]
+"""Level and spread of the Gumbel distribution of the highest evidence of unrelated pairs. Of 3,017
+such pairs of 20 datasets (real and simulated; whole, thinned and noisy; flat and steep) 21 reach a
+score of 2 and none reaches 3. Slightly wrong motions on steep smooth ground do not reach 3 either.
+Fits to the upper quarter of all datasets but one give levels of 1.7 to 2.3 and spreads of 2.0 to
+2.2."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +39,9 @@ class Evidence:
     """What both maps say about one motion.
 
     Attributes:
-        patches: Overlap in patches of 2π scale², over which terrain is alike.
-        log_ratios: Of each band, the mean log-likelihood ratio of one terrain against two.
-        agreement: How far the heights differ, and how far they might; None if too few cells are
-            common.
+        patches: Area of the overlap in patches of 2π scale². Within a patch terrain is alike.
+        log_ratios: For each band, the mean log-likelihood ratio of one terrain against two.
+        agreement: How well the heights agree; None if too few cells are common.
     """
 
     patches: float
@@ -60,39 +50,38 @@ class Evidence:
 
 
 def weigh(query: Relief, database: Relief, T_database_query: SE2) -> Evidence:
-    """Compare the terrain of two maps, band by band, over what they have in common.
+    """Compare the terrain of two maps over their overlap, band by band.
 
     If both maps show one terrain, the difference of their heights in a band has the variance of
-    what the two leave unknown there, N, and of drift. If they show two, it has that of the terrain
-    itself, S, too. With w the difference over √2, and t the density of Student's t, the log ratio
-    of the two likelihoods of a cell is
+    the uncertainty of both, N, and of drift. If they show two terrains, the variance S of the
+    terrain itself is added. With w the difference divided by √2, and t the density of Student's
+    t, the log ratio of the two likelihoods of a cell is
 
         log t(w; N + share² S) - log t(w; S + N)
 
-    Agreement is rewarded by how surprising it is, and disagreement is punished by how impossible
-    it is. Where N is as large as S, the ratio is near zero: noise says nothing, nor does flat
-    ground. An offset, a tilt and a bend are taken out first, for submaps are warped.
+    So agreement counts by how surprising it is, and disagreement by how impossible it is. Where
+    N is as large as S, the ratio is near zero: neither noise nor flat ground says anything. An
+    offset, a tilt and a bend are removed first, because submaps are warped.
 
     Args:
-        query: Map to be placed.
-        database: Map it is placed on.
-        T_database_query: Where.
+        query: The map to be placed.
+        database: The map on which it is placed.
+        T_database_query: The motion to judge.
+
+    Returns:
+        The evidence; its log ratios are 0 if fewer than `FEWEST_CELLS` cells are common.
     """
-    step = database.grid.resolution
-    common, heights, noise = _overlap(query, database, T_database_query)
-    count = int(np.count_nonzero(common))
-    patches = count * step**2 / (2 * pi * database.scale**2)
+    laid = overlay(query, database, T_database_query)
+    count, common = laid.count, laid.common
+    patches = count * laid.step**2 / (2 * pi * laid.scale**2)
     if count < FEWEST_CELLS:
         return Evidence(patches, (0.0,) * NUM_BANDS)
-    rows, columns = np.flatnonzero(common.any(axis=1)), np.flatnonzero(common.any(axis=0))
-    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    common = common[box]
-    unknown = noise[box][common].astype(np.float64)
-    pair = _unwarped(heights[box], common, step, database.scale)
+    unknown = laid.noise[common].astype(np.float64)
+    pair = take_warp_out(laid)
     log_ratios: list[float] = []
     difference = possible = relief = 0.0
     for band in range(NUM_BANDS):
-        smoother = _smoothed(pair, common, band_edges(database.scale, band), step)
+        smoother = smooth_between(pair, common, band_edges(laid.scale, band), laid.step)
         a, b = (pair - smoother)[common].astype(np.float64).T
         pair = smoother
         squared = 0.5 * np.square(a - b)
@@ -103,114 +92,47 @@ def weigh(query: Relief, database: Relief, T_database_query: SE2) -> Evidence:
         difference += 2 * float(np.median(squared)) / 0.455
         possible += 2 * float(np.mean(of_one))
         relief += signal
-    told = Agreement(sqrt(difference), sqrt(possible), sqrt(relief))
-    return Evidence(patches, tuple(log_ratios), told)
+    agreement = Agreement(sqrt(difference), sqrt(possible), sqrt(relief))
+    return Evidence(patches, tuple(log_ratios), agreement)
 
 
 def closure_score(evidence: Evidence, num_inliers: int) -> float:
-    """Score a motion: -log10 of the chance that unrelated ground reaches as much evidence.
+    """Score a motion: -log10 of the probability that unrelated ground reaches as much evidence.
 
-    Patches of terrain would add up their log ratios if they were independent. But ground varies
-    from place to place, and each motion is the best of many: the sum over N patches scatters by
-    √N, so that it is the mean ratio times √N which means the same for every overlap. A band has a
-    quarter of the patches of the one before.
+    If patches of terrain were independent, their log ratios would add up. But ground varies from
+    place to place, and each motion is the best of many, so the sum over N patches scatters by √N.
+    Therefore the mean ratio times √N means the same for every overlap. Each band has a quarter
+    of the patches of the band before.
 
         evidence = Σ_k weight_k √(N / 4^k) log_ratio_k + weight log(1 + n)
 
-    The most that pairs of unrelated submaps reach over all motions follows a Gumbel distribution.
+    The highest evidence that a pair of unrelated submaps reaches over all motions follows a
+    Gumbel distribution.
 
     Args:
-        evidence: Of the terrain.
-        num_inliers: n.
+        evidence: The evidence of the terrain.
+        num_inliers: Number of inliers n.
 
     Returns:
-        From 0 on; 3 means that one in a thousand unrelated pairs reaches as much.
+        The score, at least 0. One in 1000 unrelated pairs reaches a score of 3.
     """
     if evidence.agreement is None:
         return 0.0
     total = total_evidence(evidence, num_inliers)
     tail = exp(min(-(total - UNRELATED_LEVEL) / UNRELATED_SPREAD, 700.0))
-    # log10(1 - exp(-tail)), which is log10(tail) where that is small: without loss of digits.
+    # log10(1 - exp(-tail)) without a loss of digits where the tail is small.
     chance = -expm1(-tail)
     return max(0.0, -log(chance) / log(10)) if chance > 0 else 300.0
 
 
 def total_evidence(evidence: Evidence, num_inliers: int) -> float:
-    """Add up what `closure_score` turns into a score."""
+    """Add up the evidence that `closure_score` converts to a score."""
     total = INLIER_WEIGHT * log1p(num_inliers)
     for band, (weight, ratio) in enumerate(zip(BAND_WEIGHTS, evidence.log_ratios, strict=True)):
         total += weight * sqrt(evidence.patches) / 2**band * ratio
     return total
 
 
-def _overlap(
-    query: Relief, database: Relief, T_database_query: SE2
-) -> tuple[Mask, Pair, Float32[NDArray[np.float32], "rows columns bands"]]:
-    """Lay the query on the database's cells.
-
-    Returns:
-        Which cells both maps trust, the heights of both [m], and half the variance of what both
-        leave unknown of each band [m²].
-    """
-    inverse, step = T_database_query.inverse(), database.grid.resolution
-    corner = query.grid.to_pixel(inverse.apply(np.array([database.grid.origin])))[0]
-    onto = np.column_stack([inverse.rotation * (step / query.grid.resolution), corner])
-    moved = cv2.warpAffine(
-        np.dstack([query.elevation, query.trusted.astype(np.float32), query.noise]),
-        onto,
-        database.grid.shape[::-1],
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-    )
-    common = (moved[..., 1] > 0.999) & database.trusted
-    heights = np.asarray(np.dstack([moved[..., 0], database.elevation]), np.float32)
-    noise = np.float32(0.5) * (moved[..., 2:] + database.noise)
-    return common, heights, np.asarray(noise, np.float32)
-
-
-def _unwarped(heights: Pair, common: Mask, step: float, scale: float) -> Pair:
-    """Take offset, tilt and bend of the difference out, half from each, and the mean from both."""
-    row, column = np.nonzero(common)
-    x, y = (column - column.mean()) * step, (row - row.mean()) * step
-    bends = np.stack([x * x, x * y, y * y])
-    columns = np.vstack([np.ones((1, len(x))), x, y, bends - bends.mean(axis=1, keepdims=True)])
-    precision = np.array([0.0] + 2 * [TILT_STD**-2] + 3 * [BEND_STD**-2])
-    both = heights[common].astype(np.float64)
-    every = max(1, len(x) // WARP_CELLS)
-    some, difference = columns[:, ::every], (both[:, 0] - both[:, 1])[::every]
-    left = difference - np.median(difference)
-    cells_a_patch = max(1.0, 2 * pi * scale**2 / (every * step**2))
-    coefficients = np.zeros(len(precision))
-    weight = np.ones_like(difference)
-    for _ in range(WARP_ROUNDS):
-        variance = float(np.median(left * left)) / 0.455 + 1e-12
-        weighed = some * weight
-        normal = weighed @ some.T
-        normal += np.diag(precision * variance * cells_a_patch + 1e-9 * np.diagonal(normal))
-        coefficients = np.linalg.solve(normal, weighed @ difference)
-        left = difference - coefficients @ some
-        weight = 1 / (1 + left * left / variance)
-    warp = coefficients @ columns
-    both[:, 0] -= warp / 2
-    both[:, 1] += warp / 2
-    flat = np.zeros_like(heights)
-    flat[common] = both - both.mean(axis=0)
-    return flat
-
-
-def _smoothed(pair: Pair, common: Mask, edges: tuple[float, float], step: float) -> Pair:
-    """Smooth from the finer edge of a band to the coarser one: the variances add up."""
-    fine, coarse = edges
-    weight = common.astype(np.float32)
-    blurred = cv2.GaussianBlur(
-        np.dstack([pair, weight]),
-        (0, 0),
-        sqrt(coarse**2 - fine**2) / step,
-        borderType=cv2.BORDER_CONSTANT,
-    )
-    share = np.maximum(blurred[..., 2:], 1e-6)
-    return np.where(common[..., None], blurred[..., :2] / share, np.float32(0))
-
-
 def _log_t(squared: Float[Array, "n"], variance: Float[Array, "n"]) -> Float[Array, "n"]:
-    """Log density of Student's t of a squared difference, but for a constant."""
+    """Log density of Student's t of a squared difference, without the constant."""
     return -0.5 * np.log(variance) - (FREEDOM + 1) / 2 * np.log1p(squared / (FREEDOM * variance))

@@ -9,47 +9,55 @@ from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 
 RADIUS_IN_SCALES = 1.25
-"""Inlier radius [scales of comparison]. Measured on four sets, whole, thinned and noisy: at 1 dense
-clouds lose inliers, and at 1.5 sparse ones take chance for inliers."""
+"""Inlier radius [scales of comparison]. On four datasets, whole, thinned and noisy, dense clouds
+lose inliers at 1, and sparse clouds gain chance inliers at 1.5."""
 UNSCALED_RADIUS = 0.3
-"""Inlier radius of what knows no scale of comparison [m]."""
+"""Inlier radius for methods without a scale of comparison [m]."""
 
 
 @dataclass(frozen=True)
 class RegistrationParams:
-    """How a pair of maps is registered."""
+    """Parameters of the registration of a pair of maps (Algorithm 1 and the steps after it)."""
 
     inlier_radius: Annotated[
         float | None,
         Bounds(0.01, 10.0, 0.01, "m", slider=(0.05, 1.0)),
         Doc(
-            "An association is an inlier if its keypoints meet within this distance. "
-            "None: 1.25 times the scale of comparison, for keypoints are about as sharp as that."
+            "An association is an inlier if the motion brings its keypoints within this distance "
+            "of each other. None: 1.25 times the scale of comparison."
         ),
     ] = None
     trials: Annotated[
         int,
         Bounds(10, 100_000, 10, "", slider=(100, 10_000)),
-        Doc("Random pairs of associations that RANSAC tries."),
+        Doc("Number of random pairs of associations that RANSAC tries."),
     ] = 5000
     hypotheses: Annotated[
         int,
         Bounds(1, 100, 1, "", slider=(1, 30)),
-        Doc("Best motions by inliers that are aligned and checked densely."),
+        Doc("Number of RANSAC's best motions that are aligned and compared densely."),
     ] = 12
     searched: Annotated[
         int,
         Bounds(0, 100, 1, "", slider=(0, 20)),
-        Doc("Motions that an exhaustive search, which needs no keypoints, adds to these."),
+        Doc(
+            "Number of motions that the exhaustive search, which needs no keypoints, adds to them."
+        ),
     ] = 6
-    seed: Annotated[int, Doc("Of the random choices; the same seed gives the same answer.")] = 0
+    seed: Annotated[
+        int, Doc("Seed of RANSAC's random choices. The same seed gives the same result.")
+    ] = 0
 
     def __post_init__(self) -> None:
         """Check the bounds."""
         check_bounds(self)
 
     def radius(self, scale: float | None) -> float:
-        """Give the inlier radius [m] of maps that are compared at a scale [m], if any is known."""
+        """Choose the inlier radius [m].
+
+        Args:
+            scale: The scale at which the maps are compared [m]; None if the method has none.
+        """
         if self.inlier_radius is not None:
             return self.inlier_radius
         return UNSCALED_RADIUS if scale is None else RADIUS_IN_SCALES * scale

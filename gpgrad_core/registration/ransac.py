@@ -13,31 +13,41 @@ from gpgrad_core.types import Array, Matches
 BoolArray = NDArray[np.bool_]
 
 TRIALS_AT_ONCE = 256
-"""Motions whose errors are worked out together: as many as fit a processor's own memory."""
+"""Number of motions whose errors are computed together; they fit into a processor's cache."""
 SAME_TURN = 0.1
-"""Turns nearer than this to each other are one hypothesis [rad]."""
+"""Motions whose yaw differs by less than this are the same candidate [rad]."""
 
 
 def find_motions(matches: Matches, params: RegistrationParams, radius: float) -> list[SE2]:
-    """Find the distinct motions with the most associations within the radius [m], best first."""
+    """Find the distinct motions with the most inliers: the RANSAC of Algorithm 1.
+
+    Args:
+        matches: The associations A.
+        params: Number of trials, number of motions wanted, and seed.
+        radius: Largest distance between the keypoints of an inlier [m].
+
+    Returns:
+        Up to ``params.hypotheses`` motions ``T_database_query``, the one with the most inliers
+        first.
+    """
     num = len(matches)
     if num < 2:
         return []
     first, second = _sample_pairs(num, params.trials, params.seed)
     query, database = matches.query_xy, matches.database_xy
     a, b = query[second] - query[first], database[second] - database[first]
-    # Two associations of one rigid motion span the same length in both maps; and too short a
-    # span says nothing about the turn.
+    # Two associations of one rigid motion have the same distance in both maps. Two that are too
+    # close to each other say nothing about the yaw.
     span_a, span_b = np.hypot(*a.T), np.hypot(*b.T)
     rigid = (np.abs(span_a - span_b) <= 2 * radius) & (np.minimum(span_a, span_b) >= 2 * radius)
     a, b, first, second = a[rigid], b[rigid], first[rigid], second[rigid]
     if len(a) == 0:
         return []
-    # GetSE2Transform of two pairs, in closed form.
+    # GetSE2Transform of each two associations, in closed form.
     yaw = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1))
     turned = _rotate(yaw, (query[first] + query[second]) / 2)
     offset = (database[first] + database[second]) / 2 - turned
-    # Where each motion puts the middle of the query's keypoints.
+    # Where each motion moves the middle of the query's keypoints.
     middle = query.mean(axis=0)
     placed = _rotate(yaw, np.broadcast_to(middle, offset.shape)) + offset
     counts = _count_inliers(yaw, placed, query - middle, database, radius)
@@ -48,7 +58,7 @@ def find_motions(matches: Matches, params: RegistrationParams, radius: float) ->
 def _sample_pairs(
     num: int, trials: int, seed: int
 ) -> tuple[Int[NDArray[np.intp], "t"], Int[NDArray[np.intp], "t"]]:
-    """SelectRandomAsso: pairs of different associations; all of them if they are few enough."""
+    """SelectRandomAsso: draw pairs of different associations; take all if they are few enough."""
     if num * (num - 1) // 2 <= trials:
         first, second = np.triu_indices(num, 1)
         return first, second
@@ -73,20 +83,24 @@ def _count_inliers(
 ) -> Int[NDArray[np.intp], "t"]:
     """GetInliers for all trials; associations that share a position may count twice here.
 
-    Written out, the squared error of association (q, d) under rotation R and offset t is
+    The squared error of association (q, d) under rotation R and offset t is
 
         |Rq + t - d|² = |q|² + |d|² + |t|² + 2 Rᵀt·q - 2 t·d - 2 (q·d cos yaw + q×d sin yaw)
 
-    a product of what depends on the motion with what depends on the association: of matrices.
+    Each term is a product of a number that depends on the motion and one that depends on the
+    association, so one matrix product gives all errors.
 
     Args:
-        yaw: Of each motion [rad].
-        placed: Where each puts the middle of the query's keypoints [m].
-        query: Keypoints about that middle [m].
-        database: The keypoints that they are associated with [m].
-        radius: Within which an association is an inlier [m].
+        yaw: Yaw of each motion (t,) [rad].
+        placed: Where each motion moves the middle of the query's keypoints (t, 2) [m].
+        query: Keypoints relative to that middle (m, 2) [m].
+        database: The associated keypoints (m, 2) [m].
+        radius: Largest distance between the keypoints of an inlier [m].
+
+    Returns:
+        The number of inliers of each motion (t,).
     """
-    # About its middle the digits are fine here too, however far the frame's origin lies.
+    # Relative to its middle no digits are lost, however far the frame's origin lies.
     middle = database.mean(axis=0)
     database, offset = database - middle, placed - middle
     (qx, qy), (dx, dy) = query.T, database.T
@@ -114,7 +128,7 @@ def _distinct(
     radius: float,
     wanted: int,
 ) -> list[SE2]:
-    """Take the first motions that differ: by where they put the middle, or by their turn."""
+    """Take the first motions that differ in where they move the middle, or in their yaw."""
     x, y = placed.T
     c, s = np.cos(yaw), np.sin(yaw)
     left = np.arange(len(yaw))
@@ -129,7 +143,15 @@ def _distinct(
 
 
 def one_to_one(motion: SE2, matches: Matches, radius: float) -> Bool[BoolArray, "m"]:
-    """Inliers of which no two share a keypoint position: of these, the closest counts."""
+    """Find the inliers of a motion, so that no two share a keypoint.
+
+    Of inliers that share a keypoint's position, the one with the smallest error counts.
+
+    Args:
+        motion: ``T_database_query``.
+        matches: The associations.
+        radius: Largest distance between the keypoints of an inlier [m].
+    """
     errors = np.hypot(*(motion.apply(matches.query_xy) - matches.database_xy).T)
     inliers = np.zeros(len(matches), bool)
     taken_query: set[tuple[float, float]] = set()

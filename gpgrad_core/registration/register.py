@@ -1,4 +1,4 @@
-"""Algorithm 1, and what we add to it: more hypotheses, alignment, one score."""
+"""Algorithm 1, and what gpgrad adds to it: more candidate motions, alignment, one score."""
 
 from dataclasses import dataclass
 
@@ -6,12 +6,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.alignment import DRIFTED, Alignments, align
+from gpgrad_core.registration.alignment import Alignments, align
 from gpgrad_core.registration.dense_check import DenseCheck, ThinMap, thin_out
 from gpgrad_core.registration.evidence import closure_score, weigh
 from gpgrad_core.registration.params import RegistrationParams
+from gpgrad_core.registration.placement import Sharp, place, sharpen
 from gpgrad_core.registration.ransac import find_motions, one_to_one
-from gpgrad_core.registration.relief import Relief, make_relief, sharp_relief
+from gpgrad_core.registration.relief import Relief, make_relief
 from gpgrad_core.registration.search import Spectra, make_spectra, search_motions
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
@@ -25,37 +26,44 @@ from gpgrad_core.types import (
 )
 
 SIFTED_CELLS, SIFTED_ITERATIONS = 250, 4
-"""What all hypotheses are aligned with, roughly."""
+"""Number of cells and of steps with which all candidates are roughly aligned."""
 TRIED = 12
-"""How many of them, the most alike, go on and are weighed octave by octave: of pairs that hardly
-overlap, eight lost the right one now and then, and eighteen found no more than twelve."""
+"""Number of the best candidates that are then scored. With eight, the right motion of pairs that
+hardly overlap was sometimes lost; eighteen found no more than twelve."""
 TRIED_CELLS, TRIED_ITERATIONS = 600, 5
-"""What these are aligned with."""
-PLACED_CELLS, PLACED_ITERATIONS = 3000, 8
-"""What the best of these is then aligned with."""
+"""Number of cells and of steps with which these are aligned."""
+REFINED_CELLS = 3000
+"""Number of cells with which a motion that a person has set is aligned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What registration makes of one map, once for all its pairs."""
+    """What the registration computes of one map, once for all pairs that it is in.
+
+    Attributes:
+        relief: The elevation, smoothed over the scale of comparison.
+        sharp: The elevation without smoothing, and its long waves, for the final alignment.
+        spectra: Fourier transforms for the exhaustive search.
+        thin: The cells for the dense check.
+    """
 
     relief: Relief
-    sharp: Relief
+    sharp: Sharp
     spectra: Spectra
     thin: ThinMap
 
 
 def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Prepared:
-    """Make a map ready to be registered.
+    """Prepare a map for registration.
 
     Args:
         gradient_map: The map.
-        max_std_ratio: The variance mask; only trusted cells are compared.
+        max_std_ratio: Threshold of the variance mask; only trusted cells are compared.
     """
     relief = make_relief(gradient_map, max_std_ratio)
     return Prepared(
         relief,
-        sharp_relief(gradient_map, max_std_ratio),
+        sharpen(gradient_map, max_std_ratio),
         make_spectra(relief),
         thin_out(gradient_map, max_std_ratio),
     )
@@ -68,21 +76,22 @@ def register(
     params: RegistrationParams | None = None,
     progress: Progress = silent,
 ) -> Registration:
-    """Register the query map to the database map, Algorithm 1.
+    """Register the query map to the database map (Algorithm 1).
 
-    RANSAC's best motions by inliers, and the best of an exhaustive search that needs no
-    associations, are aligned densely; the one with the highest score is returned. Acceptance
-    comes after (`loop_closure.classify`), so that sweeping its thresholds costs nothing.
+    The candidates are RANSAC's best motions and the best motions of an exhaustive search, which
+    needs no associations. They are aligned densely, and the one with the highest score is
+    returned. AcceptTransformation comes afterwards (`loop_closure.classify`), so that moving its
+    thresholds costs nothing.
 
     Args:
-        query: Map to be placed.
-        database: Map it is placed on.
+        query: The map to be placed.
+        database: The map on which it is placed.
         matches: The set of associations A.
-        params: Of RANSAC and the search.
-        progress: Called as it gets on; may raise Cancelled.
+        params: Parameters of RANSAC and of the search.
+        progress: Called with the fraction done; may raise Cancelled.
 
     Returns:
-        The best motion; `T_database_query` is None where there is none.
+        The best motion. ``T_database_query`` is None if no motion was found.
     """
     return register_prepared(prepare(query), prepare(database), matches, params, progress)
 
@@ -94,7 +103,7 @@ def register_prepared(
     params: RegistrationParams | None = None,
     progress: Progress = silent,
 ) -> Registration:
-    """Register as `register` does, with what `prepare` makes of each map at hand."""
+    """Do the same as `register` with maps that are already prepared."""
     params = params or RegistrationParams()
     maps = query.relief, database.relief
     if not all(relief.trusted.any() for relief in maps):
@@ -126,23 +135,23 @@ def refine(
     start: SE2,
     params: RegistrationParams | None = None,
 ) -> Registration:
-    """Register from a motion that is nearly right, such as one that a person has set by hand.
+    """Register two maps from a motion that is nearly right, such as one that a person has set.
 
     Args:
-        query: Map to be placed.
-        database: Map it is placed on.
-        matches: Associations; those that agree are counted, none is needed.
+        query: The map to be placed.
+        database: The map on which it is placed.
+        matches: Associations, of which the inliers are counted; there need not be any.
         start: ``T_database_query``, up to a few scales of comparison off.
-        params: Of the inliers.
+        params: Gives the inlier radius.
 
     Returns:
-        The motion nearby under which the ground agrees best; `start` where too little of it is
-        common. The score judges it as `register`'s does.
+        The motion near the start under which the ground agrees best, scored as by `register`.
+        If the overlap is too small, the motion is `start` itself.
     """
     params = params or RegistrationParams()
     of_query, of_database = prepare(query), prepare(database)
     maps = of_query.relief, of_database.relief
-    tried = align(*maps, [start], num_cells=PLACED_CELLS, iterations=TRIED_ITERATIONS)
+    tried = align(*maps, [start], num_cells=REFINED_CELLS, iterations=TRIED_ITERATIONS)
     rough = _judge(tried, 0, maps, matches, params)
     return _finish(of_query, of_database, matches, rough, params)
 
@@ -154,16 +163,9 @@ def _finish(
     rough: "_Candidate",
     params: RegistrationParams,
 ) -> Registration:
-    """Place the best motion to a few centimetres, on the unsmoothed maps."""
+    """Align the best motion to a few centimetres on the unsmoothed maps."""
     maps = query.relief, database.relief
-    sharp = query.sharp, database.sharp
-    placed = align(
-        *sharp,
-        [rough.motion],
-        num_cells=PLACED_CELLS,
-        iterations=PLACED_ITERATIONS,
-        warp=DRIFTED,
-    )
+    placed = place(query.sharp, database.sharp, rough.motion)
     best = _judge(placed, 0, maps, matches, params)
     check = DenseCheck(query.thin, database.thin)
     area, correlation = check.compare(best.motion)
@@ -223,7 +225,7 @@ def _judge(
 
 
 def _distinct(tried: Alignments, scale: float) -> list[int]:
-    """Order motions by how alike the terrain is, once each: many starts end at the same."""
+    """Sort motions by their likeness, and drop duplicates: many starts end at the same motion."""
     x, y, yaw = np.moveaxis(tried.motions[:, None] - tried.motions, 2, 0)
     near = (np.hypot(x, y) < 0.5 * scale) & (np.abs(np.sin(yaw / 2)) < 0.02)
     chosen: list[int] = []

@@ -1,4 +1,4 @@
-"""A map made ready for comparison: its elevation, smoothed over the scale of comparison."""
+"""A map prepared for comparison: its elevation, smoothed over the scale of comparison."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,31 +10,43 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.uncertainty import NUM_BANDS, BandNoise
+from gpgrad_core.registration.uncertainty import BandNoise
 from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Grid, read_only
 
 Image: TypeAlias = NDArray[np.float32]
 
-FINE_CELL, CELL, SHARP_CELL = 0.25, 0.75, 0.35
-"""Sides of cells [scales]: of those that are smoothed, of those kept of these, of sharp ones."""
+FINE_CELL, CELL = 0.25, 0.75
+"""Sides of cells [scales of comparison]: while smoothing, and after it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """The elevation of a map, mostly smoothed over one scale of comparison.
+    """The elevation of a map, smoothed over one scale of comparison.
 
-    Shorter waves are mostly noise, and the longer ones agree between two visits of a place to
-    a few per cent: they tell places apart, and place one map on the other.
+    Shorter waves are mostly noise. The longer ones agree between two visits of a place to a few
+    per cent, so they distinguish places and align one map with the other. Only the relief of
+    `placement.Sharp` is not smoothed.
+
+    Attributes:
+        grid: Grid of the thinned cells.
+        elevation: Height above `base` (rows, columns) [m].
+        slope: Slope of that along x and y (rows, columns, 2) [m/m].
+        terrain: Two octaves of the elevation from the scale on, levelled to the same strength
+            (rows, columns); see `level_octaves`.
+        trusted: Cells that the variance mask trusts (rows, columns).
+        noise: Variance of the elevation's error in each band (rows, columns, bands) [m²].
+        base: Mean elevation of the trusted cells [m].
+        scale: Scale of comparison [m].
     """
 
     grid: Grid
-    elevation: Float[Image, "rows columns"]  # above `base` [m]
-    slope: Float[Image, "rows columns 2"]  # of that [m/m]
-    terrain: Float[Image, "rows columns"]  # two octaves from one scale on, levelled
+    elevation: Float[Image, "rows columns"]
+    slope: Float[Image, "rows columns 2"]
+    terrain: Float[Image, "rows columns"]
     trusted: Bool[NDArray[np.bool_], "rows columns"]
-    noise: Float[Image, "rows columns bands"]  # variance of what each band leaves unknown [m²]
-    base: float  # mean elevation [m]
-    scale: float  # scale of comparison [m]
+    noise: Float[Image, "rows columns bands"]
+    base: float
+    scale: float
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
@@ -46,17 +58,17 @@ def make_relief(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO)
     """Smooth a map's elevation and thin it.
 
     Args:
-        gradient_map: Cells that it does not trust take no part in the smoothing.
-        max_std_ratio: The variance mask.
+        gradient_map: The map; cells that are not trusted take no part in the smoothing.
+        max_std_ratio: Threshold of the variance mask.
     """
     scale = gradient_map.scale
-    grid = _thin_grid(gradient_map.grid, FINE_CELL * scale)
-    fine = _thinned(gradient_map.grid, grid)
+    grid = thin_grid(gradient_map.grid, FINE_CELL * scale)
+    fine = thinned(gradient_map.grid, grid)
     trusted = gradient_map.trusted(max_std_ratio)[fine]
-    elevation, base = _above_mean(gradient_map.elevation[fine], trusted)
+    elevation, base = above_mean(gradient_map.elevation[fine], trusted)
     smooth = blur(elevation, trusted.astype(np.float32), scale / grid.resolution)
-    kept = _thin_grid(grid, CELL * scale)
-    coarse = _thinned(grid, kept)
+    kept = thin_grid(grid, CELL * scale)
+    coarse = thinned(grid, kept)
     smooth, trusted = smooth[coarse].copy(), trusted[coarse].copy()
     noise = BandNoise.of(gradient_map).at(gradient_map.variance[fine][coarse])
     along_y, along_x = (
@@ -68,36 +80,24 @@ def make_relief(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO)
     return Relief(kept, smooth, slope, terrain, trusted, noise, base, scale)
 
 
-def sharp_relief(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Relief:
-    """Thin a map without smoothing it: the last centimetres of a pose lie in the short waves."""
-    grid = _thin_grid(gradient_map.grid, SHARP_CELL * gradient_map.scale)
-    thin = _thinned(gradient_map.grid, grid)
-    trusted = gradient_map.trusted(max_std_ratio)[thin].copy()
-    elevation, base = _above_mean(gradient_map.elevation[thin], trusted)
-    slope = gradient_map.slope[thin].astype(np.float32)
-    nothing = np.zeros_like(elevation)
-    # Nobody asks for the terrain and the noise of a sharp one.
-    noise = np.zeros((*elevation.shape, NUM_BANDS), np.float32)
-    return Relief(grid, elevation, slope, nothing, trusted, noise, base, gradient_map.scale)
-
-
-def _above_mean(
+def above_mean(
     elevation: Float[NDArray[np.float64], "rows columns"],
     trusted: Bool[NDArray[np.bool_], "rows columns"],
 ) -> tuple[Float[Image, "rows columns"], float]:
+    """Give the elevation above the mean of its trusted cells, and that mean [m]."""
     base = float(elevation[trusted].mean()) if trusted.any() else 0.0
     return (elevation - base).astype(np.float32), base
 
 
 def level_octaves(relief: Relief, shortest: float) -> Float[Image, "rows columns"]:
-    """Split two octaves of terrain off, each brought to the same strength.
+    """Extract two octaves of terrain, each scaled to the same strength.
 
-    Natural ground is rougher the longer the waves. Levelled so, every wave is evidence of its
-    own, and the correlation of unrelated ground stays near 0.
+    Natural ground is rougher at longer waves. After levelling, every wave counts the same, and
+    the correlation of unrelated ground stays near 0.
 
     Args:
         relief: The map.
-        shortest: Where the first octave begins [m]; the scale of comparison or more.
+        shortest: Shortest wave of the first octave [m]; at least the scale of comparison.
     """
     return _levelled(
         relief.elevation, relief.trusted, relief.grid.resolution, relief.scale, shortest
@@ -117,7 +117,7 @@ def _levelled(
         return total
     levels: list[Image] = []
     for scale in (shortest, 2 * shortest, 4 * shortest):
-        # The variances of Gaussians add up.
+        # The variances of successive Gaussians add up.
         more = sqrt(max(scale**2 - smoothed**2, 0.0)) / cell
         levels.append(blur(elevation, weight, more) if more > 0 else elevation)
     for fine, coarse in pairwise(levels):
@@ -130,21 +130,21 @@ def _levelled(
 def blur(
     field: Float[Image, "rows columns"], weight: Float[Image, "rows columns"], sigma: float
 ) -> Float[Image, "rows columns"]:
-    """Smooth a field with a Gaussian of sigma cells, heeding its cells by their weight."""
+    """Smooth a field with a Gaussian of sigma cells, as an average weighted by cell."""
     pair = cv2.GaussianBlur(
         np.dstack([field * weight, weight]), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT
     )
     return np.asarray(pair[..., 0] / np.maximum(pair[..., 1], 1e-6), np.float32)
 
 
-def _thin_grid(grid: Grid, cell: float) -> Grid:
-    """Keep every so manyth row and column, so that cells become about as large as asked."""
+def thin_grid(grid: Grid, cell: float) -> Grid:
+    """Keep every n-th row and column, so that cells become about as large as wanted [m]."""
     stride = max(1, round(cell / grid.resolution))
     rows, columns = (-(-side // stride) for side in grid.shape)
     return Grid(grid.origin, stride * grid.resolution, (rows, columns))
 
 
-def _thinned(grid: Grid, thinner: Grid) -> tuple[slice, slice]:
-    """Rows and columns of a grid that the thinner one keeps."""
+def thinned(grid: Grid, thinner: Grid) -> tuple[slice, slice]:
+    """Give slices of the rows and columns that the thinner grid keeps."""
     stride = round(thinner.resolution / grid.resolution)
     return slice(None, None, stride), slice(None, None, stride)

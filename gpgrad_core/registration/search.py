@@ -1,4 +1,4 @@
-"""Exhaustive search over all turns and shifts: hypotheses that need no keypoints."""
+"""Exhaustive search over all yaws and shifts: candidate motions that need no keypoints."""
 
 from dataclasses import dataclass
 from math import ceil, cos, sin
@@ -14,28 +14,32 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array
 
 NUM_YAWS = 36
-"""Turns tried: the alignment that follows draws from further than half a step of 10 degrees."""
+"""Number of yaws tried. The alignment that follows converges from more than half of the 10 degrees
+between them."""
 CELL = 2.0
 """Side of a cell [scales of comparison]."""
 MOST_CELLS = 64
-"""Cells across a map; on larger maps they grow by twos, so that a pair's time stays bounded."""
+"""Largest number of cells across a map. On larger maps the cells double in size, so that the time
+of a pair stays bounded."""
 SIZES = (32, 48, 64, 80, 96, 128, 160)
-"""Sides that spectra come in: fast to transform, and few, so that two maps mostly share one."""
+"""Sizes of the spectra [cells]. They are fast to transform, and few, so that two maps mostly have
+the same."""
 LEAST_PATCHES = 4.0
-"""Smallest overlap looked at, in patches of 2π cell²/4, over which terrain is alike."""
+"""Smallest overlap that is considered, in patches of 2π cell²/4, over which terrain is alike."""
 APART = 2
-"""Shifts nearer than this to a better one, in cells, are the same hypothesis."""
+"""A shift within this many cells of a better one is the same candidate."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """What the search needs of one map: Fourier transforms of it at all turns.
+    """Fourier transforms of one map at all yaws, for the search.
 
     Attributes:
         cell: Side of a cell [m].
-        middle: Point (x, y) [m] that it is turned about.
-        half: Cells from that point to the edge of the turned images.
-        values: Of terrain, mask and squared terrain, at each turn.
+        middle: Point (x, y) about which the map is rotated [m].
+        half: Number of cells from that point to the edge of the rotated images.
+        values: Transforms of the terrain, the mask and the squared terrain at each yaw
+            (yaws, 3, size, half_size).
     """
 
     cell: float
@@ -45,17 +49,18 @@ class Spectra:
 
     @property
     def size(self) -> int:
-        """Side of the images transformed."""
+        """Side of the transformed images [cells]."""
         return self.values.shape[2]
 
 
 def make_spectra(relief: Relief, cell: float | None = None, size: int | None = None) -> Spectra:
-    """Turn a map through all yaws and transform it, once for all its pairs.
+    """Rotate a map by all yaws and transform it, once for all pairs that it is in.
 
     Args:
         relief: The map.
-        cell: Side of a cell [m]; None: as the map's extent wants it.
-        size: Side of the images; None: as small as serves two maps of this extent.
+        cell: Side of a cell [m]; None chooses it by the map's extent.
+        size: Side of the images [cells]; None chooses the smallest that serves two maps of this
+            extent.
     """
     rows, columns = np.nonzero(relief.trusted)
     cells = np.column_stack([columns, rows]).astype(np.float64)
@@ -69,7 +74,7 @@ def make_spectra(relief: Relief, cell: float | None = None, size: int | None = N
             cell *= 2
     half = ceil(radius / cell) + 1
     if size is None:
-        # Shifts that leave less than 4 cells of overlap may fall on others: they are not used.
+        # Shifts with fewer than 4 cells of overlap may wrap around; they are not used.
         size = next((one for one in SIZES if one >= 4 * half - 3), SIZES[-1])
     terrain = relief.terrain if cell == finest else level_octaves(relief, cell / 2)
     images = np.dstack([terrain, relief.trusted.astype(np.float32)])
@@ -87,16 +92,16 @@ def search_motions(
     spectra: tuple[Spectra, Spectra],
     wanted: int,
 ) -> list[SE2]:
-    """Find the distinct motions under which the terrain of two maps correlates most.
+    """Find the distinct motions under which the terrain of two maps correlates best.
 
     Args:
-        query: Map to be placed.
-        database: Map it is placed on.
-        spectra: Of the query and of the database.
-        wanted: How many motions.
+        query: The map to be placed.
+        database: The map on which it is placed.
+        spectra: The spectra of the query and of the database.
+        wanted: Number of motions to find.
 
     Returns:
-        ``T_database_query`` of up to so many, best first; a few cells off, to be aligned.
+        Up to so many motions ``T_database_query``, the best first. They may be a few cells off.
     """
     if wanted == 0 or not query.trusted.any() or not database.trusted.any():
         return []
@@ -130,15 +135,18 @@ def _score(
     product: Float[Image, "yaws size size"],
     energy: Float[Image, "yaws size size"],
 ) -> Float[Image, "yaws size size"]:
-    """Weigh every shift at every turn; in place, for these arrays are most of the search's time.
+    """Score every shift at every yaw.
+
+    The score is ``-log(1 - correlation²) √common``. It is computed in place, because passes over
+    these arrays take most of the search's time.
 
     Args:
-        common: Cells in common.
-        product: Sum of the products of both maps' terrain over these.
+        common: Number of common cells.
+        product: Sum of the products of both maps' terrain over the common cells.
         energy: Product of the sums of their squares.
     """
     np.maximum(common, 0.0, out=common)
-    # The little more keeps flat ground, and rounding, from correlating.
+    # The small addition keeps flat ground and rounding errors from correlating.
     np.maximum(energy, 0.0, out=energy)
     energy += 1e-3 * common * common + np.float32(1e-6)
     np.maximum(product, 0.0, out=product)
@@ -158,7 +166,7 @@ def _yaws() -> Float[Array, "yaws"]:
 def _comparable(
     query: Relief, database: Relief, spectra: tuple[Spectra, Spectra]
 ) -> tuple[Spectra, Spectra]:
-    """Make a pair of spectra of the same cells and size, mostly as they are."""
+    """Bring two spectra to the same cell and size; mostly they have these already."""
     cell, size = max(s.cell for s in spectra), max(s.size for s in spectra)
     of_query, of_database = (
         one if (one.cell, one.size) == (cell, size) else make_spectra(relief, cell, size)
@@ -170,7 +178,7 @@ def _comparable(
 def _turn(
     images: Image, relief: Relief, middle: Array, yaw: float, cell: float, half: int
 ) -> Image:
-    """Turn images about a point, onto cells of another size."""
+    """Rotate images about a point, and resample them to cells of another size."""
     step = cell / relief.grid.resolution
     c, s = step * cos(yaw), step * sin(yaw)
     column, row = relief.grid.to_pixel(middle[None])[0]

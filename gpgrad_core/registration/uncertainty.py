@@ -1,4 +1,4 @@
-"""What a map leaves unknown of its elevation, by band of wavelength."""
+"""The uncertainty of a map's elevation, by band of wavelengths."""
 
 from dataclasses import dataclass
 from math import pi
@@ -11,14 +11,14 @@ from gpgrad_core.scale import noise_density
 from gpgrad_core.types import GradientMap
 
 NUM_BANDS = 2
-"""Octaves that are compared, from one scale of comparison on. Longer waves are mostly taken out
-with the tilt and the bend of a submap, and say little more."""
+"""Number of octaves that are compared, from the scale of comparison on. Removing the tilt and the
+bend of a submap removes most of the longer waves."""
 NUM_DENSITIES, NUM_WAVES = 60, 120
-"""Of the table that variances are looked up in, and of the sum over wavenumbers behind it."""
+"""Number of entries of the lookup table, and of wavenumbers in the sum behind each entry."""
 
 
 def band_edges(scale: float, band: int) -> tuple[float, float]:
-    """Widths of the two Gaussians whose difference lets a band through [m]."""
+    """Widths of the two Gaussians whose difference passes the band [m]."""
     return scale * 2**band, scale * 2 ** (band + 1)
 
 
@@ -26,15 +26,20 @@ def band_edges(scale: float, band: int) -> tuple[float, float]:
 class BandNoise:
     """The variance of a map's error in each band, as a function of its posterior variance.
 
-    Noise of density N disturbs the posterior mean of each wave of the terrain, whose power is S,
-    by the power W² N with W = S / (S + N): the mean is the data, weighed by W. The variance in a
-    band is the integral of that over the wavenumbers k that the band lets through, H(k):
+    For each wave of the terrain with power S, noise of density N disturbs the posterior mean by
+    the power W² N with the gain W = S / (S + N). The variance in a band is the integral of that
+    over the wavenumbers k, with H(k) the gain of the band's filter:
 
         N_band = ∫ H² W² N k dk / 2π
 
     The density N comes from the posterior variance, cell by cell (`scale.noise_density`).
-    Measured on true pairs of four sets, whole, thinned and noisy, half of the variance of the
-    difference of two maps is this to within a quarter, wherever drift does not add to it.
+    On true pairs of four datasets, whole, thinned and noisy, half of the variance of the
+    difference of two maps agrees with this to within a quarter, wherever drift does not add to it.
+
+    Attributes:
+        gradient_map: The map; its kernel and its scale give the table.
+        log_densities: Logarithms of the noise densities in the table (d,) [log m⁴].
+        log_noise: Logarithm of the variance in each band at these (bands, d) [log m²].
     """
 
     gradient_map: GradientMap
@@ -63,7 +68,7 @@ class BandNoise:
     def at(
         self, variance: Float[Array, "rows columns"]
     ) -> Float[NDArray[np.float32], "rows columns bands"]:
-        """Look up the variance of each band [m²] by the posterior variance there [m²]."""
+        """Look up the variance in each band [m²] by the posterior variance [m²]."""
         made = self.gradient_map
         wanted = np.log(noise_density(variance, made.signal_std, made.length_scale))
         bands = [np.exp(np.interp(wanted, self.log_densities, row)) for row in self.log_noise]

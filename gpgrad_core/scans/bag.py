@@ -79,13 +79,13 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
                 )
         contents = _gather(reader, cloud_topic, pose_topic, path)
     stamps = np.array(contents.stamps)
-    tree = contents.frames.tree()
-    body, span, notes = _body(contents, tree, stamps, sources, params, path)
+    placing = _Placing(path, contents, contents.frames.tree(), stamps, sources, params)
+    body, span, notes = placing.body()
     if contents.unstamped:
         number = contents.unstamped
         have = "message has" if number == 1 else "messages have"
         notes += (f"{number:,} {have} no time: the time of recording is used",)
-    mount, mount_notes = _mount(contents, tree, stamps, sources, params, path)
+    mount, mount_notes = placing.mount()
     both = body.known & mount.known
     notes += mount_notes + place(stamps, Located(body.poses, both), span, str(path), params)
     kept = np.flatnonzero(both)
@@ -169,76 +169,83 @@ def _add_pose(contents: _Contents, message: Any, kind: str, stamp: float, where:
         contents.covariances.append(covariance[:3, :3].copy())
 
 
-def _body(
-    contents: _Contents,
-    tree: FrameTree,
-    stamps: Float[Array, "n"],
-    sources: RecordingSources,
-    params: BuildParams,
-    path: Path,
-) -> tuple[Located, str, tuple[str, ...]]:
-    """Find the body's pose at each scan; also give the poses' time span in words, and notes."""
-    if sources.poses is not None:
-        found = read_pose_file(sources.poses)
-        if found.numbered:
-            raise InputError(
-                f"{sources.poses}: KITTI poses have no times, which a bag's scans need; "
-                "give TUM poses"
-            )
-        trajectory = found.trajectory
-    elif contents.pose_topic is not None:
-        if not contents.rows:
-            raise InputError(f"{path}: its topic {contents.pose_topic} has no messages")
-        table = np.array(contents.rows)
-        known = np.array(contents.covariances)
-        trajectory = Trajectory.in_order(
+@dataclass(frozen=True, eq=False)
+class _Placing:
+    """Finds where the body and the sensor were at each scan of a bag."""
+
+    path: Path
+    contents: _Contents
+    tree: FrameTree
+    stamps: Float[Array, "n"]  # of the scans [s]
+    sources: RecordingSources
+    params: BuildParams
+
+    def body(self) -> tuple[Located, str, tuple[str, ...]]:
+        """Find the body's pose at each scan; also give the poses' time span in words, and notes."""
+        if self.sources.poses is None and self.contents.pose_topic is None:
+            return self._body_by_transforms()
+        trajectory = self._trajectory()
+        span = f"from {spelled(trajectory.stamps)}"
+        return trajectory.at(self.stamps, self.params), span, ()
+
+    def _trajectory(self) -> Trajectory:
+        """Read the poses of the file that was given, or else of the bag's messages."""
+        if self.sources.poses is not None:
+            found = read_pose_file(self.sources.poses)
+            if found.numbered:
+                raise InputError(
+                    f"{self.sources.poses}: KITTI poses have no times, which a bag's scans need; "
+                    "give TUM poses"
+                )
+            return found.trajectory
+        if not self.contents.rows:
+            raise InputError(f"{self.path}: its topic {self.contents.pose_topic} has no messages")
+        table = np.array(self.contents.rows)
+        known = np.array(self.contents.covariances)
+        return Trajectory.in_order(
             table[:, 0],
             Poses(table[:, 1:4], Rotation.from_quat(table[:, 4:])),
             # In ROS, a covariance of zeros means that it is not known.
             known if len(known) and np.any(known) else None,
         )
-    else:
-        world = sources.world_frame or tree.root(contents.frame)
-        located = tree.between(plain(world), contents.frame, stamps, params)
-        if located is None or plain(world) == contents.frame:
+
+    def _body_by_transforms(self) -> tuple[Located, str, tuple[str, ...]]:
+        tree, frame = self.tree, self.contents.frame
+        world = self.sources.world_frame or tree.root(frame)
+        located = tree.between(plain(world), frame, self.stamps, self.params)
+        if located is None or plain(world) == frame:
             raise InputError(
-                f"{path}: its transforms do not join the clouds' frame {contents.frame!r} to "
+                f"{self.path}: its transforms do not join the clouds' frame {frame!r} to "
                 f"{world!r}; they have {_listed(tree.parents)}"
             )
         moving = [edge.stamps for edge in tree.edges.values() if not edge.fixed]
         span = f"from {spelled(np.concatenate(moving))}" if moving else "fixed"
-        return located, span, (f"poses are the transforms from {world} to {contents.frame}",)
-    return trajectory.at(stamps, params), f"from {spelled(trajectory.stamps)}", ()
+        return located, span, (f"poses are the transforms from {world} to {frame}",)
 
+    def mount(self) -> tuple[Located, tuple[str, ...]]:
+        """Find the sensor's pose on the body at each scan, and note what was assumed."""
+        if self.sources.mount is not None:
+            return self._fixed(read_mount(self.sources.mount).pose), ()
+        body, frame = self.contents.body_frame, self.contents.frame
+        if not body:
+            itself = self._fixed(Poses.identity())
+            if self.sources.poses is None and self.contents.pose_topic is None:
+                return itself, ()
+            return itself, (
+                f"the poses are used as those of the clouds' frame {frame!r}; if they are of "
+                "another frame, say where the sensor sits on it: --mount FILE",
+            )
+        between = self.tree.between(body, frame, self.stamps, self.params)
+        if between is None:
+            raise InputError(
+                f"{self.path}: no transforms join {body!r}, the frame of the poses, to the clouds' "
+                f"frame {frame!r}; say where the sensor sits: --mount FILE with "
+                "tx ty tz qx qy qz qw"
+            )
+        return between, ()
 
-def _mount(
-    contents: _Contents,
-    tree: FrameTree,
-    stamps: Float[Array, "n"],
-    sources: RecordingSources,
-    params: BuildParams,
-    path: Path,
-) -> tuple[Located, tuple[str, ...]]:
-    """Find the sensor's pose on the body at each scan, and note what was assumed."""
-    if sources.mount is not None:
-        fixed = Trajectory(np.zeros(1), read_mount(sources.mount).pose, fixed=True)
-        return fixed.at(stamps, params), ()
-    itself = Trajectory(np.zeros(1), Poses.identity(), fixed=True).at(stamps, params)
-    body, frame = contents.body_frame, contents.frame
-    if not body:
-        if sources.poses is None and contents.pose_topic is None:
-            return itself, ()
-        return itself, (
-            f"the poses are used as those of the clouds' frame {frame!r}; if they are of another "
-            "frame, say where the sensor sits on it: --mount FILE",
-        )
-    between = tree.between(body, frame, stamps, params)
-    if between is None:
-        raise InputError(
-            f"{path}: no transforms join {body!r}, the frame of the poses, to the clouds' frame "
-            f"{frame!r}; say where the sensor sits: --mount FILE with tx ty tz qx qy qz qw"
-        )
-    return between, ()
+    def _fixed(self, pose: Poses) -> Located:
+        return Trajectory(np.zeros(1), pose, fixed=True).at(self.stamps, self.params)
 
 
 def _reader(

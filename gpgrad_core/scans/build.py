@@ -116,6 +116,9 @@ def build_dataset(
         restart: Whether to delete an unfinished build and begin again.
         progress: Called once per scan; may raise Cancelled.
 
+    Returns:
+        What was built, and notes on what was left out.
+
     Raises:
         InputError: If the recording cannot be used, or the directory is not empty; the message
             says what is wrong and what to do.

@@ -80,10 +80,15 @@ def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
 
 @dataclass(frozen=True, eq=False)
 class UpEstimate:
-    """The direction up, estimated from ground planes."""
+    """The direction up, estimated from ground planes.
+
+    Attributes:
+        up: Unit vector that points up (3,).
+        spread: Median angle between it and the planes' normals [rad].
+    """
 
     up: Float[Array, "3"]
-    spread: float  # median angle of the planes' normals to it [rad]
+    spread: float
 
 
 def estimate_up(normals: list[Array], where: str) -> UpEstimate:

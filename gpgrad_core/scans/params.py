@@ -14,7 +14,7 @@ UpAxis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
 
 @dataclass(frozen=True)
 class BuildParams:
-    """Where submaps are cut, what is up, and how points are put together.
+    """Parameters of building submaps: where they end, which axis is up, how points are combined.
 
     A submap ends where the first of the limits is reached, as in the paper's Sec. VI-A: there
     the length of the trajectory since its origin, or the uncertainty of the pose.

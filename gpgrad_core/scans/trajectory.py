@@ -16,10 +16,15 @@ Stack: TypeAlias = Float[Array, "n 3"]
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Rigid motions ``T_a_b``, one a row; ``T_a_b @ T_b_c`` is ``T_a_c``."""
+    """Rigid motions ``T_a_b``, one per row; ``T_a_b @ T_b_c`` is ``T_a_c``.
 
-    translation: Stack  # [m]
-    rotation: Rotation  # as many
+    Attributes:
+        translation: Offsets (n, 3) [m].
+        rotation: As many rotations.
+    """
+
+    translation: Stack
+    rotation: Rotation
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -114,14 +119,20 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Poses at requested times; where `known` is false, the pose is meaningless."""
+    """Poses at requested times.
+
+    Attributes:
+        poses: One pose per time.
+        known: Whether each pose is known (n,); if not, the pose has no meaning.
+        covariance: Covariance of each position (n, 3, 3) [m²], if the source gives it.
+    """
 
     poses: Poses
     known: Bool[NDArray[np.bool_], "n"]
     covariance: Float[Array, "n 3 3"] | None = None
 
     def __matmul__(self, other: "Located") -> "Located":
-        """Compose motions; the result is known where both are."""
+        """Compose motions; a result is known if both motions are known."""
         return Located(self.poses @ other.poses, self.known & other.known, self.covariance)
 
     def inverse(self) -> "Located":

@@ -17,7 +17,12 @@ from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class FrameTree:
-    """The parent of each frame, and the frame's pose in it over time, ``T_parent_frame``."""
+    """The tree of a bag's frames.
+
+    Attributes:
+        parents: Parent of each frame, by the frame's name.
+        edges: Pose of each frame in its parent over time, ``T_parent_frame``, by its name.
+    """
 
     parents: dict[str, str]
     edges: dict[str, Trajectory]
@@ -54,7 +59,13 @@ class FrameTree:
 
 @dataclass(frozen=True, eq=False)
 class FrameRows:
-    """Collects transforms while a bag is read."""
+    """Collects transforms while a bag is read.
+
+    Attributes:
+        parents: Parent of each frame, by the frame's name.
+        rows: Rows of time [s], offset [m] and quaternion of each frame, by its name.
+        static: Names of the frames whose transforms do not change.
+    """
 
     parents: dict[str, str] = field(default_factory=dict[str, str])
     rows: dict[str, list[list[float]]] = field(default_factory=lambda: defaultdict(list))

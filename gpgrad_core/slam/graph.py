@@ -150,6 +150,9 @@ def build_pose_graph(
         trusted: Pairs (query id, database id) whose closures a person has confirmed.
         starts: Submaps with which another traverse begins; no odometry edge leads to them.
 
+    Returns:
+        The graph, with its poses from odometry.
+
     Raises:
         InputError: If a submap has no odometry pose, or a closure names an unknown submap.
     """

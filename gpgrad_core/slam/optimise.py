@@ -134,6 +134,9 @@ def optimise_pose_graph(
         params: When a closure counts as wrong.
         progress: Called once per round; may raise Cancelled.
 
+    Returns:
+        The corrected poses, and how well each edge agrees with them.
+
     Raises:
         InputError: If GTSAM is not installed.
     """

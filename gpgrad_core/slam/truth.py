@@ -49,6 +49,9 @@ def trajectory_error(true: Mapping[str, Pose], found: Mapping[str, Pose]) -> Tra
         true: True poses by id, in the order of the traverse.
         found: Estimated poses by id; submaps that have only one of the two poses are left out.
 
+    Returns:
+        The absolute and relative errors.
+
     Raises:
         InputError: If fewer than two submaps have both.
     """

@@ -1,4 +1,4 @@
-"""A desk without a session: remembers what a feature asks it for."""
+"""A desk without a session, which records what a feature asks for."""
 
 import viser
 
@@ -12,7 +12,7 @@ from gpgrad_core.run.memo import Memo
 
 
 class Recorder(Feature):
-    """Remembers every state, and what was opened or is to be restored."""
+    """Records every state, and what was opened or restored."""
 
     def __init__(self) -> None:
         self.states: list[ViewState] = []
@@ -35,7 +35,7 @@ def make_desk(
     recorder: Recorder | None = None,
     permissions: Permissions = READ_ALL,
 ) -> Desk:
-    """Make a desk; the recorder is told of everything."""
+    """Make a desk; the recorder receives everything."""
     desk = Desk(server, state, Memo(), Capacity(), permissions)
     desk.join(recorder or Recorder())
     return desk

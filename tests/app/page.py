@@ -1,4 +1,4 @@
-"""A page without a browser: speaks the viewer's protocol, and remembers what it was told."""
+"""A page without a browser: it speaks the viewer's protocol, and records what it receives."""
 
 import hashlib
 import threading
@@ -18,7 +18,7 @@ from websockets.typing import Subprotocol
 
 
 class FakePage(viser.ClientHandle):
-    """A page that remembers the files it was sent, and draws a red picture."""
+    """A page that records the files sent to it, and draws a red picture."""
 
     def __init__(self, *, draws: bool = True) -> None:
         self.files: dict[str, bytes] = {}
@@ -59,12 +59,12 @@ CAMERA = {
 
 
 class ProtocolPage:
-    """Connects as a page does; widgets and nodes are as the last message said."""
+    """Connects as a page does; its widgets and nodes are as the last message described them."""
 
     def __init__(self, url: str) -> None:
         self.widgets: dict[str, dict[str, Any]] = {}  # by uuid
         self.nodes: dict[str, dict[str, Any]] = {}  # by name; arrays as their digests
-        self.received: list[tuple[float, str]] = []  # what was told when, for latencies
+        self.received: list[tuple[float, str]] = []  # when each message came, for latencies
         self.num_bytes = 0
         self._socket = connect(
             url.replace("http", "ws"),
@@ -81,12 +81,12 @@ class ProtocolPage:
         self._socket.send(msgspec.msgpack.encode(message))
 
     def close(self) -> None:
-        """Leave."""
+        """Disconnect."""
         self._socket.close()
         self._reader.join(timeout=5)
 
     def find(self, label: str) -> dict[str, Any]:
-        """Find the widget whose label begins so."""
+        """Find the widget whose label begins with a text."""
         found = [
             widget
             for widget in list(self.widgets.values())
@@ -102,21 +102,21 @@ class ProtocolPage:
         self.send({"type": "GuiUpdateMessage", "uuid": widget["uuid"], "updates": {"value": value}})
 
     def html(self) -> str:
-        """Give all that stands in the panels."""
+        """Return all text in the panels."""
         return "".join(str(one["props"].get("content", "")) for one in [*self.widgets.values()])
 
     def wait(self, condition: Callable[[], bool], what: str, timeout: float = 20.0) -> None:
-        """Wait until a condition comes true."""
+        """Wait until a condition holds."""
         end = time.monotonic() + timeout
         while True:
-            with suppress(AssertionError, RuntimeError):  # not there yet; changed while looking
+            with suppress(AssertionError, RuntimeError):  # not there yet, or changed meanwhile
                 if condition():
                     return
             assert time.monotonic() < end, f"waited {timeout:.0f} s for {what}"
             time.sleep(0.02)
 
     def seen(self) -> dict[str, object]:
-        """Give all that its user sees, to be compared with another page's."""
+        """Return everything that the user sees, to compare it with another page."""
         widgets = {
             uuid: (widget.get("value"), widget["props"]) for uuid, widget in self.widgets.items()
         }
@@ -155,7 +155,7 @@ class ProtocolPage:
 
 
 def _messages(frame: bytes) -> list[dict[str, Any]]:
-    """Take a frame apart: compressed messages, then the arrays that they point to."""
+    """Decode a frame: compressed messages, then the arrays to which they refer."""
     length = int.from_bytes(frame[8:16], "little")
     inner = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(frame[16 : 16 + length]))
     offset, digests = 16 + length, []

@@ -1,4 +1,4 @@
-"""A small terrain with known shape, and results made of it by hand, without inference."""
+"""A small terrain of known shape, and results for it that need no inference."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,7 +28,7 @@ T_DATABASE_QUERY = SE2(1.0, -0.5, np.pi / 2)
 
 
 def height(xy: Array) -> Array:
-    """Hills and hollows [m] at world positions."""
+    """Compute the height of the terrain at world positions [m]."""
     x, y = xy[:, 0], xy[:, 1]
     return (
         0.3 * np.sin(1.3 * x)
@@ -39,7 +39,7 @@ def height(xy: Array) -> Array:
 
 
 def slope(xy: Array) -> Array:
-    """(dz/dx, dz/dy) [m/m] of `height`."""
+    """Compute the slope (dz/dx, dz/dy) of `height` [m/m]."""
     x, y = xy[:, 0], xy[:, 1]
     a, b = np.cos(2.9 * x + 2.1 * y), np.sin(4.3 * x - 3.7 * y)
     return np.column_stack(
@@ -53,7 +53,7 @@ def slope(xy: Array) -> Array:
 def make_submap(
     submap_id: str, T_world_submap: SE2, num_points: int = 1500, side: float = 5.0
 ) -> Submap:
-    """Sample the terrain around a pose; heights are those of the world, as z is aligned."""
+    """Sample the terrain around a pose; heights are those of the world, because z is aligned."""
     rng = np.random.default_rng(int(submap_id))
     local = rng.uniform(-side / 2, side / 2, (num_points, 2))
     z = height(T_world_submap.apply(local)) + rng.normal(0, 0.01, num_points)
@@ -66,7 +66,7 @@ def make_submap(
 
 
 def make_dataset(num_points: int = 1500, name: str = "hills") -> Dataset:
-    """Four submaps along a way out and back: 003 is a revisit of 000, a quarter turn on."""
+    """Make four submaps on a way out and back; 003 revisits 000, rotated by a quarter turn."""
     poses = (
         SE2(0.0, 0.0, 0.0),
         SE2(6.0, 0.0, 0.3),
@@ -80,7 +80,7 @@ def make_dataset(num_points: int = 1500, name: str = "hills") -> Dataset:
 
 
 def make_map(submap: Submap, resolution: float = 0.1) -> GradientMap:
-    """Give the true map of a submap, less sure towards its rim."""
+    """Make the true map of a submap; its variance grows towards the edge."""
     assert submap.pose_odometry is not None
     pose = submap.pose_odometry.planar
     grid = Grid.covering(submap.points[:, :2], resolution)
@@ -98,7 +98,7 @@ def make_map(submap: Submap, resolution: float = 0.1) -> GradientMap:
 
 
 def make_result(state: ViewState, num_inliers: int = 12, num_outliers: int = 5) -> PairResult:
-    """Make a result by hand: true maps, the true motion, inliers that fit and outliers."""
+    """Make a result without inference: true maps, the true motion, inliers and outliers."""
     query_map, database_map = make_map(state.query), make_map(state.database)
     rng = np.random.default_rng(0)
     count = num_inliers + num_outliers
@@ -140,7 +140,7 @@ PAIR_SCORES = {
 
 
 def make_compared() -> ComparedPairs:
-    """All pairs of `make_dataset`, whose poses are taken for true, with scores by hand."""
+    """Make the verdicts on all pairs of `make_dataset`, with made-up scores."""
     dataset = make_dataset()
     true = tuple(replace(submap, pose_true=submap.pose_odometry) for submap in dataset.submaps)
     dataset = replace(dataset, submaps=true)
@@ -160,7 +160,7 @@ def make_compared() -> ComparedPairs:
 
 
 def make_features(positions: Array) -> Features:
-    """Make keypoints there, and one more that has no partner."""
+    """Make keypoints at positions, and one more that has no association."""
     more = np.vstack([positions, [[0.0, 0.0]]])
     count = len(more)
     return Features(
@@ -169,7 +169,7 @@ def make_features(positions: Array) -> Features:
 
 
 class FakePipeline:
-    """Stands in for `register_pair`: results by hand, as slow or as broken as a test wants."""
+    """A replacement for `register_pair`, as slow or as broken as a test wants."""
 
     def __init__(self, make: Callable[[ViewState], PairResult] = make_result) -> None:
         self.make = make
@@ -198,5 +198,5 @@ class FakePipeline:
 
 
 def needing(min_inliers: int) -> PipelineParams:
-    """Default params with another threshold on inliers."""
+    """Make the default params with another threshold on inliers."""
     return PipelineParams(closure=ClosureParams(min_inliers=min_inliers))

@@ -1,4 +1,4 @@
-"""Act on a server's widgets as a user's browser would, without a browser."""
+"""Uses a server's widgets as a user's browser does, without a browser."""
 
 import asyncio
 from typing import Any
@@ -7,7 +7,7 @@ import viser
 
 
 def find(server: viser.ViserServer, label: str) -> Any:
-    """Find the widget whose label begins so."""
+    """Find the widget whose label begins with a text."""
     found = [
         handle
         for handle in server.gui._gui_input_handle_from_uuid.values()
@@ -23,7 +23,7 @@ def labels(server: viser.ViserServer) -> list[str]:
 
 
 def user_sets(handle: Any, value: object) -> None:
-    """Let a user change a widget: unlike assigning, this comes with a client."""
+    """Change a widget as a user does; unlike an assignment, the event has a client."""
     handle._impl.value = value
     event = viser.GuiEvent(client=None, client_id=1, target=handle)  # type: ignore[arg-type]
     for callback in handle._impl.update_cb:
@@ -33,5 +33,5 @@ def user_sets(handle: Any, value: object) -> None:
 
 
 def user_presses(handle: Any) -> None:
-    """Let a user press a button."""
+    """Press a button as a user does."""
     user_sets(handle, True)

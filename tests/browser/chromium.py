@@ -1,4 +1,4 @@
-"""A headless Chromium that uses the viewer as a person would: real mouse, keys and pixels."""
+"""A headless Chromium that uses the viewer as a person does, with real mouse, keys and pixels."""
 
 import io
 import os
@@ -16,11 +16,11 @@ from playwright.sync_api import Browser, BrowserContext, Locator, Page, sync_pla
 from app.viewer.modes.tab import PANEL_WIDTH
 from gpgrad_core.arrays import NDArray
 
-# Software rendering that works without a graphics card, and no request of the browser's own.
+# Software rendering works without a graphics card. The browser must make no requests of its own.
 FLAGS = [
     "--no-sandbox",
     "--use-angle=swiftshader",
-    "--disable-gpu-compositing",  # the page around the canvas costs less without, in software
+    "--disable-gpu-compositing",  # faster for the page around the canvas, without a graphics card
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
     "--disable-background-networking",
@@ -34,13 +34,14 @@ FLAGS = [
 PATIENCE = 60.0
 """Software rendering on a loaded machine may take this long to show a change [s]."""
 BETWEEN_INPUTS_MS = 80
-"""The client sends at most one message of its widgets in 50 ms, the last; be slower than that."""
+"""Pause between two inputs [s]. It is longer than the 50 ms in which the client sends only one
+change, the last."""
 
 Pixels = NDArray[np.int16]
 
 
 def find_chromium() -> str | None:
-    """Find a Chromium: GPGRAD_CHROMIUM, or one on the path."""
+    """Find a Chromium: the one in GPGRAD_CHROMIUM, or one on the path."""
     named = os.environ.get("GPGRAD_CHROMIUM")
     if named:
         return named if Path(named).exists() else None
@@ -60,7 +61,7 @@ def launch(executable: str) -> Iterator[Browser]:
 
 
 class ViewerPage:
-    """One page of the viewer; remembers what went wrong in it and what it asked the network for."""
+    """One page of the viewer, which records its errors and its network requests."""
 
     def __init__(
         self,
@@ -92,7 +93,7 @@ class ViewerPage:
                 None if request.url.startswith(local) else self.outside.append(request.url)
             ),
         )
-        # A fixed pixel ratio: else the client lowers it while frames are slow.
+        # The pixel ratio is fixed, because the client lowers it while frames are slow.
         self.page.goto(f"{url}/?fixedDpr=1")
         self.page.get_by_test_id("verdict").wait_for(timeout=1000 * PATIENCE)
         self._dismiss_notice()
@@ -104,14 +105,14 @@ class ViewerPage:
         self.page.close()
 
     def wait(self, condition: Callable[[], bool], what: str, timeout: float = PATIENCE) -> None:
-        """Wait until a condition comes true; fail with what was awaited."""
+        """Wait until a condition holds; fail with its description."""
         end = time.monotonic() + timeout
         while not condition():
             if time.monotonic() > end:
                 raise AssertionError(f"waited {timeout:.0f} s for {what}")
             self.page.wait_for_timeout(100)
 
-    # What is seen.
+    # What the user sees.
 
     def verdict(self) -> str:
         """Read the whole verdict card."""
@@ -131,7 +132,7 @@ class ViewerPage:
         return self.page.get_by_test_id("legend").inner_text()
 
     def picture(self) -> Pixels:
-        """Take the 3D canvas between the panels, as numbers (rows, columns, 3)."""
+        """Take a picture of the 3D canvas between the panels (rows, columns, 3)."""
         canvas = self.page.locator("canvas").first.bounding_box()
         panels = self.panel_edges()
         assert canvas is not None
@@ -151,11 +152,11 @@ class ViewerPage:
         return PANEL_WIDTH + 20, right["x"] - 130
 
     def is_blank(self) -> bool:
-        """Say whether the canvas has one colour nearly everywhere."""
+        """Tell whether nearly all of the canvas has one colour."""
         return is_blank(self.picture())
 
     def settle(self) -> Pixels:
-        """Wait until the status says up to date and the picture stands still; give it."""
+        """Wait until the status is "up to date" and the picture stands still; return it."""
         self.wait(lambda: "Up to date" in self.status(), "an up-to-date picture")
         last = self.picture()
         for _ in range(100):
@@ -166,7 +167,7 @@ class ViewerPage:
             last = now
         raise AssertionError("the picture never stood still")
 
-    # What is done.
+    # What the user does.
 
     def widget(self, label: str) -> Locator:
         """Find a widget by the beginning of its label."""
@@ -225,7 +226,7 @@ class ViewerPage:
         self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
 
     def type_text(self, label: str, text: str) -> None:
-        """Type into a text box, in place of what is there."""
+        """Type into a text box, and replace its text."""
         name = self.page.locator("label:visible").filter(has_text=label).first
         name.locator("xpath=ancestor::*[.//input][1]//input").first.fill(text)
         self.page.wait_for_timeout(2 * BETWEEN_INPUTS_MS)
@@ -236,7 +237,7 @@ class ViewerPage:
         self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
 
     def key(self, name: str) -> None:
-        """Press a key while no box is being typed in."""
+        """Press a key while no text box has the focus."""
         self.page.evaluate("document.activeElement && document.activeElement.blur()")
         self.page.keyboard.press(name)
         self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
@@ -249,12 +250,12 @@ class ViewerPage:
         self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
 
     def say(self, test_id: str) -> str:
-        """Read a part of a panel; empty where it is not."""
+        """Read a part of a panel; empty if it does not exist."""
         script = "id => document.querySelector(`[data-testid=\"${id}\"]`)?.innerText ?? ''"
         return str(self.page.evaluate(script, test_id))
 
     def _dismiss_notice(self) -> None:
-        # The client warns that this machine has no graphics card; it lies over the picture.
+        # The client warns that there is no graphics card, and the warning hides the picture.
         notice = self.page.locator(".mantine-Notification-root")
         self.page.wait_for_timeout(500)
         if notice.count():
@@ -263,12 +264,12 @@ class ViewerPage:
 
 
 def is_blank(picture: Pixels) -> bool:
-    """Say whether a picture has one colour nearly everywhere."""
+    """Tell whether nearly all of a picture has one colour."""
     return float((np.abs(picture - picture[0, 0]).max(axis=-1) > 20).mean()) < 0.02
 
 
 def changed(before: Pixels, after: Pixels) -> float:
-    """Say which share of the pixels has clearly changed."""
+    """Compute the share of the pixels that clearly changed."""
     if before.shape != after.shape:
         return 1.0
     return float((np.abs(before - after).max(axis=-1) > 20).mean())

@@ -54,7 +54,7 @@ def test_each_slider_moves_picture_and_verdict_and_reset_brings_all_back(
         ("Length-scale", 14),
         ("Noise", 10),  # more, and with the mask below nothing would be left to judge
         ("Variance mask", -6),
-        ("Inlier radius", -14),
+        ("Inlier radius", -36),  # so that fewer inliers are left than the last slider can ask for
         ("Minimum inliers", 120),
     ):
         expect_change(page, lambda name=name, pixels=pixels: page.drag(name, pixels))
@@ -99,8 +99,13 @@ def test_a_missing_folder_is_told_and_the_sliders_still_work(page: "ViewerPage")
     error.wait_for(timeout=30_000)
     assert "/no/such/<b>folder</b>: no such file or folder" in error.inner_text()
     expect_change(page, lambda: page.drag("Variance mask", -15))
+    session = page.viewer.sessions[0]  # type: ignore[attr-defined]
+    before = session.state.dataset
     page.press("Load demo")
     error.wait_for(state="detached", timeout=30_000)
+    page.wait(lambda: session.state.dataset is not before, "the demo, read anew")
+    page.settle()
+    expect_change(page, lambda: page.drag("Variance mask", -15))
     expect_change(page, lambda: page.press("Reset parameters"))
     assert page.accepted()
     page.tab("View")

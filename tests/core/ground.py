@@ -10,7 +10,7 @@ from gpgrad_core.types import Submap
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A sum of plane waves of random direction, so that no two places look alike."""
+    """A sum of plane waves of random direction; no two places look alike."""
 
     wave_vectors: Array  # (waves, 2) [rad/m]
     phases: Array  # (waves,) [rad]
@@ -33,7 +33,7 @@ class Ground:
 
 
 def scatter(seed: int, num: int, size: tuple[float, float], holes: int = 0) -> Array:
-    """Draw positions in a box, but none in some round holes of 0.5 m."""
+    """Draw positions in a box, with some round holes of 0.5 m without any."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform(0, size, (num, 2))
     for centre in rng.uniform(0, size, (holes, 2)):

@@ -19,7 +19,7 @@ def registration(num_inliers: int, score: float, found: bool = True) -> Registra
     return Registration(SE2() if found else None, inliers, 1.0, 10.0, 0.8, score)
 
 
-LOW = "score 7 < 7: only 10 m² of the ground are common"
+LOW = "score 7 < 7: the maps share only 10 m² of ground"
 
 
 @pytest.mark.parametrize(
@@ -82,14 +82,26 @@ def test_fewer_inliers_than_none_are_no_threshold() -> None:
 @pytest.mark.parametrize(
     ("agreement", "area", "said"),
     [
-        (Agreement(0.09, 0.03, 0.4), 40.0, "the heights differ by 9 cm, where 3 cm are possible"),
-        (Agreement(0.03, 0.03, 0.4), 3.0, "only 3 m² of the ground are common, too little to tell"),
+        (
+            Agreement(0.09, 0.03, 0.4),
+            40.0,
+            "the heights differ by 9 cm, and their uncertainty explains only 3 cm",
+        ),
+        (
+            Agreement(0.03, 0.03, 0.4),
+            3.0,
+            "the maps share only 3 m² of ground, too little to decide",
+        ),
         (
             Agreement(0.005, 0.005, 0.01),
             40.0,
-            "too smooth to tell: its relief is 1 cm, and the maps leave 5 mm unknown",
+            "too smooth to decide: its relief is 1 cm, and the maps' uncertainty is 5 mm",
         ),
-        (Agreement(0.01, 0.03, 0.4), 40.0, "agree to 1 cm, but so might other ground"),
+        (
+            Agreement(0.01, 0.03, 0.4),
+            40.0,
+            "agree to 1 cm, but with 4 inliers unrelated ground can agree as well",
+        ),
     ],
 )
 def test_the_reason_of_a_refusal_names_what_spoke_against_it(
@@ -105,13 +117,13 @@ def test_where_nothing_is_trusted_nothing_is_judged() -> None:
     made = replace(registration(0, 0.0, found=False), nothing_trusted=True)
     closure = classify(made, ClosureParams(min_inliers=0, min_score=0.0))
     assert not closure.accepted
-    assert closure.reason == "cannot judge: the variance mask trusts no cell of a map"
+    assert closure.reason == "cannot judge: the variance mask trusts no cell of one of the maps"
 
 
 def test_ground_that_lets_a_submap_slide_is_refused() -> None:
     covariance = np.diag([0.01**2, 0.8**2, 0.001**2])
     closure = classify(replace(registration(20, 9.0), covariance=covariance))
     assert not closure.accepted
-    assert "its place is known to 0.8 m only" in closure.reason
+    assert "its standard deviation is 0.8 m (at most 0.5 m)" in closure.reason
     firm = replace(registration(20, 9.0), covariance=covariance / 16)
     assert classify(firm).accepted

@@ -12,7 +12,7 @@ from app.viewer.state import open_dataset, with_pair
 from gpgrad_core.datasets import load_dataset
 from gpgrad_core.params.fields import with_path
 from gpgrad_core.params.files import preferred_parameters
-from gpgrad_core.pipeline import PipelineParams, register_pair
+from gpgrad_core.pipeline import PipelineParams, register_pair, resolve_parameters
 from gpgrad_core.run.memo import Memo
 from tests.end_to_end.process import Run
 
@@ -31,6 +31,7 @@ def test_it_gives_the_same_numbers(
         ("registration.seed", 7),
     ):
         params = with_path(params, path, value)
+    params = resolve_parameters(dataset.submaps, params)  # as the viewer does on opening
     pair = ("000", "003") if turned else ("003", "000")
     state = with_pair(
         replace(open_dataset(dataset, params), source=str(traverse)),

@@ -1,4 +1,4 @@
-"""Unpack a zipped dataset from a browser into a folder, safely: nothing outside, nothing huge."""
+"""Unpacks a zipped dataset from a browser: no file outside of its folder, and no huge ones."""
 
 import io
 import shutil
@@ -13,10 +13,10 @@ from gpgrad_core.reading.paths import check_name
 from gpgrad_core.run.progress import Progress, silent
 
 MOST_GROWTH = 8
-"""An archive may unpack to so many times the largest upload; text clouds shrink to a quarter."""
+"""An archive may unpack to this many times the largest upload; text is packed to a quarter."""
 MOST_FILES = 5000
 KNOWN = frozenset(READERS) | {".txt", ".toml", ".png", ".jpg", ".jpeg"}
-"""Endings of what a dataset consists of; nothing else is unpacked."""
+"""Endings of the files of a dataset; other files are not unpacked."""
 CHUNK = 1 << 20
 
 
@@ -26,11 +26,11 @@ def unpack(
     """Unpack a zipped dataset.
 
     Args:
-        name: Of the archive, for messages.
+        name: Name of the archive, for messages.
         content: The archive.
-        folder: Where to; must not exist yet, and is gone again after an error.
-        most_bytes: What all files together may have, unpacked.
-        progress: Called now and then; may raise Cancelled.
+        folder: The folder to unpack to. It must not exist yet, and an error removes it.
+        most_bytes: Largest size of all unpacked files together [bytes].
+        progress: Called with the fraction done; may raise Cancelled.
 
     Returns:
         The dataset's folder, which is the one folder in the archive if there is just one; and a
@@ -94,10 +94,11 @@ def _unpacked(
 
 
 def _place(name: str, member: zipfile.ZipInfo) -> PurePosixPath:
-    """Say where a member goes, relative to the folder.
+    """Find the path of a member, relative to the folder.
 
     Raises:
-        InputError: If that is somewhere else, the name cannot be a file's, or the member is a link.
+        InputError: If the path is outside of the folder or cannot be a file's, or the member is a
+            link.
     """
     try:
         place = check_name(member.filename)
@@ -109,7 +110,7 @@ def _place(name: str, member: zipfile.ZipInfo) -> PurePosixPath:
 
 
 def _is_hidden(place: PurePosixPath) -> bool:
-    """Say whether the system made the file, not the user (.DS_Store, __MACOSX/…)."""
+    """Tell whether the system made the file, not the user (.DS_Store, __MACOSX/…)."""
     return any(part.startswith((".", "__MACOSX")) for part in place.parts)
 
 
@@ -147,7 +148,7 @@ def check_cloud(path: Path, most_bytes: int) -> None:
 
 
 def _dataset_in(folder: Path) -> Path:
-    """Enter folders as long as they hold one folder only, which is not the submaps themselves."""
+    """Enter folders that hold nothing but one folder, unless that is ``submaps``."""
     while True:
         entries = list(folder.iterdir())
         if len(entries) != 1 or not entries[0].is_dir() or entries[0].name == "submaps":

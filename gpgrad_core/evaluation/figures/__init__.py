@@ -1,4 +1,4 @@
-"""Pictures of an evaluation; matplotlib's objects only, so that nothing global is touched."""
+"""Figures of an evaluation. They use matplotlib's objects without its global state."""
 
 from matplotlib.figure import Figure
 
@@ -14,7 +14,7 @@ def draw_figures(evaluation: Evaluation) -> dict[str, Figure]:
     """Draw all figures of an evaluation.
 
     Returns:
-        Figures by the name of the file that each belongs into, without the ending.
+        The figures by file name, without the ending.
     """
     figures: dict[str, Figure] = {}
     if any(labels.positive.any() for labels in evaluation.labels):

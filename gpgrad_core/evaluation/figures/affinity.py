@@ -1,4 +1,4 @@
-"""The affinity matrix: what truly overlaps, beside what a method scores."""
+"""The affinity matrix: the true overlap of all pairs beside the scores of a method."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,17 +14,17 @@ from gpgrad_core.evaluation.overlap import TruePairs
 from gpgrad_core.types import Array
 
 MOST_NAMES = 15
-"""More names of submaps along an axis would run into one another."""
-LEFT_OUT = "#F6DFC8"  # a tint: the scores are grey, the rings are of full colours
+"""Largest number of submaps' names along an axis; more would overlap."""
+LEFT_OUT = "#F6DFC8"  # a tint, because the scores are grey and the rings have full colours
 
 
 def draw_affinity(evaluation: Evaluation, method: MethodVerdict) -> Figure:
-    """Draw the true overlap of all pairs beside their scores, ringed by what became of them."""
+    """Draw the true overlap of all pairs beside their scores; rings show the verdicts."""
     pairs, rule, labels = evaluation.pairs, evaluation.rules[0], evaluation.labels[0]
     figure = new_figure(
         13.0,
         6.2,
-        f"{evaluation.dataset}, {method.name}: what truly overlaps, and what it scores",
+        f"{evaluation.dataset}, {method.name}: true overlap, and scores",
         squares=True,
     )
     truth, scores = figure.subplots(1, 2)
@@ -33,7 +33,7 @@ def draw_affinity(evaluation: Evaluation, method: MethodVerdict) -> Figure:
     score = np.where(listed, method.ranking.score, np.nan)
     band = f" (tinted: |i - j| <= {rule.neighbours}, left out)" if rule.neighbours else ""
 
-    # Submaps that neighbour one another would outshine all others.
+    # Neighbouring submaps overlap so much that other pairs would look black beside them.
     image = truth.imshow(
         _matrix(pairs, pairs.box_iou, ~neighbours), cmap="viridis", vmin=0.0, origin="lower"
     )
@@ -41,7 +41,7 @@ def draw_affinity(evaluation: Evaluation, method: MethodVerdict) -> Figure:
     _ring(truth, pairs, labels.positive, "white", f"true: {rule.name}")
     truth.set_title(f"truth: overlap of the boxes{band}", fontsize=10)
 
-    # By its root: a few sure pairs would leave all others black.
+    # The colour goes by the root of the score, or a few high scores would leave all others black.
     shown = score[listed & ~neighbours]
     low, high = (float(shown.min()), float(shown.max())) if len(shown) else (0.0, 1.0)
     image = scores.imshow(
@@ -72,7 +72,7 @@ def draw_affinity(evaluation: Evaluation, method: MethodVerdict) -> Figure:
 def _matrix(
     pairs: TruePairs, values: Float[Array, "p"], shown: Bool[Mask, "p"]
 ) -> Float[Array, "n n"]:
-    """Both halves filled; NaN on the diagonal and for what is not to be shown."""
+    """Make the symmetric matrix; NaN on the diagonal and for pairs that are not shown."""
     matrix = np.full((len(pairs.ids), len(pairs.ids)), np.nan)
     values = np.where(shown, values, np.nan)
     matrix[pairs.query, pairs.database] = values
@@ -81,7 +81,7 @@ def _matrix(
 
 
 def _ring(panel: Axes, pairs: TruePairs, chosen: Bool[Mask, "p"], colour: str, label: str) -> None:
-    """Ring pairs in both halves."""
+    """Draw rings around pairs in both halves of the matrix."""
     query, database = pairs.query[chosen], pairs.database[chosen]
     panel.plot(
         np.r_[query, database],

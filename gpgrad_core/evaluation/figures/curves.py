@@ -1,4 +1,4 @@
-"""Precision and recall of all methods: the paper's Figs. 8 and 9."""
+"""Precision and recall of all methods, like the paper's Figs. 8 and 9."""
 
 from typing import Any
 
@@ -19,11 +19,12 @@ GUESSING = "#777777"
 
 
 def draw_precision_recall(evaluation: Evaluation, *, by_inliers: bool = False) -> Figure:
-    """Curves of all methods with chance, a panel a rule: the paper's Fig. 8.
+    """Draw precision over recall of all methods, one panel per rule: the paper's Fig. 8.
 
     Args:
-        evaluation: What to draw.
-        by_inliers: Sweep the number of inliers 1 … 20, as the paper, instead of the score.
+        evaluation: The results to draw.
+        by_inliers: Whether the threshold is the number of inliers 1 … 20, as in the paper,
+            instead of the score.
     """
     swept = "the number of inliers, n = 1 to 20" if by_inliers else "each method's score"
     figure = new_figure(
@@ -62,7 +63,7 @@ def draw_precision_recall(evaluation: Evaluation, *, by_inliers: bool = False) -
 
 
 def draw_against_inliers(evaluation: Evaluation) -> Figure:
-    """Precision, and recall below it, against the threshold on n: the paper's Fig. 9."""
+    """Draw precision, and recall below it, against the threshold on n: the paper's Fig. 9."""
     figure = new_figure(
         13.0,
         _height(evaluation, 7.8),
@@ -93,7 +94,7 @@ def draw_against_inliers(evaluation: Evaluation) -> Figure:
         below.grid(alpha=0.3)
         below.set_xlabel("fewest inliers n that a loop closure needs")
         below.xaxis.set_major_locator(FixedLocator([1, 5, 10, 15, 20]))
-    # Of the panel that has the most lines: by one rule there may be nothing to rank.
+    # The legend is that of the panel with the most lines; some rules may have nothing to rank.
     handles, names = max(
         (one.get_legend_handles_labels() for one in upper), key=lambda x: len(x[0])
     )
@@ -103,7 +104,7 @@ def draw_against_inliers(evaluation: Evaluation) -> Figure:
 
 
 def _height(evaluation: Evaluation, panels: float) -> float:
-    """Inches that the panels take, and the legend below them, two methods a row."""
+    """Compute the height of the panels and of the legend below them [inches]."""
     return panels + 0.2 * (len(evaluation.methods) // 2 + 2)
 
 
@@ -114,7 +115,7 @@ def _panels(axes: Any) -> list[Axes]:
 def _points(
     recall: Float[Array, "t"], precision: Float[Array, "t"], *, from_zero: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points to join; a curve over every score begins at recall 0 with its first precision."""
+    """List the points to join; a curve over every score starts at recall 0."""
     some = np.isfinite(precision)
     recall, precision = recall[some], precision[some]
     if not from_zero:
@@ -139,7 +140,7 @@ def _with_interval(summary: Summary) -> str:
 
 
 def _mark_own_decision(panel: Axes, verdict: RuleVerdict, number: int) -> None:
-    """Where the pairs lie that the method itself accepts."""
+    """Mark the precision and recall of the pairs that the method accepts."""
     named = verdict.accepted_true + verdict.accepted_false
     if named:
         panel.plot(
@@ -155,7 +156,7 @@ def _mark_own_decision(panel: Axes, verdict: RuleVerdict, number: int) -> None:
 
 
 def _describe(panel: Axes, rule: Rule, labels: Labels) -> None:
-    """What counts as true here, how many there are, and what guessing would give."""
+    """Describe what counts as true, how many pairs are true, and the precision of guessing."""
     positives, judged = int(np.sum(labels.positive)), int(np.sum(labels.judged))
     left_out: list[str] = []
     if not rule.count_grey:
@@ -185,7 +186,7 @@ def _add_legend(panel: Axes, *, stars: bool) -> None:
             Line2D([], [], linestyle="", marker="*", color="white", markeredgecolor="black")
         )
         names.append("what the method itself accepts")
-    # Below the panel: inside it, a legend of many methods would hide their curves.
+    # The legend is below the panel, because inside it would hide curves.
     panel.legend(
         handles, names, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2
     )

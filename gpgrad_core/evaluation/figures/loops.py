@@ -11,7 +11,7 @@ PATH, STOP = "#BBBBBB", "#444444"
 
 
 def draw_loops(evaluation: Evaluation, method: MethodVerdict) -> Figure:
-    """Draw the true places of the submaps, and a line for every pair accepted or missed."""
+    """Draw the true positions of the submaps, and a line for every pair accepted or missed."""
     pairs, rule, labels = evaluation.pairs, evaluation.rules[0], evaluation.labels[0]
     figure = new_figure(
         9.0,

@@ -1,4 +1,4 @@
-"""What all figures have in common."""
+"""The style that all figures share."""
 
 from typing import TypedDict
 
@@ -16,7 +16,7 @@ TRUE, FALSE, GREY, MISSED = "#009E73", "#D7191C", "#E69F00", "#0072B2"
 
 
 class Style(TypedDict):
-    """How one method's line looks, in every figure."""
+    """The style of one method's line in every figure."""
 
     color: str
     linestyle: str
@@ -24,9 +24,9 @@ class Style(TypedDict):
 
 
 def style_of(number: int) -> Style:
-    """Tell methods apart by colour, and once the colours are used up by dashes.
+    """Give each method a colour, and different dashes when the colours are used up.
 
-    The first is drawn wider: it can be seen below another that lies on it.
+    The first method's line is wider, so that it can be seen below another.
     """
     dashes = DASHES[number // len(COLOURS) % len(DASHES)]
     return {
@@ -40,9 +40,9 @@ def new_figure(width: float, height: float, title: str, *, squares: bool = False
     """Make an empty figure that draws itself without a screen.
 
     Args:
-        width: In inches, of 110 pixels.
-        height: In inches.
-        title: Above all panels.
+        width: Width [inches of 110 pixels].
+        height: Height [inches of 110 pixels].
+        title: Title above all panels.
         squares: Whether the panels keep their shape; they are then moved close together.
     """
     layout = "compressed" if squares else "constrained"
@@ -53,7 +53,7 @@ def new_figure(width: float, height: float, title: str, *, squares: bool = False
 
 
 def verdicts(method: MethodVerdict, labels: Labels) -> tuple[tuple[str, Bool[Mask, "p"], str], ...]:
-    """What a method makes of the pairs: name, which pairs, colour; the gravest last, on top."""
+    """List the verdicts as (name, which pairs, colour); the gravest is last, drawn on top."""
     accepted = method.ranking.accepted
     return (
         ("true, missed", labels.positive & ~accepted, MISSED),

@@ -81,5 +81,5 @@ def test_what_is_missing_is_said(seen: list[Submap], tmp_path: Path) -> None:
     broken = tmp_path / "broken.png"
     for content in (b"not an image", b""):
         broken.write_bytes(content)
-        with pytest.raises(InputError, match=r"broken\.png: is no image"):
+        with pytest.raises(InputError, match=r"broken\.png: is not an image"):
             see(replace(seen[0], images=(broken,)))

@@ -58,5 +58,5 @@ def test_images_come_back_in_order(tmp_path: Path) -> None:
     for found, picture in zip(read_images(files), pictures, strict=True):
         np.testing.assert_array_equal(found, picture)
     files[4].write_bytes(b"no image")
-    with pytest.raises(InputError, match=r"4\.png: is no image"):
+    with pytest.raises(InputError, match=r"4\.png: is not an image"):
         list(read_images(files))

@@ -16,7 +16,8 @@ from gpgrad_core.registration.evidence import (
     closure_score,
     weigh,
 )
-from gpgrad_core.registration.relief import make_relief, sharp_relief
+from gpgrad_core.registration.placement import sharpen
+from gpgrad_core.registration.relief import make_relief
 from gpgrad_core.registration.search import make_spectra, search_motions
 from gpgrad_core.registration.uncertainty import NUM_BANDS, BandNoise, band_edges
 from gpgrad_core.se2 import SE2
@@ -101,14 +102,14 @@ def test_alignment_of_drifted_maps_bears_a_bend_that_a_level_one_takes_for_a_mot
     slope = query.slope + np.stack(
         np.broadcast_arrays(0.02 + 0.012 * x - 0.004 * y, -0.004 * x), axis=-1
     )
-    relief = sharp_relief(
+    relief = sharpen(
         GradientMap(query.grid, bent, query.variance, slope, query.signal_std, query.length_scale)
-    )
+    ).whole
     off = {
         warp: distance(
             align(
                 relief,
-                sharp_relief(DATABASE),
+                sharpen(DATABASE).whole,
                 [true],
                 num_cells=3000,
                 iterations=8,

@@ -1,4 +1,4 @@
-"""Bags as robots write them, written by rosbags."""
+"""Writes bags like those of robots, with rosbags."""
 
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,11 @@ CLOUD, ODOMETRY, STAMPED = (
 )
 TF = "tf2_msgs/msg/TFMessage"
 TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms\n"
-"""ROS 1 keeps it in a package that rosbags has no definition of."""
+"""A message type of ROS 1 whose package rosbags does not know."""
 
 
 class BagWriter:
-    """Writes messages by ROS 1's rules, or by those of ROS 2."""
+    """Writes messages of ROS 1 or of ROS 2."""
 
     def __init__(self, path: Path, *, ros1: bool, storage: str = "sqlite3") -> None:
         rosbag1, rosbag2, typesys = (
@@ -60,7 +60,7 @@ class BagWriter:
         if topic not in self.connections:
             self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
         serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
-        # Recorded a little after it was measured.
+        # A message is recorded slightly after it was measured.
         logged = round((stamp + 0.02) * 1e9)
         self.writer.write(self.connections[topic], logged, serialize(message, kind))
 
@@ -73,7 +73,7 @@ class BagWriter:
         *,
         stamped: bool = True,
     ) -> None:
-        """Write points as a LiDAR's driver does: further fields between and behind them."""
+        """Write points as a LiDAR's driver does, with other fields between and after them."""
         layout = np.dtype(
             {
                 "names": ["x", "y", "intensity", "z"],

@@ -1,0 +1,128 @@
+"""Aligns two maps to a few centimetres, without smoothing them."""
+
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.registration.alignment import DRIFTED, FEWEST_CELLS, Alignments, align
+from gpgrad_core.registration.overlay import overlay, smooth_between, take_warp_out
+from gpgrad_core.registration.relief import Image, Relief, above_mean, blur, thin_grid, thinned
+from gpgrad_core.registration.uncertainty import NUM_BANDS
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import MAX_STD_RATIO, GradientMap
+
+SHARP_CELL = 0.35
+"""Side of a cell [scales of comparison]."""
+ROUGH_CELLS, ROUGH_ITERATIONS = 3000, 8
+"""Number of cells and of steps with which the whole elevation is aligned."""
+FINE_CELLS, FINE_ITERATIONS = 6000, 8
+"""Number of cells and of steps with which the weighted waves are then aligned."""
+MOST_TAKEN = 0.9
+"""Largest share of the long waves that is removed; with more, the yaw gets worse."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sharp:
+    """A map's elevation without smoothing, for the last centimetres of a motion.
+
+    Attributes:
+        whole: The elevation without smoothing.
+        long_elevation: Its long waves (rows, columns) [m]: smoothed over the scale of comparison.
+        long_slope: Slope of the long waves (rows, columns, 2) [m/m].
+    """
+
+    whole: Relief
+    long_elevation: Float[Image, "rows columns"]
+    long_slope: Float[Image, "rows columns 2"]
+
+    def less(self, share: float) -> Relief:
+        """Remove a share of the long waves."""
+        return replace(
+            self.whole,
+            elevation=self.whole.elevation - np.float32(share) * self.long_elevation,
+            slope=self.whole.slope - np.float32(share) * self.long_slope,
+        )
+
+
+def sharpen(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Sharp:
+    """Thin a map without smoothing it, and extract its long waves.
+
+    Args:
+        gradient_map: The map.
+        max_std_ratio: Threshold of the variance mask; other cells take no part.
+    """
+    grid = thin_grid(gradient_map.grid, SHARP_CELL * gradient_map.scale)
+    thin = thinned(gradient_map.grid, grid)
+    trusted = gradient_map.trusted(max_std_ratio)[thin].copy()
+    elevation, base = above_mean(gradient_map.elevation[thin], trusted)
+    slope = gradient_map.slope[thin].astype(np.float32)
+    # The final alignment uses neither the terrain nor the noise.
+    nothing, noise = np.zeros_like(elevation), np.zeros((*elevation.shape, NUM_BANDS), np.float32)
+    weight, sigma = trusted.astype(np.float32), gradient_map.scale / grid.resolution
+    along: list[NDArray[np.float32]] = [
+        blur(np.ascontiguousarray(slope[..., axis]), weight, sigma) for axis in (0, 1)
+    ]
+    return Sharp(
+        Relief(grid, elevation, slope, nothing, trusted, noise, base, gradient_map.scale),
+        blur(elevation, weight, sigma),
+        np.dstack(along),
+    )
+
+
+def place(query: Sharp, database: Sharp, start: SE2) -> Alignments:
+    """Align two maps: first the whole elevation, then with short and long waves weighted.
+
+    Drift within a submap makes long waves differ more than short ones; noise does the opposite.
+    For least squares, both should differ equally. So a share of the long waves is removed if they
+    differ more, but never a share of the short waves. On dense clouds this brings a right motion
+    a fifth closer to the truth; on noisy clouds it changes nothing.
+
+    Args:
+        query: The map to be placed.
+        database: The map on which it is placed.
+        start: ``T_database_query``, up to a few scales of comparison off.
+
+    Returns:
+        One motion. Its height offset and its covariance are those of the whole elevation.
+    """
+    rough = align(
+        query.whole,
+        database.whole,
+        [start],
+        num_cells=ROUGH_CELLS,
+        iterations=ROUGH_ITERATIONS,
+        warp=DRIFTED,
+    )
+    share = _taken(query.whole, database.whole, rough.motion(0)) if rough.held[0] else 0.0
+    if share == 0:
+        return rough
+    fine = align(
+        query.less(share),
+        database.less(share),
+        [rough.motion(0)],
+        num_cells=FINE_CELLS,
+        iterations=FINE_ITERATIONS,
+        warp=DRIFTED,
+    )
+    moved = np.hypot(*(fine.motions - rough.motions)[0, :2])
+    return replace(rough, motions=fine.motions) if moved < database.whole.scale else rough
+
+
+def _taken(query: Relief, database: Relief, motion: SE2) -> float:
+    """Compute the share of the long waves to remove, so that long and short waves differ equally.
+
+    The variances are estimated from medians, because rocks hide the ground behind them from one
+    side only.
+    """
+    laid = overlay(query, database, motion)
+    if laid.count < FEWEST_CELLS:
+        return 0.0
+    pair = take_warp_out(laid)
+    smooth = smooth_between(pair, laid.common, (0.0, laid.scale), laid.step)
+    long = (smooth[..., 0] - smooth[..., 1])[laid.common]
+    short = (pair[..., 0] - pair[..., 1])[laid.common] - long
+    least, most = (float(np.median(np.square(part))) for part in (short, long))
+    return min(max(1 - sqrt(least / most), 0.0), MOST_TAKEN) if most > 0 else 0.0
