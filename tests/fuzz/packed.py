@@ -40,6 +40,14 @@ def _zip(names: list[str], method: int = zipfile.ZIP_DEFLATED, attributes: int =
     return file.getvalue()
 
 
+@cache
+def _bomb() -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as packed:
+        packed.writestr("000.xyz", bytes(9_000_000))
+    return file.getvalue()
+
+
 def archive(rng: random.Random) -> Case:
     names = ["hills/submaps/000.npy", "hills/submaps/001.npy"]
     whole = _zip(names)
@@ -59,10 +67,7 @@ def archive(rng: random.Random) -> Case:
             # Of the two places that give the size, Python reads the one in the directory.
             return Case(bytes(data), what, damaged=place > data.index(b"PK\x01\x02"))
         case "bomb":
-            file = io.BytesIO()
-            with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as packed:
-                packed.writestr("000.xyz", bytes(9_000_000))
-            return Case(file.getvalue(), what, damaged=True)
+            return Case(_bomb(), what, damaged=True)
         case "directory":
             data = bytearray(whole)
             for _ in range(rng.choice((1, 2, 6))):

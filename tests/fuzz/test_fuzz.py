@@ -9,7 +9,7 @@ from tests.fuzz.corpus import CORPUS
 from tests.fuzz.formats import FORMATS, SECONDS, make_case, try_case
 from tests.fuzz.mutation import Case
 
-NUM_CASES = 60
+NUM_CASES = 40
 """Of each format; ``poe fuzz`` tries 50,000."""
 NEEDS = {"las": "laspy", "laz": "laspy", "bag": "rosbags"}
 
