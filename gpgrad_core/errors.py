@@ -1,5 +1,31 @@
 """The one error that a user's input can cause."""
 
+LONGEST = 2000
+"""Characters of a message; a longer one loses its middle."""
+
 
 class InputError(ValueError):
-    """An input cannot be used; the message is one line: what is wrong, where, and what to do."""
+    """An input cannot be used; the message is one line: what is wrong, where, and what to do.
+
+    Messages quote names and values that come from outside. So whatever a terminal would not print
+    as it is, such as a line end or an escape, is spelled out here, for every message.
+    """
+
+    def __init__(self, message: object = "") -> None:
+        """Make the error of its message."""
+        super().__init__(_one_line(str(message)))
+
+
+def _one_line(message: str) -> str:
+    if not message.isprintable():
+        message = "".join(_spelled(character) for character in message)
+    if len(message) <= LONGEST:
+        return message
+    half = (LONGEST - 3) // 2
+    return f"{message[:half]} … {message[-half:]}"
+
+
+def _spelled(character: str) -> str:
+    if character.isprintable():
+        return character
+    return " " if character.isspace() else f"\\x{ord(character):02x}"

@@ -21,6 +21,9 @@ MAX_GRID_CELLS = 25_000_000
 """Largest number of cells of a submap's map; four float64 fields of this size take 0.8 GB."""
 
 
+MAX_COORDINATE = 1e9
+"""Of a point [m]. Map projections stay below 1e8; damaged files have coordinates of 1e30."""
+
 MAX_STD_RATIO = 0.3
 """Default threshold of the variance mask; see `GradientMap.trusted`."""
 
@@ -96,12 +99,13 @@ class Submap:
 
         Raises:
             InputError: If the points are not an (n, 3) array, if fewer than three of them are
-                finite, if all of them lie on one line, if a noise is not above zero, or if a
-                range is negative.
+                finite, if all of them lie on one line, if a coordinate is beyond
+                `MAX_COORDINATE`, if a noise is not above zero, or if a range is negative.
         """
         rows = np.asarray(points)
         if rows.ndim != 2 or rows.shape[1] != 3:
             raise InputError(f"{id}: points must be an (n, 3) array, got shape {rows.shape}")
+        _check_coordinates(rows, id)
         finite = np.asarray(np.isfinite(rows).all(axis=1))
         kept = _frozen_copy(rows, finite)
         _check_spans_area(kept, len(rows), id)
@@ -111,11 +115,13 @@ class Submap:
             digest.update(colors.tobytes())
         if noise_std is not None:
             noise_std = _frozen_copy(noise_std, finite)
-            _check_each(noise_std, noise_std > 0, f"{id}: noise_std must be above 0 m")
+            allowed = (noise_std > 0) & (noise_std <= MAX_COORDINATE)
+            _check_each(noise_std, allowed, f"{id}: noise_std must be above 0 m")
             digest.update(noise_std.tobytes())
         if ranges is not None:
             ranges = _frozen_copy(ranges, finite)
-            _check_each(ranges, ranges >= 0, f"{id}: range must be 0 m or more")
+            allowed = (ranges >= 0) & (ranges <= MAX_COORDINATE)
+            _check_each(ranges, allowed, f"{id}: range must be 0 m or more")
             digest.update(b"ranges" + ranges.tobytes())
         return cls(
             id,
@@ -127,6 +133,29 @@ class Submap:
             colors=colors,
             noise_std=noise_std,
             ranges=ranges,
+        )
+
+
+def _check_coordinates(points: Float[NDArray[np.floating], "n 3"], where: str) -> None:
+    """Refuse coordinates that no terrain has; rows that are not finite are passed over.
+
+    Args:
+        points: Positions [m].
+        where: The beginning of the error message.
+
+    Raises:
+        InputError: If a coordinate is beyond `MAX_COORDINATE`; names the point, counted from 0.
+    """
+    # The negated comparison is false for infinity and NaN too, so these are looked at again.
+    far = ~(np.abs(points) <= MAX_COORDINATE)
+    if not far.any():
+        return
+    wrong = np.flatnonzero(far.any(axis=1) & np.isfinite(points).all(axis=1))
+    if len(wrong):
+        worst = float(np.abs(points[wrong[0]]).max())
+        raise InputError(
+            f"{where}: point {wrong[0]} has a coordinate of {worst:.3g} m; {MAX_COORDINATE:g} m is "
+            "the most, so the file is damaged, or its units are not metres"
         )
 
 

@@ -77,7 +77,7 @@ def test_what_is_imported_is_declared() -> None:
     spelled = {"opencv-contrib-python-headless": "cv2"}
     names = {spelled.get(name, name.replace("-", "_")) for name in declared}
     allowed = names | {"app", "gpgrad_core"}
-    optional = {"laspy"}  # asked for by name where a file needs it
+    optional = {"lazrs"}  # asked for by name where a file needs it
     for package in ("app", "gpgrad_core"):
         for path in (ROOT / package).rglob("*.py"):
             for name in imported(path) - sys.stdlib_module_names - optional:

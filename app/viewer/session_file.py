@@ -1,6 +1,5 @@
 """A session as a file: dataset, pair, parameters, view and camera."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,11 +12,16 @@ from app.viewer.state import ViewOptions, ViewState, with_options, with_pair, wi
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import to_tables, with_tables
-from gpgrad_core.params.toml import load_toml_text, read_toml
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.types import Dataset
+from gpgrad_core.reading.json_files import is_number
+from gpgrad_core.reading.paths import check_path
+from gpgrad_core.reading.text import read_text
+from gpgrad_core.reading.toml_files import parse_toml
+from gpgrad_core.types import MAX_COORDINATE, Dataset
 
 ENDING = ".gpgrad.toml"
+LARGEST = 100_000
+"""Bytes of such a file; any real one has a tenth. It is parsed between two messages of a page."""
 KEYS = ("dataset", "query", "database", "view", "params", "camera")
 
 
@@ -85,10 +89,10 @@ def read_session(path: Path) -> SavedSession:
         InputError: If it cannot be read, is no such file, or names what there is not.
     """
     try:
-        table = read_toml(path)
+        text = read_text(path, LARGEST)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    return _session(table, str(path))
+    return parse_session(text, str(path))
 
 
 def parse_session(text: str | bytes, where: str) -> SavedSession:
@@ -101,10 +105,7 @@ def parse_session(text: str | bytes, where: str) -> SavedSession:
     Raises:
         InputError: As `read_session`.
     """
-    return _session(load_toml_text(text, where), where)
-
-
-def _session(table: Mapping[str, object], where: str) -> SavedSession:
+    table = parse_toml(text, where, LARGEST)
     unknown = [key for key in table if key not in KEYS]
     if unknown:
         raise InputError(
@@ -112,7 +113,7 @@ def _session(table: Mapping[str, object], where: str) -> SavedSession:
         )
     dataset = _text(table, "dataset", where)
     return SavedSession(
-        None if dataset is None else Path(dataset),
+        None if dataset is None else _path(dataset, where),
         _text(table, "query", where),
         _text(table, "database", where),
         with_tables(ViewOptions(), _table(table, "view", where), f"{where}, [view]"),
@@ -126,6 +127,13 @@ def _text(table: Mapping[str, object], key: str, where: str) -> str | None:
     if value is not None and not isinstance(value, str):
         raise InputError(f"{where}: {key} must be a text in quotes, got {value!r}")
     return value
+
+
+def _path(text: str, where: str) -> Path:
+    try:
+        return check_path(text)
+    except InputError as error:
+        raise InputError(f"{where}: dataset: {error}") from None
 
 
 def _table(table: Mapping[str, object], key: str, where: str) -> Mapping[str, object]:
@@ -144,7 +152,7 @@ def _point(table: Mapping[str, object], key: str, where: str) -> tuple[float, fl
     if (
         not isinstance(value, list)
         or len(numbers := cast("list[object]", value)) != 3
-        or not all(isinstance(n, int | float) and math.isfinite(n) for n in numbers)
+        or not all(is_number(n) and abs(cast("float", n)) <= MAX_COORDINATE for n in numbers)
     ):
         raise InputError(f"{where}: camera.{key} must be three numbers, [x, y, z], got {value!r}")
     x, y, z = (float(cast("float", number)) for number in numbers)

@@ -1,14 +1,13 @@
 """``dataset.toml``: the description of a dataset."""
 
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
 import tomli_w
 
-from gpgrad_core.datasets.tables import read_text
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.toml_files import read_toml
 
 TEXT_KEYS = ("name", "description", "licence")
 SENSOR_KEYS = ("constant", "quadratic")
@@ -37,10 +36,7 @@ def read_about(path: Path, submap_ids: frozenset[str]) -> About:
         InputError: If the file is not TOML, a value has the wrong type, or a preferred submap does
             not exist.
     """
-    try:
-        table = tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: is not TOML: {error}") from None
+    table = read_toml(path)
     texts: dict[str, str] = {}
     for key in TEXT_KEYS:
         value = table.get(key, "")

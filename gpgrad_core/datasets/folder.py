@@ -13,6 +13,7 @@ from gpgrad_core.datasets.clouds import READERS, load_cloud_with_notes
 from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import read_poses, write_poses
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap
@@ -87,10 +88,10 @@ def outline_dataset(path: Path | str) -> Outline:
     Raises:
         InputError: See `load_dataset`.
     """
-    path = Path(path)
+    path = check_path(path)
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    if path.is_file():
+    if not path.is_dir():
         return Outline(Dataset(path.stem, (_without_points(path.stem),)), (path,))
     try:
         return _outline_folder(path)

@@ -6,6 +6,7 @@ warning.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,52 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.datasets.tables import as_floats, cut_short, read_body
+from gpgrad_core.datasets.tables import Layout, as_floats, cut_short, read_body, surplus
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.text import parse_count
 
 KINDS = {"F": "f", "I": "i", "U": "u"}
 SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
+MOST_GROWTH = 30
+"""A compressed block of real points grows to at most some times its size. LZF could write 88 times
+the size, out of zeros."""
+SMALL_BLOCK = 16_000_000
+"""Bytes that any compressed block may grow to."""
+MOST_LINES = 100
+"""Of a header; real ones have eleven."""
+LARGEST_HEADER = 100_000
+MOST_FIELDS, MOST_NUMBERS = 1000, 100_000
+"""Fields of a point, and numbers of a field; a descriptor of 352 numbers is a real one."""
+LAYOUTS = ("ascii", "binary", "binary_compressed")
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What the header says, checked.
+
+    Attributes:
+        names: Of the fields; several may have one name.
+        types: NumPy's types of the fields.
+        counts: How many numbers each field has.
+        num_points: Number of points.
+        layout: ``ascii``, ``binary`` or ``binary_compressed``.
+        num_bytes: Where the body starts.
+        num_lines: Number of lines before the body.
+    """
+
+    names: tuple[str, ...]
+    types: tuple[str, ...]
+    counts: tuple[int, ...]
+    num_points: int
+    layout: str
+    num_bytes: int
+    num_lines: int
+
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """Type of a point; its fields are numbered."""
+        fields = zip(self.types, self.counts, strict=True)
+        return np.dtype([(str(k), kind, (repeat,)) for k, (kind, repeat) in enumerate(fields)])
 
 
 def read_pcd(path: Path) -> Float[NDArray[np.floating], "n 3"]:
@@ -30,14 +72,16 @@ def read_pcd(path: Path) -> Float[NDArray[np.floating], "n 3"]:
         Positions [m], float32 if they are float32 in the file, otherwise float64.
 
     Raises:
-        InputError: If it is not a PCD file, has no x, y and z, or ends too early.
+        InputError: If it is not a PCD file, has no x, y and z, holds fewer points than its header
+            says, or more, or its header contradicts itself.
     """
     data = path.read_bytes()
-    header, body_start, num_lines = _parse_header(data, path)
-    missing = [name for name in "xyz" if name not in header["FIELDS"]]
-    if missing:
-        raise InputError(f"{path}: its FIELDS have no {' or '.join(missing)}")
-    return as_floats(_read_fields(data, header, body_start, num_lines, "xyz", path))
+    header = _parse_header(data, path)
+    for name in "xyz":
+        if header.names.count(name) != 1:
+            number = "no" if name not in header.names else "more than one"
+            raise InputError(f"{path}: its FIELDS have {number} {name}")
+    return as_floats(_read_fields(data, header, "xyz", path))
 
 
 def read_pcd_colors(path: Path) -> Float[NDArray[np.float64], "n 3"] | None:
@@ -50,51 +94,54 @@ def read_pcd_colors(path: Path) -> Float[NDArray[np.float64], "n 3"] | None:
         InputError: See `read_pcd`.
     """
     data = path.read_bytes()
-    header, body_start, num_lines = _parse_header(data, path)
-    name = next((name for name in ("rgb", "rgba") if name in header["FIELDS"]), None)
-    if name is None or header["SIZE"][header["FIELDS"].index(name)] != "4":
+    header = _parse_header(data, path)
+    name = next((name for name in ("rgb", "rgba") if name in header.names), None)
+    if name is None:
         return None
-    packed = _read_fields(data, header, body_start, num_lines, (name,) * 3, path)[:, 0]
-    if header["TYPE"][header["FIELDS"].index(name)] == "F":
+    kind = np.dtype(header.types[header.names.index(name)])
+    if kind.itemsize != 4:
+        return None
+    packed = _read_fields(data, header, (name,) * 3, path)[:, 0]
+    if kind.kind == "f":
         packed = packed.astype(np.float32).view(np.uint32)
-    whole = packed.astype(np.int64) & 0xFFFFFF
+    # A text may hold anything; what is no whole number of four bytes has no colour.
+    known = np.isfinite(packed) & (np.abs(packed.astype(np.float64)) < 2.0**32)
+    whole = np.where(known, packed, 0).astype(np.int64) & 0xFFFFFF
     return np.column_stack([whole >> 16, (whole >> 8) & 0xFF, whole & 0xFF]) / 255.0
 
 
-def _read_fields(
-    data: bytes,
-    header: dict[str, list[str]],
-    body_start: int,
-    num_lines: int,
-    fields: Sequence[str],
-    path: Path,
-) -> NDArray[Any]:
+def unpacked_pcd(path: Path) -> int:
+    """Give the size of a PCD file's points, unpacked [bytes].
+
+    Raises:
+        InputError: See `read_pcd`.
+    """
+    with path.open("rb") as file:
+        header = _parse_header(file.read(LARGEST_HEADER), path)
+    return header.num_points * header.dtype.itemsize
+
+
+def _read_fields(data: bytes, header: _Header, fields: Sequence[str], path: Path) -> NDArray[Any]:
     """Read three fields of every point."""
-    names = header["FIELDS"]
-    count = int(header["POINTS"][0])
-    counts = [int(word) for word in header.get("COUNT", ["1"] * len(names))]
-    layout = header["DATA"][0]
-    if layout == "ascii":
-        starts = np.concatenate([[0], np.cumsum(counts)])
-        x, y, z = (int(starts[names.index(name)]) for name in fields)
-        text = data[body_start:].decode("latin-1")
-        return read_body(text, count, (x, y, z), path, first_line=num_lines + 1)
-    dtype = np.dtype(
-        [
-            (f"{k}", kind, (repeat,))
-            for k, (kind, repeat) in enumerate(zip(_types(header, path), counts, strict=True))
-        ]
-    )
-    columns = [names.index(name) for name in fields]
-    body = data[body_start:]
-    if layout == "binary":
-        if len(body) < count * dtype.itemsize:
-            raise cut_short(path, count, len(body) // dtype.itemsize)
-        table = np.frombuffer(body, dtype, count)
-        return np.column_stack([table[str(column)][:, 0] for column in columns])
-    if layout == "binary_compressed":
-        return _read_compressed(body, dtype, columns, count, path)
-    raise InputError(f"{path}: DATA {layout!r} is not one of ascii, binary, binary_compressed")
+    columns = [header.names.index(name) for name in fields]
+    count = header.num_points
+    if header.layout == "ascii":
+        starts = np.concatenate([[0], np.cumsum(header.counts)])
+        layout = Layout(tuple(int(starts[column]) for column in columns), int(starts[-1]))
+        body = data[header.num_bytes :]
+        return read_body(body, count, layout, path, first_line=header.num_lines + 1)
+    dtype = header.dtype
+    if header.layout == "binary_compressed":
+        return _read_compressed(data[header.num_bytes :], dtype, columns, count, path)
+    available = len(data) - header.num_bytes
+    if available < count * dtype.itemsize:
+        raise cut_short(path, count, available // dtype.itemsize)
+    if available > count * dtype.itemsize:
+        raise surplus(path, count * dtype.itemsize, available, "bytes of points")
+    if not count:
+        return np.empty((0, len(columns)))
+    table = np.frombuffer(data, dtype, count, header.num_bytes)
+    return np.column_stack([table[str(column)][:, 0] for column in columns])
 
 
 def _read_compressed(
@@ -109,11 +156,18 @@ def _read_compressed(
             f"{path}: its header promises {count * dtype.itemsize:,} bytes of points, "
             f"the compressed block {size:,}; save it again"
         )
-    packed = body[8 : 8 + packed_size]
+    packed = body[8:]
     if len(packed) < packed_size:
         raise InputError(
             f"{path}: is cut short: it should hold {packed_size:,} bytes of compressed points, "
             f"but it holds {len(packed):,}; copy or save it again"
+        )
+    if len(packed) > packed_size:
+        raise surplus(path, packed_size, len(packed), "bytes of compressed points")
+    if size > max(SMALL_BLOCK, MOST_GROWTH * packed_size):
+        raise InputError(
+            f"{path}: its {packed_size:,} bytes of compressed points would unpack to {size:,}; "
+            f"points do not shrink to less than 1/{MOST_GROWTH}, so it is damaged"
         )
     unpacked = decompress_lzf(packed, size)
     if len(unpacked) != size:
@@ -122,7 +176,8 @@ def _read_compressed(
     for column in columns:
         offset = count * sum(dtype[k].itemsize for k in range(column))
         field, (repeat,) = dtype[column].subdtype or (dtype[column], (1,))
-        values.append(np.frombuffer(unpacked, field, count * repeat, offset)[::repeat])
+        found = np.frombuffer(unpacked, field, count * repeat, offset) if count else np.empty(0)
+        values.append(found[::repeat])
     return np.column_stack(values)
 
 
@@ -162,45 +217,71 @@ def decompress_lzf(packed: bytes, size: int) -> bytes:
     return bytes(out)
 
 
-def _parse_header(data: bytes, path: Path) -> tuple[dict[str, list[str]], int, int]:
-    """Return the header's words by keyword, where the body starts, and the header's lines."""
-    header: dict[str, list[str]] = {}
+def _parse_header(data: bytes, path: Path) -> _Header:
+    words: dict[str, list[str]] = {}
     position = number = 0
-    while (end := data.find(b"\n", position)) >= 0:
-        words = data[position:end].decode("latin-1").split()
+    while (end := data.find(b"\n", position, LARGEST_HEADER)) >= 0 and number < MOST_LINES:
+        keyword, *rest = data[position:end].decode("latin-1").split() or ["#"]
         position = end + 1
         number += 1
-        if not words or words[0].startswith("#"):
+        if keyword.startswith("#"):
             continue
-        header[words[0].upper()] = words[1:]
-        if number > 100:  # a PCD header has eleven lines, so this is something else
-            break
-        if words[0].upper() == "DATA":
-            _check_header(header, path)
-            return header, position, number
+        if keyword.upper() in words:
+            raise InputError(f"{path}, line {number}: the header has {keyword!r} a second time")
+        words[keyword.upper()] = rest
+        if keyword.upper() == "DATA":
+            return _checked(words, position, number, path)
     raise InputError(f"{path}: is not a complete PCD file: its header has no 'DATA' line")
 
 
-def _check_header(header: dict[str, list[str]], path: Path) -> None:
+def _checked(words: dict[str, list[str]], num_bytes: int, num_lines: int, path: Path) -> _Header:
     for keyword in ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA"):
-        if not header.get(keyword):
+        if not words.get(keyword):
             raise InputError(f"{path}: its PCD header has no {keyword!r} line")
-    num_fields = len(header["FIELDS"])
+    names = tuple(words["FIELDS"])
+    words.setdefault("COUNT", ["1"] * len(names))
     for keyword in ("SIZE", "TYPE", "COUNT"):
-        if len(header.get(keyword, header["FIELDS"])) != num_fields:
-            raise InputError(f"{path}: its {keyword} line does not have {num_fields} entries")
-    for keyword in ("SIZE", "COUNT", "POINTS"):
-        if not all(word.isdecimal() for word in header.get(keyword, [])):
+        if len(words[keyword]) != len(names):
+            raise InputError(f"{path}: its {keyword} line does not have {len(names)} entries")
+    if len(names) > MOST_FIELDS:
+        raise InputError(f"{path}: its FIELDS are {len(names):,}; {MOST_FIELDS} is the most")
+    numbers = {
+        keyword: [_whole(word, keyword, path) for word in words[keyword]]
+        for keyword in ("SIZE", "COUNT", "POINTS", "WIDTH", "HEIGHT")
+        if words.get(keyword)
+    }
+    if not all(1 <= count <= MOST_NUMBERS for count in numbers["COUNT"]):
+        raise InputError(f"{path}: each COUNT must be from 1 to {MOST_NUMBERS:,}")
+    points = numbers["POINTS"][0]
+    if "WIDTH" in numbers and "HEIGHT" in numbers:
+        width, height = numbers["WIDTH"][0], numbers["HEIGHT"][0]
+        if width * height != points:
             raise InputError(
-                f"{path}: its {keyword} line holds something that is not a whole number"
+                f"{path}: its header contradicts itself: WIDTH {width:,} times HEIGHT {height:,} "
+                f"are not POINTS {points:,}"
             )
+    layout = words["DATA"][0]
+    if layout not in LAYOUTS:
+        raise InputError(f"{path}: DATA {layout!r} is not one of {', '.join(LAYOUTS)}")
+    types = tuple(
+        _type(kind, size, path) for kind, size in zip(words["TYPE"], numbers["SIZE"], strict=True)
+    )
+    counts = tuple(numbers["COUNT"])
+    return _Header(names, types, counts, points, layout, num_bytes, num_lines)
 
 
-def _types(header: dict[str, list[str]], path: Path) -> list[str]:
-    types: list[str] = []
-    for kind, size in zip(header["TYPE"], header["SIZE"], strict=True):
-        letter = KINDS.get(kind, "")
-        if int(size) not in SIZES.get(letter, ()):
-            raise InputError(f"{path}: TYPE {kind} of SIZE {size} is not a number type of PCD")
-        types.append(f"<{letter}{size}")
-    return types
+def _whole(word: str, keyword: str, path: Path) -> int:
+    number = parse_count(word)
+    if number is None:
+        raise InputError(
+            f"{path}: its {keyword} line holds something that is not a whole number of up to 18 "
+            f"digits: {word[:40]!r}"
+        )
+    return number
+
+
+def _type(kind: str, size: int, path: Path) -> str:
+    letter = KINDS.get(kind, "")
+    if size not in SIZES.get(letter, ()):
+        raise InputError(f"{path}: TYPE {kind[:40]} of SIZE {size} is not a number type of PCD")
+    return f"<{letter}{size}"

@@ -16,8 +16,9 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.tables import as_floats, cut_short, read_body
+from gpgrad_core.datasets.tables import Layout, as_floats, cut_short, read_body, surplus
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.text import parse_count
 
 BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 SCALARS = {
@@ -35,21 +36,43 @@ MAX_FLOAT32_EXTENT = 1000.0
 """Coordinates beyond this [m] are written as doubles: there float32 has steps of 0.06 mm."""
 
 
+LARGEST_HEADER = 1_000_000
+"""Bytes; real headers have a thousandth."""
+FACE_LISTS = ("vertex_indices", "vertex_index")
+MOST_PROPERTIES = 1000
+"""Of an element; real ones have some tens."""
+
+
+@dataclass(frozen=True)
+class _Property:
+    """A number of each row, or a list of numbers, whose length comes first."""
+
+    name: str
+    kind: str  # NumPy's type of the number, or of a list's numbers
+    length: str = ""  # NumPy's type of a list's length; "" if it is no list
+
+
 @dataclass(frozen=True)
 class _Element:
     name: str
     count: int
-    properties: tuple[tuple[str, str], ...]  # (name, NumPy type; "" for a list)
+    properties: tuple[_Property, ...]
 
     @property
     def has_list(self) -> bool:
-        return any(not kind for _, kind in self.properties)
+        return any(one.length for one in self.properties)
 
-    def dtype(self, byte_order: str) -> np.dtype[np.void]:
+    def dtype(self, byte_order: str, lengths: Sequence[int] = ()) -> np.dtype[np.void]:
+        """Type of a row, given the lengths of its lists."""
         # The fields are numbered, because two properties may have the same name.
-        return np.dtype(
-            [(str(k), byte_order + kind) for k, (_, kind) in enumerate(self.properties)]
-        )
+        left = iter(lengths)
+        fields: list[Any] = []
+        for k, one in enumerate(self.properties):
+            if one.length:
+                fields.append((f"length {k}", byte_order + one.length))
+            shape = (next(left),) if one.length else ()
+            fields.append((str(k), byte_order + one.kind, shape))
+        return np.dtype(fields)
 
 
 @dataclass(frozen=True)
@@ -93,8 +116,8 @@ def read_ply_colors(path: Path) -> Float[Array, "n 3"] | None:
     """
     data = path.read_bytes()
     header = _parse_header(data, path)
-    kinds = dict(header.vertex(path).properties)
-    if not all(kinds.get(name) for name in RGB):
+    kinds = _numbers(header.vertex(path))
+    if not all(name in kinds for name in RGB):
         return None
     colors = _read_vertices(data, header, RGB, path).astype(np.float64)
     whole = np.dtype(kinds["red"]).kind in "iu"
@@ -109,25 +132,37 @@ def read_ply_property(path: Path, name: str) -> Float[Array, "n"] | None:
     """
     data = path.read_bytes()
     header = _parse_header(data, path)
-    if not dict(header.vertex(path).properties).get(name):
+    if name not in _numbers(header.vertex(path)):
         return None
     return _read_vertices(data, header, (name,), path).astype(np.float64).ravel()
+
+
+def _numbers(vertex: _Element) -> dict[str, str]:
+    """NumPy's types of the properties that are numbers, by name."""
+    return {one.name: one.kind for one in vertex.properties if not one.length}
 
 
 def _read_vertices(
     data: bytes, header: _Header, properties: Sequence[str], path: Path
 ) -> NDArray[Any]:
     vertex = header.vertex(path)
-    before = header.elements[: header.elements.index(vertex)]
+    place = header.elements.index(vertex)
+    before, after = header.elements[:place], header.elements[place + 1 :]
     columns = _columns(vertex, properties, path)
     if header.layout == "ascii":
-        if any(not kind for _, kind in vertex.properties[: max(columns)]):
+        if any(one.length for one in vertex.properties[: max(columns)]):
             wanted = ", ".join(properties)
             raise InputError(f"{path}: {wanted} must come before all list properties of a vertex")
-        text = data[header.num_bytes :].decode("latin-1")
-        skipped = sum(element.count for element in before)
+        width = None if vertex.has_list else len(vertex.properties)
         return read_body(
-            text, vertex.count, columns, path, skipped=skipped, first_line=header.num_lines + 1
+            data[header.num_bytes :],
+            vertex.count,
+            Layout(columns, width),
+            path,
+            # An element without properties has no rows.
+            before=sum(element.count for element in before if element.properties),
+            after=sum(element.count for element in after if element.properties),
+            first_line=header.num_lines + 1,
         )
     for element in (*before, vertex):
         if element.has_list:
@@ -139,10 +174,102 @@ def _read_vertices(
     start = header.num_bytes + sum(e.count * e.dtype(order).itemsize for e in before)
     dtype = vertex.dtype(order)
     available = max(0, len(data) - start) // dtype.itemsize
-    if available < vertex.count:
+    if available < vertex.count or start > len(data):
         raise cut_short(path, vertex.count, available)
+    end = start + vertex.count * dtype.itemsize
+    _check_end(data, end, after, order, vertex.count, path)
+    if not vertex.count:
+        return np.empty((0, len(columns)))
     rows = np.frombuffer(data, dtype, vertex.count, start)
     return np.column_stack([rows[str(column)] for column in columns])
+
+
+def _check_end(
+    data: bytes,
+    position: int,
+    elements: Iterable[_Element],
+    order: str,
+    num_points: int,
+    path: Path,
+) -> None:
+    """Check that a binary file ends where its last element ends.
+
+    The corners of faces must be points: by chance, the lengths of their lists may fit elsewhere.
+
+    Raises:
+        InputError: If it ends earlier or later.
+    """
+    for element in elements:
+        end = _end_of(data, position, element, order, num_points)
+        if end is None:
+            raise InputError(
+                f"{path}: is cut short or damaged: it does not hold {element.count:,} rows of "
+                f"'element {element.name}'; copy or save it again"
+            )
+        position = end
+    if position < len(data):
+        raise surplus(path, position, len(data), "bytes")
+
+
+def _end_of(data: bytes, start: int, element: _Element, order: str, num_points: int) -> int | None:
+    """Find where an element ends; None if that is beyond the file, or it cannot be the element."""
+    empty = element.dtype(order, [0] * len(element.properties)).itemsize
+    if start + element.count * empty > len(data):
+        return None
+    if not element.count or not element.has_list:
+        return start + element.count * empty
+    first = _list_lengths(data, start, element, order, num_points)
+    if first is not None:
+        # Nearly always, all lists are as long as the first one: a mesh of triangles.
+        dtype = element.dtype(order, first[0])
+        end = start + element.count * dtype.itemsize
+        if end <= len(data):
+            rows = np.frombuffer(data, dtype, element.count, start)
+            lists = [k for k, one in enumerate(element.properties) if one.length]
+            same = zip(lists, first[0], strict=True)
+            if all(np.all(rows[f"length {k}"] == length) for k, length in same):
+                corners = [k for k in lists if element.properties[k].name in FACE_LISTS]
+                return end if all(_are_indices(rows[str(k)], num_points) for k in corners) else None
+    position = start
+    for _ in range(element.count):
+        row = _list_lengths(data, position, element, order, num_points)
+        if row is None:
+            return None
+        position = row[1]
+    return position
+
+
+def _are_indices(corners: NDArray[Any], num_points: int) -> bool:
+    return bool(np.all((corners >= 0) & (corners < num_points)))
+
+
+def _list_lengths(
+    data: bytes, start: int, element: _Element, order: str, num_points: int
+) -> tuple[list[int], int] | None:
+    """Read the lengths of a row's lists, and where it ends; None if it cannot be a row."""
+    lengths: list[int] = []
+    position = start
+    for one in element.properties:
+        size, times = np.dtype(one.kind).itemsize, 1
+        if one.length:
+            width = np.dtype(one.length).itemsize
+            if position + width > len(data):
+                return None
+            signed = one.length.startswith("i")
+            little = "little" if order == "<" else "big"
+            times = int.from_bytes(data[position : position + width], little, signed=signed)
+            if times < (2 if one.name in FACE_LISTS else 0):  # a face of one corner is none
+                return None
+            lengths.append(times)
+            position += width
+        position += times * size
+        if position > len(data):
+            return None
+        if one.length and one.name in FACE_LISTS:
+            corners = np.frombuffer(data, order + one.kind, times, position - times * size)
+            if not _are_indices(corners, num_points):
+                return None
+    return lengths, position
 
 
 def _parse_header(data: bytes, path: Path) -> _Header:
@@ -150,31 +277,33 @@ def _parse_header(data: bytes, path: Path) -> _Header:
         raise InputError(f"{path}: is not a PLY file: it does not start with 'ply'")
     layout = ""
     elements: list[_Element] = []
-    position = 0
-    for number in range(1, data.count(b"\n") + 2):
-        end = data.find(b"\n", position)
-        if end < 0:
-            break
+    position = number = 0
+    while (end := data.find(b"\n", position, LARGEST_HEADER)) >= 0:
         words = data[position:end].decode("latin-1").split()
         position = end + 1
+        number += 1
         where = f"{path}, line {number}"
         match words:
             case ["end_header"]:
                 if not layout:
                     raise InputError(f"{path}: its header has no 'format' line")
                 return _Header(layout, tuple(elements), position, number)
-            case ["format", name, *_]:
+            case ["format", name, *_] if not layout:
                 if name not in BYTE_ORDERS:
                     raise InputError(
                         f"{where}: format {name!r} is not one of {', '.join(BYTE_ORDERS)}"
                     )
                 layout = name
-            case ["element", name, count] if count.isdecimal():
-                elements.append(_Element(name, int(count), ()))
-            case ["property", "list", _, _, name] if elements:
-                elements[-1] = _with_property(elements[-1], name, "")
+            case ["element", name, word] if (count := parse_count(word)) is not None:
+                if any(element.name == name for element in elements):
+                    raise InputError(f"{where}: names 'element {name}' a second time")
+                elements.append(_Element(name, count, ()))
+            case ["property", "list", length, kind, name] if elements and _is_length(length, kind):
+                one = _Property(name, SCALARS[kind], SCALARS[length])
+                elements[-1] = _with_property(elements[-1], one, where)
             case ["property", kind, name] if elements and kind in SCALARS:
-                elements[-1] = _with_property(elements[-1], name, SCALARS[kind])
+                one = _Property(name, SCALARS[kind])
+                elements[-1] = _with_property(elements[-1], one, where)
             case ["ply"] | ["comment", *_] | ["obj_info", *_] | []:
                 pass
             case _:
@@ -182,16 +311,25 @@ def _parse_header(data: bytes, path: Path) -> _Header:
     raise InputError(f"{path}: is cut short: its header has no 'end_header'; copy or save it again")
 
 
-def _with_property(element: _Element, name: str, kind: str) -> _Element:
-    return _Element(element.name, element.count, (*element.properties, (name, kind)))
+def _is_length(length: str, kind: str) -> bool:
+    return SCALARS.get(length, "f")[0] in "iu" and kind in SCALARS
+
+
+def _with_property(element: _Element, one: _Property, where: str) -> _Element:
+    if len(element.properties) == MOST_PROPERTIES:
+        raise InputError(f"{where}: 'element {element.name}' has over {MOST_PROPERTIES} properties")
+    return _Element(element.name, element.count, (*element.properties, one))
 
 
 def _columns(vertex: _Element, wanted: Sequence[str], path: Path) -> tuple[int, ...]:
-    found = {name: column for column, (name, kind) in enumerate(vertex.properties) if kind}
-    missing = [name for name in wanted if name not in found]
+    names = [None if one.length else one.name for one in vertex.properties]
+    missing = [name for name in wanted if name not in names]
     if missing:
         raise InputError(f"{path}: its vertices have no property {' or '.join(missing)}")
-    return tuple(found[name] for name in wanted)
+    twice = [name for name in wanted if names.count(name) > 1]
+    if twice:
+        raise InputError(f"{path}: its vertices have the property {twice[0]} twice")
+    return tuple(names.index(name) for name in wanted)
 
 
 def write_ply(

@@ -5,9 +5,17 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.datasets.tables import read_text, write_lines
+from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.text import (
+    COMMA_HINT,
+    DECIMAL_COMMA,
+    lines_of,
+    parse_number,
+    read_text,
+)
 from gpgrad_core.se2 import Pose
+from gpgrad_core.types import MAX_COORDINATE
 
 QUATERNION_TOLERANCE = 0.01
 """A length further from 1 than this is not a rounded one: columns are swapped or missing."""
@@ -29,8 +37,8 @@ def read_poses(path: Path, known: Mapping[int, str]) -> dict[int, Pose]:
             line.
     """
     poses: dict[int, Pose] = {}
-    lines_of: dict[int, int] = {}
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+    named_at: dict[int, int] = {}
+    for number, line in enumerate(lines_of(read_text(path)), start=1):
         words = line.split("#", 1)[0].split()
         if not words:
             continue
@@ -40,9 +48,9 @@ def read_poses(path: Path, known: Mapping[int, str]) -> dict[int, Pose]:
             raise InputError(f"{where}: names submap {index}, which the dataset does not have")
         if index in poses:
             raise InputError(
-                f"{where}: names submap {index} a second time, after line {lines_of[index]}"
+                f"{where}: names submap {index} a second time, after line {named_at[index]}"
             )
-        poses[index], lines_of[index] = pose, number
+        poses[index], named_at[index] = pose, number
     return poses
 
 
@@ -63,10 +71,13 @@ def parse_numbers(words: list[str], where: str) -> list[float]:
     Raises:
         InputError: If one is not a number or not finite; the message begins with `where`.
     """
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        raise InputError(f"{where}: holds something that is not a number") from None
+    values: list[float] = []
+    for word in words:
+        value = parse_number(word)
+        if value is None:
+            hint = f"; {COMMA_HINT}" if DECIMAL_COMMA.fullmatch(word) else ""
+            raise InputError(f"{where}: holds something that is not a number: {word[:40]!r}{hint}")
+        values.append(value)
     if not np.isfinite(values).all():
         raise InputError(f"{where}: holds a value that is not finite")
     return values
@@ -76,11 +87,16 @@ def make_pose(values: list[float], where: str) -> Pose:
     """Make a pose of ``tx ty tz qx qy qz qw``.
 
     Raises:
-        InputError: If the quaternion is not of unit length; the message begins with `where`.
+        InputError: If the quaternion is not of unit length, or the position is beyond
+            `MAX_COORDINATE`; the message begins with `where`.
     """
+    if not max(map(abs, values[:3])) <= MAX_COORDINATE:
+        raise InputError(
+            f"{where}: the position tx ty tz is further from the origin than {MAX_COORDINATE:g} m"
+        )
     quaternion = np.array(values[3:])
     length = float(np.linalg.norm(quaternion))
-    if abs(length - 1.0) > QUATERNION_TOLERANCE:
+    if not abs(length - 1.0) <= QUATERNION_TOLERANCE:
         raise InputError(
             f"{where}: the quaternion qx qy qz qw must have length 1, this one has {length:.3g}"
         )

@@ -1,7 +1,9 @@
 """Rows of numbers in text: XYZ, CSV, and the ascii bodies of PLY and PCD."""
 
+import csv
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,26 +11,35 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.text import (
+    COMMA_HINT,
+    DECIMAL_COMMA,
+    lines_of,
+    parse_number,
+    read_text,
+)
 
 COMMENT_MARKS = ("#", "//")
-
-
-def read_text(path: Path) -> str:
-    """Read a text file.
-
-    Raises:
-        InputError: If it is not text.
-    """
-    try:
-        # Spreadsheets write a byte-order mark, which utf-8-sig removes.
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not text; is its ending right?") from None
 
 
 def write_lines(path: Path, lines: Iterable[str]) -> None:
     """Write a text file, one line each; the line ends are the same on every system."""
     path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the rows of a table are read.
+
+    Attributes:
+        columns: Which columns to read, such as those of x, y and z, counted from 0.
+        width: Number of columns that each row must have; None if they may differ.
+        separator: What separates the columns; None means spaces.
+    """
+
+    columns: tuple[int, ...]
+    width: int | None = None
+    separator: str | None = None
 
 
 def read_table(path: Path) -> Float[Array, "n 3"]:
@@ -37,7 +48,7 @@ def read_table(path: Path) -> Float[Array, "n 3"]:
     Columns are separated by commas, semicolons, tabs or spaces. If the first row is a header, it
     must name the columns x, y and z, in any order and in lower or upper case; without a header
     they are the first three columns. Further columns are ignored, and so are empty lines and lines
-    that start with ``#`` or ``//``.
+    that start with ``#`` or ``//``. All rows have the same number of columns.
 
     Args:
         path: The file.
@@ -46,10 +57,10 @@ def read_table(path: Path) -> Float[Array, "n 3"]:
         Positions [m], possibly none. An empty field is read as NaN.
 
     Raises:
-        InputError: If a row lacks a column, or a field is not a number; the message names the
-            line.
+        InputError: If a row has another number of columns than the first, a field is not a
+            number, or the numbers are written with decimal commas; the message names the line.
     """
-    lines = read_text(path).splitlines()
+    lines = lines_of(read_text(path))
     first = next((k for k, line in enumerate(lines) if _is_data(line)), None)
     if first is None:
         return np.empty((0, 3))
@@ -57,12 +68,34 @@ def read_table(path: Path) -> Float[Array, "n 3"]:
     fields = _fields(lines[first], separator)
     columns = _named_columns(fields)
     if columns is not None:
-        return parse_rows(lines[first + 1 :], columns, separator, path, first_line=first + 2)
+        layout = Layout(columns, len(fields), separator)
+        return parse_rows(lines[first + 1 :], layout, path, first_line=first + 2)
     # CloudCompare writes its header as a comment with as many words as there are columns.
     for line in lines[:first]:
         words = _fields(re.sub(r"^\s*(#|//)+", "", line), separator)
         columns = columns or (_named_columns(words) if len(words) == len(fields) else None)
-    return parse_rows(lines[first:], columns or (0, 1, 2), separator, path, first_line=first + 1)
+    if columns is None and separator == ",":
+        _refuse_decimal_commas(lines, first, len(fields), path)
+    layout = Layout(columns or (0, 1, 2), len(fields), separator)
+    return parse_rows(lines[first:], layout, path, first_line=first + 1)
+
+
+def _refuse_decimal_commas(lines: Sequence[str], first: int, width: int, path: Path) -> None:
+    """Refuse commas that are, or may be, those of numbers: ``3,158,8,503`` has 2 or 4 columns.
+
+    Raises:
+        InputError: If they are.
+    """
+    words = lines[first].split()
+    if len(words) > 1 and all(DECIMAL_COMMA.fullmatch(word) for word in words):
+        raise InputError(f"{path}, line {first + 1}: {_shorten(lines[first])!r}: {COMMA_HINT}")
+    # If no number has a point, every second comma may stand for one.
+    if width > 3 and not any("." in line for line in lines[first:] if _is_data(line)):
+        raise InputError(
+            f"{path}, line {first + 1}: {_shorten(lines[first])!r} may be {width} whole numbers, "
+            f"or fewer with decimal commas: {COMMA_HINT}; if they are whole numbers, name the "
+            "columns in a header: x,y,z,…"
+        )
 
 
 def _named_columns(words: list[str]) -> tuple[int, int, int] | None:
@@ -73,35 +106,54 @@ def _named_columns(words: list[str]) -> tuple[int, int, int] | None:
 
 
 def read_body(
-    text: str,
+    data: bytes,
     count: int,
-    columns: tuple[int, ...],
+    layout: Layout,
     path: Path,
     *,
-    skipped: int = 0,
+    before: int = 0,
+    after: int = 0,
     first_line: int,
 ) -> Float[Array, "n columns"]:
     """Read the rows of an ascii body, whose number the header gives.
 
     Args:
-        text: Everything after the header.
+        data: Everything after the header.
         count: Number of rows according to the header.
-        columns: Which columns to read, such as those of x, y and z.
+        layout: Which columns to read, and how many there must be.
         path: The file, for the error message.
-        skipped: Number of lines before the rows that belong to something else.
+        before: Number of rows before these that belong to something else.
+        after: Number of rows after these that belong to something else.
         first_line: Number of the body's first line in the file.
 
     Raises:
-        InputError: If there are fewer rows, a row lacks a column, or a field is not a number.
+        InputError: If there are fewer rows or more, a row has another number of columns, or a
+            field is not a number.
     """
-    rows = text.splitlines()[skipped : skipped + count]
-    whole = len(rows)
-    if rows and not text.endswith("\n") and skipped + whole == len(text.splitlines()):
-        # The last line has no line end: if the file is cut short, the line may lack digits.
-        whole -= whole < count or len(rows[-1].split()) <= max(columns)
-    if whole < count:
-        raise cut_short(path, count, whole)
-    return parse_rows(rows, columns, None, path, first_line=first_line + skipped)
+    if b"\0" in data:
+        raise InputError(f"{path}: its header says 'ascii', but zero bytes follow; save it again")
+    lines = lines_of(data.decode("latin-1"))
+    places = [k for k, line in enumerate(lines) if line and not line.isspace()]
+    found = len(places)
+    if lines and places and places[-1] == len(lines) - 1 and not data.endswith((b"\n", b"\r")):
+        # The last row has no line end: if the file is cut short, the row may lack digits.
+        least = layout.width or max(layout.columns) + 1
+        whole = found == before + count + after
+        found -= not whole or (not after and len(lines[-1].split()) < least)
+    if found < before + count:
+        raise cut_short(path, count, max(0, found - before))
+    if found < before + count + after:
+        raise InputError(
+            f"{path}: is cut short: its header promises {before + count + after:,} rows, but the "
+            f"file ends after {found:,}; copy or save it again"
+        )
+    if found > before + count + after:
+        raise surplus(path, before + count + after, found, "rows")
+    chosen = places[before : before + count]
+    # Rows that follow each other keep the numbers of their lines, for the error message.
+    body = lines[chosen[0] : chosen[-1] + 1] if chosen else []
+    start = first_line + (chosen[0] if chosen else 0)
+    return parse_rows(body, layout, path, first_line=start, comments=False)
 
 
 def as_floats(
@@ -120,65 +172,84 @@ def cut_short(path: Path, promised: int, found: int) -> InputError:
     )
 
 
+def surplus(path: Path, promised: int, found: int, what: str) -> InputError:
+    """Make the error for a file that holds more than its header says."""
+    return InputError(
+        f"{path}: holds more than its header says: {found:,} {what} instead of {promised:,}; "
+        "save it again"
+    )
+
+
 def parse_rows(
-    lines: Sequence[str],
-    columns: tuple[int, ...],
-    separator: str | None,
-    path: Path,
-    *,
-    first_line: int,
+    lines: Sequence[str], layout: Layout, path: Path, *, first_line: int, comments: bool = True
 ) -> Float[Array, "n columns"]:
     """Parse columns out of rows of numbers, at full precision.
 
     Args:
-        lines: One row per line; empty lines and comments are skipped.
-        columns: Which columns to read, such as those of x, y and z, counted from 0.
-        separator: What separates the columns; None means spaces.
+        lines: One row per line; empty lines are skipped.
+        layout: Which columns to read, how many there must be, and what separates them.
         path: The file, for the error message.
         first_line: Number of the first of these lines in the file, for the error message.
+        comments: Whether lines that start with a comment mark are skipped too.
 
     Raises:
-        InputError: If a row lacks a column, or a field is not a number.
+        InputError: If a row has another number of columns, or a field is not a number.
     """
-    rows = [line for line in lines if _is_data(line)]
+    rows = [line for line in lines if (_is_data(line) if comments else line.strip())]
     if not rows:
-        return np.empty((0, len(columns)))
+        return np.empty((0, len(layout.columns)))
     try:
-        return np.loadtxt(rows, delimiter=separator, usecols=columns, comments=None, ndmin=2)
+        if all(_has_width(row, layout) for row in rows):
+            return np.loadtxt(
+                rows, delimiter=layout.separator, usecols=layout.columns, comments=None, ndmin=2
+            )
     except ValueError:
-        # NumPy's reader accepts no empty fields, and its errors do not name the file's line.
-        return _parse_slowly(lines, columns, separator, path, first_line)
+        pass
+    # NumPy's reader accepts no empty fields, and its errors do not name the file's line.
+    return _parse_slowly(lines, layout, path, first_line, comments=comments)
+
+
+def _has_width(row: str, layout: Layout) -> bool:
+    if layout.width is None:
+        return True
+    if layout.separator is None:
+        return len(row.split()) == layout.width
+    return '"' not in row and row.count(layout.separator) == layout.width - 1
 
 
 def _parse_slowly(
-    lines: Sequence[str],
-    columns: tuple[int, ...],
-    separator: str | None,
-    path: Path,
-    first_line: int,
+    lines: Sequence[str], layout: Layout, path: Path, first_line: int, *, comments: bool
 ) -> Float[Array, "n columns"]:
     points: list[list[float]] = []
     for number, line in enumerate(lines, start=first_line):
-        if not _is_data(line):
+        if not (_is_data(line) if comments else line.strip()):
             continue
-        fields = _fields(line, separator)
-        if len(fields) <= max(columns):
-            raise InputError(
-                f"{path}, line {number}: has {len(fields)} column{'s' * (len(fields) != 1)}, "
-                f"{'x, y and z need' if len(columns) == 3 else 'it needs'} {max(columns) + 1}: "
-                f"{_shorten(line)!r}"
-            )
+        fields = _fields(line, layout.separator)
+        where, found, least = f"{path}, line {number}", len(fields), max(layout.columns) + 1
+        if found < least:
+            needs = "x, y and z need" if len(layout.columns) == 3 else "it needs"
+            raise InputError(f"{where}: {_has(found)}, {needs} {least}: {_shorten(line)!r}")
         point: list[float] = []
-        for column in columns:
-            try:
-                point.append(float(fields[column]) if fields[column] else float("nan"))
-            except ValueError:
+        for column in layout.columns:
+            value = parse_number(fields[column]) if fields[column] else float("nan")
+            if value is None:
                 hint = "; a header must name the columns x, y and z" if not points else ""
-                raise InputError(
-                    f"{path}, line {number}: {_shorten(fields[column])!r} is not a number{hint}"
-                ) from None
+                if DECIMAL_COMMA.fullmatch(fields[column]):
+                    hint = f"; {COMMA_HINT}"
+                raise InputError(f"{where}: {_shorten(fields[column])!r} is not a number{hint}")
+            point.append(value)
+        if layout.width is not None and found != layout.width:
+            hint = f"; {COMMA_HINT}" if layout.separator == "," and found > layout.width else ""
+            raise InputError(
+                f"{where}: {_has(found)}, but the table has {layout.width}: "
+                f"{_shorten(line)!r}{hint}"
+            )
         points.append(point)
-    return np.array(points, dtype=np.float64).reshape(-1, len(columns))
+    return np.array(points, dtype=np.float64).reshape(-1, len(layout.columns))
+
+
+def _has(columns: int) -> str:
+    return f"has {columns} column{'s' * (columns != 1)}"
 
 
 def _is_data(line: str) -> bool:
@@ -187,6 +258,12 @@ def _is_data(line: str) -> bool:
 
 
 def _fields(line: str, separator: str | None) -> list[str]:
+    if separator is not None and '"' in line:
+        try:
+            (split,) = csv.reader([line], delimiter=separator, skipinitialspace=True)
+        except (csv.Error, ValueError):  # a quote that does not end
+            split = line.split(separator)
+        return [field.strip() for field in split]
     return [field.strip().strip('"') for field in line.split(separator)]
 
 

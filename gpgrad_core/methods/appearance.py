@@ -6,7 +6,6 @@ ranking of the pairs.
 """
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -17,6 +16,7 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods.outcome import outcome
 from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.reading.images import read_images
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Registration, Submap
@@ -123,14 +123,11 @@ def see(submap: Submap) -> SeenSubmap:
             f"{submap.id}: appearance needs camera images, and this submap has none: "
             "put them into images/, in a folder named by the submap's number"
         )
-    return SeenSubmap(submap.fingerprint, tuple(_features(file) for file in submap.images))
+    images = read_images(submap.images)
+    return SeenSubmap(submap.fingerprint, tuple(_features(image) for image in images))
 
 
-def _features(file: Path) -> ImageFeatures:
-    data = np.fromfile(file, np.uint8)
-    image: Any = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
-    if image is None:
-        raise InputError(f"{file}: is not an image that can be read")
+def _features(image: UInt8[NDArray[np.uint8], "rows columns"]) -> ImageFeatures:
     keypoints, descriptors = cv2.ORB.create(nfeatures=NUM_FEATURES).detectAndCompute(image, None)
     pixels = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64).reshape(-1, 2)
     found = np.zeros((0, 32), np.uint8) if len(pixels) == 0 else np.asarray(descriptors, np.uint8)

@@ -2,8 +2,8 @@
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, astuple, dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,9 +14,17 @@ from jaxtyping import Float
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
+from gpgrad_core.reading.json_files import Record, is_number, read_json
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Agreement, Array, Dataset, LoopClosure, Registration
+from gpgrad_core.types import MAX_COORDINATE, Agreement, Array, Dataset, LoopClosure, Registration
 from gpgrad_core.version import VERSION
+
+MOST_INLIERS = 10_000_000
+"""Of a pair; each becomes a truth value in memory."""
+MAX_YAW = 1e6
+"""Of a motion [rad]; from there on an angle has lost ten of its digits."""
+MAX_COVARIANCE = MAX_COORDINATE**2
+"""[m²]"""
 
 
 @dataclass(frozen=True)
@@ -157,29 +165,57 @@ def read_closures(path: Path | str) -> ClosureReport:
         Its content.
 
     Raises:
-        InputError: If the file is not JSON or a key is missing; the message names file and key.
+        InputError: If the file is not JSON, or a value is missing or is none that it can be; the
+            message names the file, the pair and the key.
         OSError: If the file cannot be read.
     """
     path = Path(path)
-    try:
-        content = cast("dict[str, Any]", json.loads(path.read_text(encoding="utf-8")))
-    except ValueError as error:
-        raise InputError(f"{path}: not a JSON file: {error}") from error
-    try:
-        return ClosureReport(
-            dataset=content["dataset"],
-            method=content["method"],
-            seed=content["seed"],
-            params=content["params"],
-            versions=content["versions"],
-            seconds=content["seconds"],
-            submaps={submap["id"]: submap["num_points"] for submap in content["submaps"]},
-            pairs=tuple(_read_pair(pair) for pair in content["pairs"]),
-        )
-    except KeyError as error:
-        raise InputError(f"{path}: not a file of loop closures: {error} is missing") from error
-    except (TypeError, AttributeError) as error:
-        raise InputError(f"{path}: not a file of loop closures: {error}") from error
+    content = Record.of(read_json(path), f"{path}: not a file of loop closures")
+    dataset, method, seed = content.text("dataset"), content.text("method"), content.count("seed")
+    submaps = [(one.text("id"), one.count("num_points")) for one in content.records("submaps")]
+    known = dict(submaps)
+    if len(known) < len(submaps):
+        raise InputError(f"{content.where}: 'submaps' names a submap twice")
+    return ClosureReport(
+        dataset=dataset,
+        method=method,
+        seed=seed,
+        params=content.record("params").values,
+        versions=_texts(content.record("versions")),
+        seconds=_seconds(content.record("seconds")),
+        submaps=known,
+        pairs=_read_pairs(content.records("pairs"), known),
+    )
+
+
+def _texts(record: Record) -> dict[str, str]:
+    return {key: record.text(key) for key in record.values}
+
+
+def _seconds(record: Record) -> dict[str, float]:
+    return {key: record.number(key, 0.0) for key in record.values}
+
+
+def _read_pairs(records: Sequence[Record], known: Collection[str]) -> tuple[PairRecord, ...]:
+    """Read the pairs, each of two submaps of the file, and each once."""
+    pairs: list[PairRecord] = []
+    seen: set[frozenset[str]] = set()
+    for record in records:
+        pair = _read_pair(record)
+        for name in (pair.query, pair.database):
+            if known and name not in known:  # other tools may list no submaps
+                raise InputError(f"{record.where}: names submap {name!r}, which 'submaps' has not")
+        both = frozenset((pair.query, pair.database))
+        if len(both) == 1:
+            raise InputError(f"{record.where}: pairs submap {pair.query!r} with itself")
+        if both in seen:
+            raise InputError(
+                f"{record.where}: has the pair of {pair.query!r} and {pair.database!r} a second "
+                "time"
+            )
+        seen.add(both)
+        pairs.append(pair)
+    return tuple(pairs)
 
 
 def restore_closures(report: ClosureReport) -> tuple[LoopClosure, ...]:
@@ -243,25 +279,38 @@ def _record(closure: LoopClosure) -> PairRecord:
     )
 
 
-def _read_pair(pair: Mapping[str, Any]) -> PairRecord:
-    h, motion = pair["dissimilarity"], pair["T_database_query"]
-    agreement = pair.get("agreement")
+def _read_pair(pair: Record) -> PairRecord:
     return PairRecord(
-        query=pair["query"],
-        database=pair["database"],
-        num_inliers=pair["num_inliers"],
-        score=pair["score"],
-        dissimilarity=math.inf if h is None else h,
-        overlap_area=pair["overlap_area"],
-        accepted=pair["accepted"],
-        reason=pair["reason"],
-        T_database_query=motion and SE2(motion["x"], motion["y"], motion["yaw"]),
-        z_offset=pair.get("z_offset"),
-        covariance=_read_covariance(pair.get("covariance")),
-        z_std=pair.get("z_std"),
-        scale=pair.get("scale"),
-        agreement=None if agreement is None else Agreement(**agreement),
+        query=pair.text("query"),
+        database=pair.text("database"),
+        num_inliers=pair.count("num_inliers", MOST_INLIERS),
+        score=pair.number("score"),
+        dissimilarity=math.inf
+        if pair.get("dissimilarity") is None
+        else pair.number("dissimilarity", 0.0),
+        overlap_area=pair.number("overlap_area", 0.0),
+        accepted=pair.flag("accepted"),
+        reason=pair.text("reason"),
+        T_database_query=None
+        if pair.get("T_database_query") is None
+        else _read_motion(pair.record("T_database_query")),
+        z_offset=pair.optional_number("z_offset"),
+        covariance=_read_covariance(pair),
+        z_std=pair.optional_number("z_std", 0.0),
+        scale=pair.optional_number("scale", 0.0),
+        agreement=None
+        if pair.values.get("agreement") is None
+        else _read_agreement(pair.record("agreement")),
     )
+
+
+def _read_motion(motion: Record) -> SE2:
+    x, y = (motion.number(key, -MAX_COORDINATE, MAX_COORDINATE) for key in "xy")
+    return SE2(x, y, motion.number("yaw", -MAX_YAW, MAX_YAW))
+
+
+def _read_agreement(agreement: Record) -> Agreement:
+    return Agreement(*(agreement.number(one.name, 0.0) for one in fields(Agreement)))
 
 
 def _usable(covariance: Float[Array, "3 3"] | None) -> Float[Array, "3 3"] | None:
@@ -272,20 +321,37 @@ def _usable(covariance: Float[Array, "3 3"] | None) -> Float[Array, "3 3"] | Non
     return symmetric if np.linalg.eigvalsh(symmetric)[0] > 0 else None
 
 
-def _read_covariance(rows: object) -> tuple[tuple[float, ...], ...] | None:
+def _read_covariance(pair: Record) -> tuple[tuple[float, ...], ...] | None:
     """Check a covariance that any tool may have written; with a bad one no graph can be solved."""
+    key = "covariance"
+    rows = cast("list[list[float]] | None", pair.values.get(key))
     if rows is None:
         return None
-    matrix = np.asarray(rows, dtype=np.float64)
-    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-        raise TypeError("a covariance must be three rows of three numbers")
+    if not _is_square(rows):
+        raise pair.wrong(key, "three rows of three finite numbers (a covariance must be 3 x 3)")
+    matrix = np.array(rows, dtype=np.float64)
     # Sums in single precision leave the two halves of a matrix equal to six digits only.
     if np.abs(matrix - matrix.T).max() > 1e-5 * np.abs(matrix).max():
-        raise TypeError("a covariance must be symmetric")
+        raise InputError(f"{pair.where}: a covariance must be symmetric")
     matrix = 0.5 * (matrix + matrix.T)
-    if np.linalg.eigvalsh(matrix)[0] <= 0:
-        raise TypeError("a covariance must be positive definite")
+    if not np.linalg.eigvalsh(matrix)[0] > 0:
+        raise InputError(f"{pair.where}: a covariance must be positive definite")
     return tuple(tuple(row) for row in matrix.tolist())
+
+
+def _is_square(rows: object) -> bool:
+    """Say whether a value of a JSON file is three rows of three numbers that can be squared."""
+    if not isinstance(rows, list) or len(cast("list[object]", rows)) != 3:
+        return False
+    return all(
+        isinstance(row, list)
+        and len(cast("list[object]", row)) == 3
+        and all(
+            is_number(value) and abs(cast("float", value)) <= MAX_COVARIANCE
+            for value in cast("list[object]", row)
+        )
+        for row in cast("list[object]", rows)
+    )
 
 
 def _rounded(value: float) -> float:

@@ -8,10 +8,13 @@ from typing import Any, TypeVar, cast
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.fields import AUTOMATIC, Field, fields_of
-from gpgrad_core.params.toml import read_toml
+from gpgrad_core.reading.toml_files import read_toml
 from gpgrad_core.types import Dataset
 
 P = TypeVar("P")
+
+MAX_NUMBER = 2**63 - 1
+"""The largest whole number that NumPy and the pages of the viewer have."""
 
 
 def read_parameters(path: Path | str, base: P) -> P:
@@ -29,8 +32,7 @@ def read_parameters(path: Path | str, base: P) -> P:
             the wrong type or outside its bounds; the message names the file and the key.
         OSError: If the file cannot be read.
     """
-    path = Path(path)
-    return with_tables(base, read_toml(path), str(path))
+    return with_tables(base, read_toml(Path(path)), str(path))
 
 
 def preferred_parameters(dataset: Dataset, base: P) -> P:
@@ -115,6 +117,9 @@ def _checked(field: Field, value: object, where: str) -> object:
         fits = type(value) is field.kind
     else:
         fits = isinstance(value, int | float if field.kind is float else int)
+        # Numbers without bounds of their own must at least be numbers that NumPy has.
+        if field.bounds is None:
+            fits = fits and abs(cast("float", value)) <= MAX_NUMBER
     if not fits:
         raise InputError(f"{where}: {field.path} must be {_spelled(field)}, got {value!r}")
     return float(cast("float", value)) if field.kind is float else value

@@ -21,6 +21,8 @@ from typing import Any, cast
 from gpgrad_core.datasets.folder import check_vacant
 from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.json_files import parse_json
+from gpgrad_core.reading.text import lines_of, read_text
 
 Entry = dict[str, Any]
 JOURNAL = "build.jsonl"
@@ -118,7 +120,7 @@ def _begun(directory: Path, folder: Path, header: Mapping[str, Any]) -> Journal:
 
 def _taken_up(directory: Path, folder: Path, header: Mapping[str, Any]) -> Journal:
     path = folder / JOURNAL
-    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    lines = lines_of(read_text(path)) if path.is_file() else []
     if not lines:
         if any(entry.name not in (JOURNAL, UNFINISHED_CLOUDS) for entry in folder.iterdir()):
             raise InputError(
@@ -156,13 +158,15 @@ def _taken_up(directory: Path, folder: Path, header: Mapping[str, Any]) -> Journ
 
 def _parsed(line: str) -> Entry | None:
     try:
-        entry = json.loads(line)
-    except json.JSONDecodeError:
+        entry = parse_json(line, JOURNAL)
+    except InputError:
         return None  # the run was killed while it wrote this line
     return cast("Entry", entry) if isinstance(entry, dict) else None
 
 
 def _is_whole(entry: Entry, clouds: Path) -> bool:
+    if not isinstance(entry.get("id"), str) or Path(entry["id"]).name != entry["id"]:
+        return False
     if "hash" not in entry:
         return True
     cloud = clouds / f"{entry['id']}.ply"

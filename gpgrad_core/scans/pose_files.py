@@ -9,10 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.poses import make_pose, parse_numbers
-from gpgrad_core.datasets.tables import read_text
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.text import lines_of, read_text
 from gpgrad_core.scans.trajectory import Poses, Trajectory
+from gpgrad_core.types import MAX_COORDINATE
 
+MAX_TIME = 1e19
+"""Of a time, in whatever unit: the nanoseconds since 1970 are a fifth of it."""
 TUM, TUM_WITH_COVARIANCE, KITTI = 8, 44, 12
 ROTATION_TOLERANCE = 0.01
 """A matrix further from a rotation than this is not a rounded one: its columns have another
@@ -68,19 +71,48 @@ def read_pose_file(path: Path) -> PoseFile:
     if len(rows[0]) == KITTI:
         stamps = np.arange(len(rows), dtype=np.float64)
         return PoseFile(Trajectory(stamps, _matrices(table, numbers, path)), numbered=True)
+    _check_times(table[:, 0], numbers, path)
     poses = [make_pose(row[1:8], f"{path}, line {k}") for row, k in zip(rows, numbers, strict=True)]
     stack = Poses(table[:, 1:4], Rotation.from_quat([pose.quaternion for pose in poses]))
     covariance = None
     if len(rows[0]) == TUM_WITH_COVARIANCE:
-        covariance = np.ascontiguousarray(table[:, 8:].reshape(-1, 6, 6)[:, :3, :3])
+        whole = table[:, 8:].reshape(-1, 6, 6)
+        _check_covariances(whole, numbers, path)
+        covariance = np.ascontiguousarray(whole[:, :3, :3])
     return PoseFile(Trajectory.in_order(table[:, 0], stack, covariance), numbered=False)
+
+
+def _check_covariances(covariance: Float[Array, "n 6 6"], numbers: list[int], path: Path) -> None:
+    """Refuse what is no covariance of a pose.
+
+    Raises:
+        InputError: If one is not symmetric, or has a variance below 0 or beyond all sense.
+    """
+    size = np.abs(covariance).max(axis=(1, 2))
+    skew = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2))
+    # Sums in single precision leave the two halves of a matrix equal to six digits only.
+    wrong = np.flatnonzero(
+        (skew > 1e-5 * size)
+        | (size > MAX_COORDINATE**2)
+        | (np.einsum("nii->ni", covariance).min(axis=1) < 0)
+    )
+    if len(wrong):
+        raise InputError(
+            f"{path}, line {numbers[wrong[0]]}: the covariance must be symmetric, with variances "
+            f"from 0 to {MAX_COORDINATE**2:g}"
+        )
 
 
 def _matrices(table: Float[Array, "n 12"], numbers: list[int], path: Path) -> Poses:
     matrices = table.reshape(-1, 3, 4)
-    turns = matrices[:, :, :3]
+    turns, far = matrices[:, :, :3], np.abs(matrices[:, :, 3]).max(axis=1) > MAX_COORDINATE
+    if far.any():
+        raise InputError(
+            f"{path}, line {numbers[int(np.argmax(far))]}: the position is further from the origin "
+            f"than {MAX_COORDINATE:g} m"
+        )
     off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    wrong = np.flatnonzero((off > ROTATION_TOLERANCE) | (np.linalg.det(turns) < 0))
+    wrong = np.flatnonzero(~(off <= ROTATION_TOLERANCE) | (np.linalg.det(turns) < 0))
     if len(wrong):
         raise InputError(
             f"{path}, line {numbers[wrong[0]]}: the first three columns of the 3x4 matrix are not "
@@ -96,10 +128,21 @@ def read_times(path: Path) -> Float[Array, "n"]:
         InputError: If a row does not begin with a number, or there are no rows; the message names
             the line.
     """
-    times = [parse_numbers(words[:1], f"{path}, line {k}")[0] for k, words in _rows(path)]
+    rows = _rows(path)
+    times = [parse_numbers(words[:1], f"{path}, line {k}")[0] for k, words in rows]
     if not times:
         raise InputError(f"{path}: holds no times")
-    return np.array(times)
+    stamps = np.array(times)
+    _check_times(stamps, [k for k, _ in rows], path)
+    return stamps
+
+
+def _check_times(stamps: Float[Array, "n"], numbers: list[int], path: Path) -> None:
+    far = np.flatnonzero(np.abs(stamps) > MAX_TIME)
+    if len(far):
+        raise InputError(
+            f"{path}, line {numbers[far[0]]}: the time {stamps[far[0]]:g} is beyond {MAX_TIME:g}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +189,6 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     split = (
-        (k, line.split("#", 1)[0].split()) for k, line in enumerate(read_text(path).splitlines(), 1)
+        (k, line.split("#", 1)[0].split()) for k, line in enumerate(lines_of(read_text(path)), 1)
     )
     return [(number, words) for number, words in split if words]

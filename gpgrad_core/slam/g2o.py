@@ -9,9 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.datasets.folder import index_of
+from gpgrad_core.datasets.poses import make_pose, parse_numbers
 from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import replacing
+from gpgrad_core.reading.text import lines_of, parse_count, read_text
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, EdgeKind, GraphParams, PoseGraph
 from gpgrad_core.types import Array
@@ -20,6 +22,8 @@ HALVED = np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
 """Converts a covariance: g2o measures a turn by the quaternion's vector part, half of a small
 angle."""
 VERTEX, EDGE = "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT"
+MIN_INFORMATION, MAX_INFORMATION = 1e-18, 1e18
+"""A standard deviation of 1e9 m, and one of 1e-9 m; what lies beyond cannot be computed with."""
 COLUMNS = {VERTEX: 1 + 7, EDGE: 2 + 7 + 21}
 
 
@@ -84,12 +88,14 @@ def read_graph(path: Path | str, tilt_std: float | None = None) -> PoseGraph:
     path = Path(path)
     poses: dict[str, Pose] = {}
     edge_rows: list[_Row] = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+    for number, line in enumerate(lines_of(read_text(path)), start=1):
         row = _read_row(line, f"{path}, line {number}")
         if row is None:
             continue
         if len(row.vertices) == 1:
-            poses[row.vertices[0]] = _pose(row.values)
+            if row.vertices[0] in poses:
+                raise InputError(f"{row.where}: gives vertex {row.vertices[0]} a second time")
+            poses[row.vertices[0]] = row.pose
         else:
             edge_rows.append(row)
     names = sorted(poses, key=int)
@@ -101,11 +107,13 @@ def read_graph(path: Path | str, tilt_std: float | None = None) -> PoseGraph:
             raise InputError(
                 f"{row.where}: names vertex {missing[0]}, which the file does not have"
             )
+        if start == end:
+            raise InputError(f"{row.where}: joins vertex {start} to itself")
         kind: EdgeKind = "odometry" if (start, end) in following else "loop"
         following.discard((start, end))
         covariance = _covariance(row.values[7:], row.where)
         trusted = kind == "odometry"
-        edges.append(Edge(start, end, _pose(row.values), covariance, kind, trusted=trusted))
+        edges.append(Edge(start, end, row.pose, covariance, kind, trusted=trusted))
     tilt = GraphParams().tilt_std if tilt_std is None else tilt_std
     edges.sort(key=lambda edge: edge.kind == "loop")
     return PoseGraph({name: poses[name] for name in names}, tuple(edges), tilt)
@@ -119,6 +127,11 @@ class _Row:
     vertices: tuple[str, ...]
     values: list[float]
 
+    @property
+    def pose(self) -> Pose:
+        """The pose in the line; its quaternion must have length 1."""
+        return make_pose(self.values[:7], self.where)
+
 
 def _read_row(line: str, where: str) -> _Row | None:
     """Parse a line; None if it holds nothing that is needed."""
@@ -130,29 +143,25 @@ def _read_row(line: str, where: str) -> _Row | None:
     if len(words) != COLUMNS[tag]:
         raise InputError(f"{where}: {tag} has {COLUMNS[tag]} columns, found {len(words)}")
     num_vertices = 1 if tag == VERTEX else 2
-    try:
-        vertices = tuple(str(int(word)) for word in words[:num_vertices])
-        values = [float(word) for word in words[num_vertices:]]
-    except ValueError:
-        raise InputError(f"{where}: holds something that is not a number") from None
-    if not np.isfinite(values).all() or np.linalg.norm(values[3:7]) == 0:
-        raise InputError(f"{where}: holds a value that is not finite, or a quaternion of length 0")
-    return _Row(where, vertices, values)
+    vertices: list[str] = []
+    for word in words[:num_vertices]:
+        number = parse_count(word)
+        if number is None:
+            raise InputError(f"{where}: the vertex {word[:40]!r} is not a whole number, 0 or more")
+        vertices.append(str(number))
+    return _Row(where, tuple(vertices), parse_numbers(words[num_vertices:], where))
 
 
 def _covariance(upper: list[float], where: str) -> Float[Array, "6 6"]:
     information = np.zeros((6, 6))
     information[np.triu_indices(6)] = upper
     information += np.triu(information, 1).T
-    if np.linalg.eigvalsh(information)[0] <= 0:
+    if np.abs(information).max() > MAX_INFORMATION:
+        raise InputError(f"{where}: an entry of the information is above {MAX_INFORMATION:g}")
+    if not np.linalg.eigvalsh(information)[0] > MIN_INFORMATION:
         raise InputError(f"{where}: the information matrix is not positive definite")
     whole = np.linalg.inv(HALVED)
     return whole @ np.linalg.inv(information) @ whole
-
-
-def _pose(values: list[float]) -> Pose:
-    quaternion = np.array(values[3:7])
-    return Pose(np.array(values[:3]), quaternion / np.linalg.norm(quaternion))
 
 
 def _text(pose: Pose) -> str:

@@ -47,7 +47,7 @@ def inside(root: Path, path: Path) -> Path:
     real_root = root.resolve()
     try:
         real = (root / path).resolve(strict=True)
-    except OSError as error:
+    except (OSError, ValueError, RuntimeError) as error:  # a zero byte; links in a circle
         raise InputError(f"{path}: no such file or folder in {root}") from error
     if not real.is_relative_to(real_root):
         raise InputError(f"{path}: lies outside of {root}, and this viewer may open nothing else")

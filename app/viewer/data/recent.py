@@ -5,12 +5,17 @@ import logging
 from pathlib import Path
 from typing import cast
 
+from gpgrad_core.errors import InputError
 from gpgrad_core.outputs import replacing
+from gpgrad_core.reading.json_files import read_json
+from gpgrad_core.reading.paths import check_path
 
 _log = logging.getLogger(__name__)
 
 MOST = 8
 FILE = "recent.json"
+LARGEST = 100_000
+"""Bytes; eight paths have a tenth."""
 
 
 def recent_datasets(config: Path) -> tuple[str, ...]:
@@ -20,13 +25,20 @@ def recent_datasets(config: Path) -> tuple[str, ...]:
         config: Folder of the user's settings; it need not exist.
     """
     try:
-        paths = json.loads((config / FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        paths = read_json(config / FILE, LARGEST)
+    except (OSError, InputError):
         return ()  # the first time, or not worth an error
     if not isinstance(paths, list):
         return ()
     found = [path for path in cast("list[object]", paths) if isinstance(path, str)]
-    return tuple(path for path in found if Path(path).exists())[:MOST]
+    return tuple(path for path in found if _is_there(path))[:MOST]
+
+
+def _is_there(path: str) -> bool:
+    try:
+        return check_path(path).exists()
+    except InputError:
+        return False
 
 
 def remember_dataset(config: Path, path: str) -> tuple[str, ...]:

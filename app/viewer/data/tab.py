@@ -17,6 +17,7 @@ from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, resolve_parameters
+from gpgrad_core.reading.paths import check_name
 from gpgrad_core.run.progress import Progress, part
 
 CLOUDS = "uploaded clouds"
@@ -101,6 +102,11 @@ class DataTab(Feature):
         self._loader.start(request)
 
     def _upload(self, name: str, content: bytes) -> None:
+        try:
+            name = check_name(name).name  # a page may send any name, and files are made of it
+        except InputError as error:
+            self._panel.work_bar.failed(f"The upload was refused: {error}")
+            return
         self._start(Request(upload=(name, content)))
 
     def _enter(self, name: str) -> None:

@@ -4,11 +4,12 @@ import io
 import shutil
 import stat
 import zipfile
-import zlib
 from pathlib import Path, PurePosixPath
 
-from gpgrad_core.datasets.clouds import READERS
+from gpgrad_core.datasets.clouds import READERS, UNPACKED, unpacked_bytes
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.archives import opened_archive
+from gpgrad_core.reading.paths import check_name
 from gpgrad_core.run.progress import Progress, silent
 
 MOST_GROWTH = 8
@@ -42,9 +43,6 @@ def unpack(
     folder.mkdir(parents=True)
     try:
         return _unpacked(name, content, folder, most_bytes, progress)
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError) as error:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise InputError(f"{name}: is not a complete zip archive: {error}") from error
     except OSError as error:
         shutil.rmtree(folder, ignore_errors=True)
         raise InputError(f"{name}: cannot be unpacked: {error.strerror or error}") from error
@@ -56,7 +54,7 @@ def unpack(
 def _unpacked(
     name: str, content: bytes, folder: Path, most_bytes: int, progress: Progress
 ) -> tuple[Path, tuple[str, ...]]:
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+    with opened_archive(io.BytesIO(content), name, "zip archive") as archive:
         members = [member for member in archive.infolist() if not member.is_dir()]
         if len(members) > MOST_FILES:
             raise InputError(f"{name}: holds {len(members):,} files, more than {MOST_FILES:,}")
@@ -75,13 +73,17 @@ def _unpacked(
             target = folder / place
             target.parent.mkdir(parents=True, exist_ok=True)
             # A member yields no more bytes than its header says, which were counted above.
+            expected = done + member.file_size
             with archive.open(member) as source, target.open("xb") as sink:
                 while chunk := source.read(CHUNK):
                     sink.write(chunk)
                     done += len(chunk)
                     progress(done / total)
-            if target.suffix.lower() == ".npz":
-                _check_arrays(name, target, most_bytes)
+            if done != expected:
+                raise InputError(
+                    f"{name}: is not a complete zip archive: {member.filename!r} is cut short"
+                )
+            _check_unpacked(name, target, most_bytes)
     left_out = sum(not _is_hidden(PurePosixPath(member.filename)) for member in members)
     left_out -= len(wanted)
     if not wanted:
@@ -95,15 +97,15 @@ def _place(name: str, member: zipfile.ZipInfo) -> PurePosixPath:
     """Find the path of a member, relative to the folder.
 
     Raises:
-        InputError: If the path is outside of the folder, or the member is a link or encrypted.
+        InputError: If the path is outside of the folder or cannot be a file's, or the member is a
+            link.
     """
-    place = PurePosixPath(member.filename.replace("\\", "/"))
-    if place.is_absolute() or ".." in place.parts or ":" in member.filename or not place.parts:
-        raise InputError(f"{name}: names a path outside of its folder: {member.filename!r}")
+    try:
+        place = check_name(member.filename)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
     if stat.S_ISLNK(member.external_attr >> 16):
         raise InputError(f"{name}: {member.filename!r} is a link; pack the files themselves")
-    if member.flag_bits & 1:
-        raise InputError(f"{name}: {member.filename!r} is encrypted; pack it without a password")
     return place
 
 
@@ -112,14 +114,19 @@ def _is_hidden(place: PurePosixPath) -> bool:
     return any(part.startswith((".", "__MACOSX")) for part in place.parts)
 
 
-def _check_arrays(name: str, path: Path, most_bytes: int) -> None:
-    """Check how much memory an NPZ file would take once it is unpacked.
+def _check_unpacked(name: str, path: Path, most_bytes: int) -> None:
+    """Refuse a compressed cloud that would take too much in memory.
 
     Raises:
-        InputError: If it would take more than `most_bytes`.
+        InputError: If it would, or is broken.
     """
-    with zipfile.ZipFile(path) as arrays:
-        total = sum(member.file_size for member in arrays.infolist())
+    if path.suffix.lower() not in UNPACKED:
+        return
+    try:
+        total = unpacked_bytes(path)
+    except InputError as error:
+        # The page knows the name of its file, not where it lies here.
+        raise InputError(f"{name}: {str(error).replace(str(path), path.name)}") from None
     if total > most_bytes:
         raise InputError(
             f"{name}: {path.name} would unpack to {_megabytes(total)}, "
@@ -137,11 +144,7 @@ def check_cloud(path: Path, most_bytes: int) -> None:
         raise InputError(
             f"{path.name}: is neither a zipped dataset (.zip) nor a cloud ({' '.join(READERS)})"
         )
-    if path.suffix.lower() == ".npz":
-        try:
-            _check_arrays(path.name, path, most_bytes)
-        except zipfile.BadZipFile as error:
-            raise InputError(f"{path.name}: is not a complete NPZ file: {error}") from error
+    _check_unpacked(path.name, path, most_bytes)
 
 
 def _dataset_in(folder: Path) -> Path:

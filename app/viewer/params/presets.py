@@ -18,8 +18,12 @@ from app.viewer.params.presets_panel import PresetPanel
 from app.viewer.state import ViewState
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import preferred_parameters, with_tables
-from gpgrad_core.params.toml import load_toml_text
 from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.reading.toml_files import parse_toml
+
+LARGEST = 100_000
+"""Bytes of a file of parameters; any real one has a hundredth. It is parsed between two messages
+of a page."""
 
 
 class PresetsTool(Feature):
@@ -118,6 +122,6 @@ class PresetsTool(Feature):
 
     def _parsed(self, name: str, content: bytes) -> PipelineParams:
         """Read an uploaded file as ``--params`` would: over what the dataset prefers."""
-        tables = load_toml_text(content, name)
+        tables = parse_toml(content, name, LARGEST)
         base = preferred_parameters(self._state.dataset, PipelineParams())
         return with_tables(base, tables, name)

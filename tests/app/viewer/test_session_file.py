@@ -1,3 +1,4 @@
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -104,3 +105,23 @@ def test_a_file_that_cannot_be_read_and_a_pair_that_is_not_there(tmp_path: Path)
         read_session(tmp_path / "odd.toml")
     with pytest.raises(InputError, match="no submap '999'"):
         parse_session("query = '999'", "here").check(DATASET)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a." * 49_000 + "a = 1", "more than 20 parts"),
+        ("x = " + "[" * 5000, "nested more than 20 deep"),
+        ("#" * 200_000, "larger than 100,000 bytes"),
+        ('dataset = "a\\u0000b"', "zero byte"),
+        (f'dataset = "{"a" * 5000}"', "too long"),
+        ("[camera]\nposition = [true, 1, 2]\nlook_at = [0, 0, 0]", "camera.position"),
+        ("[camera]\nposition = [1e30, 1, 2]\nlook_at = [0, 0, 0]", "camera.position"),
+    ],
+)
+def test_what_would_stall_the_pages_or_cannot_be_is_refused_at_once(text: str, said: str) -> None:
+    begin = time.process_time()
+    with pytest.raises(InputError, match=said) as refusal:
+        parse_session(text, "here")
+    assert str(refusal.value).startswith("here")
+    assert time.process_time() - begin < 0.5

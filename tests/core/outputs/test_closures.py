@@ -153,7 +153,7 @@ def test_a_score_that_is_not_a_number_is_never_written(
         ("{", "not a JSON file"),
         ("[]", "not a file of loop closures"),
         ("{}", "'dataset' is missing"),
-        ('{"dataset": "a", "method": 1, "seed": 0, "params": {}, "versions": {}, "seconds": {}, '
+        ('{"dataset": "a", "method": "a", "seed": 0, "params": {}, "versions": {}, "seconds": {}, '
          '"submaps": [{"id": "000"}], "pairs": []}', "'num_points' is missing"),
     ],
 )  # fmt: skip

@@ -89,9 +89,9 @@ UNIT = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
     [
         ("VERTEX_SE2 0 1 2 3\n", r"line 1: 'VERTEX_SE2' is not one of"),
         ("VERTEX_SE3:QUAT 0 1 2\n", r"line 1: VERTEX_SE3:QUAT has 8 columns, found 3"),
-        ("VERTEX_SE3:QUAT x 0 0 0 0 0 0 1\n", r"line 1: holds something that is not a number"),
+        ("VERTEX_SE3:QUAT x 0 0 0 0 0 0 1\n", r"line 1: the vertex 'x' is not a whole number"),
         ("VERTEX_SE3:QUAT 0 nan 0 0 0 0 0 1\n", r"line 1: holds a value that is not finite"),
-        ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 0\n", r"line 1: holds .* length 0"),
+        ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 0\n", r"line 1: .* must have length 1, this one has 0"),
         (
             f"{VERTICES}EDGE_SE3:QUAT 0 7 5 0 0 0 0 0 1 {UNIT}\n",
             r"line 3: names vertex 7, which the file does not have",

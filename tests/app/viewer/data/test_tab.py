@@ -161,6 +161,25 @@ def test_clouds_gather_in_one_dataset(
     assert len(opened) == 2
 
 
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [
+        ("a\0.ply", "control character"),
+        ("a" * 300 + ".ply", "longer than 200 bytes"),
+        ("a/" * 2000 + "\x1b.ply", "control character"),
+        ("..", "outside of its folder"),
+    ],
+)
+def test_names_that_no_file_can_have_are_refused(
+    name: str, rule: str, make: Make, server: viser.ViserServer, tmp_path: Path
+) -> None:
+    opening = make()
+    upload(server, opening, name, b"ply\n")
+    assert rule in said(opening)
+    assert "\n" not in said(opening)
+    assert not [file for file in tmp_path.rglob("*.ply") if "uploads" in file.parts]
+
+
 def test_the_clouds_together_have_a_bound(
     make: Make, server: viser.ViserServer, data: Path, opened: list[Opened]
 ) -> None:

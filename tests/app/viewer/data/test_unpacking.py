@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from app.viewer.data.unpacking import MOST_FILES, check_cloud, unpack
+from gpgrad_core.datasets import load_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Cancelled
 
@@ -121,3 +122,49 @@ def test_a_single_cloud_is_checked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a complete NPZ"):
         check_cloud(tmp_path / "001.npz", MOST)
     check_cloud(tmp_path / "002.npy", MOST)
+
+
+def test_names_that_no_file_can_have_are_refused(tmp_path: Path) -> None:
+    names = {
+        "a" * 300 + ".npy": "longer than 200 bytes",
+        "a/" * 2000 + "0.npy": "2,001 folders deep",
+        "a\nb.npy": "control character",
+        "\x1b[31m.npy": "control character",
+    }
+    for name, rule in names.items():
+        assert rule in refused(packed({"000.npy": array(), name: array()}), tmp_path)
+
+
+def test_two_files_of_one_name_are_refused(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("000.npy", array())
+        with pytest.warns(UserWarning, match="Duplicate name"):
+            archive.writestr("000.npy", array())
+    assert "two files '000.npy'" in refused(buffer.getvalue(), tmp_path)
+
+
+def test_a_compressed_cloud_that_grows_is_refused_within_and_alone(tmp_path: Path) -> None:
+    """A short header promises many points; what a file may unpack to is counted before."""
+    header = (
+        b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 100000\nHEIGHT 1\n"
+        b"POINTS 100000\nDATA binary_compressed\n"
+    )
+    assert "000.pcd would unpack to 1 MB" in refused(packed({"000.pcd": header}), tmp_path)
+    (tmp_path / "000.pcd").write_bytes(header)
+    with pytest.raises(InputError, match="would unpack to 1 MB"):
+        check_cloud(tmp_path / "000.pcd", MOST)
+
+
+def test_python_objects_in_arrays_are_never_loaded(tmp_path: Path) -> None:
+    class Trap:
+        def __reduce__(self) -> tuple[object, tuple[str]]:
+            return open, (str(tmp_path / "sprung"), "w")
+
+    for name, save in {"000.npy": np.save, "000.npz": np.savez}.items():
+        buffer = io.BytesIO()
+        save(buffer, np.array([Trap()], dtype=object))
+        folder, _ = unpack("mine.zip", packed({name: buffer.getvalue()}), tmp_path / name, MOST)
+        with pytest.raises(InputError, match="Python objects are never loaded"):
+            load_dataset(folder)
+    assert not (tmp_path / "sprung").exists()

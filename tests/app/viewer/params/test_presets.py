@@ -85,7 +85,9 @@ def test_a_file_of_parameters_is_taken_or_refused(
     upload(server, "mine.toml", b"[closure]\nmin_inlier = 7\n")
     assert "did you mean closure.min_inliers?" in said(presets)
     upload(server, "mine.toml", b"\xff\xfe")
-    assert "not a TOML file" in said(presets)
+    assert "is not text in UTF-8" in said(presets)
+    upload(server, "mine.toml", b"[closure")
+    assert "is not TOML" in said(presets)
     upload(server, "mine.toml", b"#" * 200_000)
-    assert "too large" in said(presets)
+    assert "larger than 100,000 bytes" in said(presets)
     assert len(gone_to(recorder)) == 1

@@ -1,0 +1,194 @@
+"""NPY and NPZ, NumPy's own formats.
+
+NumPy's reader is not used: it parses the header as a Python expression, believes a shape before
+it has looked at the size, and leaves what a shape does not cover unread.
+"""
+
+import math
+import re
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeAlias
+from zipfile import ZipInfo
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.datasets.tables import as_floats
+from gpgrad_core.errors import InputError
+from gpgrad_core.reading.archives import opened_archive, read_member
+from gpgrad_core.reading.text import parse_count
+
+MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK\x03\x04"
+LENGTH_BYTES = {1: 2, 2: 4, 3: 4}
+"""How many bytes give the length of the header, by version."""
+LARGEST_HEADER = 10_000
+MOST_GROWTH = 30
+"""Arrays of real numbers grow to at most some times their compressed size. Zeros grow a
+thousandfold."""
+SMALL_ARRAY = 16_000_000
+"""Bytes that any compressed array may grow to."""
+
+Load: TypeAlias = Callable[[], NDArray[Any]]
+
+_ITEM = re.compile(
+    r"\s*'(?P<key>descr|fortran_order|shape)'\s*:\s*"
+    r"(?P<value>'[^']{1,40}'|True|False|\([0-9,\s]{0,200}\)|\[.*\])\s*(?:,|(?=\}))"
+)
+
+
+def read_npy(path: Path) -> Float[NDArray[np.floating], "n 3"]:
+    """Read an array of shape (n, 3).
+
+    Raises:
+        InputError: If it is no NPY file, its size is not that of its shape, or the array is no
+            points.
+    """
+    data = path.read_bytes()
+    if data.startswith(ZIP_MAGIC):
+        raise InputError(f"{path}: is an NPZ archive; rename it to .npz")
+    return _check_points(_parse(data, f"{path}: is not a complete NPY file"), str(path))
+
+
+def read_npz(path: Path) -> Float[NDArray[np.floating], "n 3"]:
+    """Read the array ``points`` of an archive, or its only array of shape (n, 3).
+
+    Raises:
+        InputError: If it is no archive of arrays, or holds no such array.
+    """
+    with _opened(path) as arrays:
+        if "points" in arrays:
+            return _check_points(arrays["points"](), f"{path}, array 'points'")
+        held = {name: load() for name, load in arrays.items()}
+    clouds = [name for name, array in held.items() if _has_points_shape(array)]
+    if len(clouds) != 1:
+        listed = ", ".join(f"{name} {array.shape}" for name, array in held.items()) or "nothing"
+        raise InputError(
+            f"{path}: needs an array 'points', or just one of shape (n, 3); it holds {listed}"
+        )
+    return as_floats(held[clouds[0]])
+
+
+def read_npz_property(path: Path, name: str) -> Float[Array, "n"] | None:
+    """Read an array of one number for each point, such as ``noise_std`` [m]; None without it.
+
+    Raises:
+        InputError: If it is something else than a row of numbers.
+    """
+    with _opened(path) as arrays:
+        if name not in arrays:
+            return None
+        array = arrays[name]()
+    if array.ndim != 1 or array.dtype.kind not in "fiu":
+        raise InputError(
+            f"{path}, array {name!r}: must be numbers of shape (n,), one for each point, "
+            f"got {array.dtype} {array.shape}"
+        )
+    return array.astype(np.float64)
+
+
+def unpacked_npz(path: Path) -> int:
+    """Give the size of an archive's arrays, unpacked [bytes].
+
+    Raises:
+        InputError: If it is no archive.
+    """
+    with path.open("rb") as file, opened_archive(file, str(path), "NPZ file") as archive:
+        return sum(member.file_size for member in archive.infolist())
+
+
+def _parse(data: bytes, broken: str) -> NDArray[Any]:
+    """Parse the content of an NPY file; an error message begins with ``broken``."""
+    if not data.startswith(MAGIC) or len(data) < 12:
+        raise InputError(f"{broken}: it does not begin as one, with the byte 0x93 and 'NUMPY'")
+    width = LENGTH_BYTES.get(data[6])
+    if width is None:
+        raise InputError(f"{broken}: its version {data[6]} is not known")
+    begin = 8 + width
+    end = begin + int.from_bytes(data[8:begin], "little")
+    if end > len(data) or end - begin > LARGEST_HEADER:
+        raise InputError(f"{broken}: its header of {end - begin:,} bytes does not end")
+    dtype, fortran, shape = _parse_header(data[begin:end].decode("latin-1"), broken)
+    size = math.prod(shape) * dtype.itemsize
+    if size != len(data) - end:
+        raise InputError(
+            f"{broken}: its header promises {dtype} {shape}, {size:,} bytes, but "
+            f"{len(data) - end:,} follow"
+        )
+    if not size:
+        return np.empty(shape, dtype)
+    array = np.frombuffer(data, dtype, offset=end).reshape(shape, order="F" if fortran else "C")
+    return array.copy()  # one that can be written to, unlike the file's bytes
+
+
+def _parse_header(header: str, broken: str) -> tuple[np.dtype[Any], bool, tuple[int, ...]]:
+    text = header.strip()
+    items: dict[str, str] = {}
+    position = 1
+    while text.startswith("{") and (item := _ITEM.match(text, position)) is not None:
+        if item["key"] in items:
+            break
+        items[item["key"]] = item["value"]
+        position = item.end()
+    if len(items) != 3 or text[position:].strip() != "}":
+        raise InputError(f"{broken}: its header does not give descr, fortran_order and shape")
+    descr, order, sizes = items["descr"], items["fortran_order"], items["shape"]
+    if descr.startswith("[") or "O" in descr:
+        raise InputError(
+            f"{broken} of numbers: it holds {descr[:40]}; Python objects are never loaded, "
+            "because loading them can run programs"
+        )
+    try:
+        dtype = np.dtype(descr.strip("'"))
+    except (TypeError, ValueError):
+        raise InputError(f"{broken}: {descr} is not a type of numbers") from None
+    shape = [parse_count(size.strip()) for size in sizes[1:-1].split(",") if size.strip()]
+    known = tuple(size for size in shape if size is not None)
+    # Only a type of numbers has a fixed meaning: NumPy takes many words for types.
+    if order not in ("True", "False") or not sizes.startswith("(") or len(known) < len(shape):
+        raise InputError(f"{broken}: its header gives the shape {sizes} and the order {order}")
+    return dtype, order == "True", known
+
+
+@contextmanager
+def _opened(path: Path) -> Generator[dict[str, Load]]:
+    """Open an archive of arrays: each is loaded when it is called."""
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) == MAGIC:
+            raise InputError(f"{path}: is a single NPY array; rename it to .npy")
+        with opened_archive(file, str(path), "NPZ file") as archive:
+
+            def loader(member: ZipInfo) -> Load:
+                return lambda: _load(archive, member, path)
+
+            yield {
+                member.filename.removesuffix(".npy"): loader(member)
+                for member in archive.infolist()
+                if member.filename.endswith(".npy")
+            }
+
+
+def _load(archive: Any, member: ZipInfo, path: Path) -> NDArray[Any]:
+    if member.file_size > max(SMALL_ARRAY, MOST_GROWTH * member.compress_size):
+        raise InputError(
+            f"{path}: {member.filename!r} would unpack from {member.compress_size:,} bytes to "
+            f"{member.file_size:,}; numbers do not shrink to less than 1/{MOST_GROWTH}, "
+            "so it is damaged"
+        )
+    data = read_member(archive, member, str(path))
+    name = member.filename.removesuffix(".npy")
+    return _parse(data, f"{path}, array {name!r}: is not a complete NPY file")
+
+
+def _has_points_shape(array: NDArray[Any]) -> bool:
+    return array.ndim == 2 and array.shape[1] == 3 and array.dtype.kind in "fiu"
+
+
+def _check_points(array: NDArray[Any], where: str) -> Float[NDArray[np.floating], "n 3"]:
+    if not _has_points_shape(array):
+        raise InputError(
+            f"{where}: points must be numbers of shape (n, 3), got {array.dtype} {array.shape}"
+        )
+    return as_floats(array)

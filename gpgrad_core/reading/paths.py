@@ -1,0 +1,57 @@
+"""Names of files that come from outside."""
+
+import unicodedata
+from pathlib import Path, PurePosixPath
+
+from gpgrad_core.errors import InputError
+
+LONGEST_NAME = 200
+"""Bytes of one name; file systems take 255, and endings are added."""
+DEEPEST = 20
+"""Folders within folders."""
+
+
+def check_path(path: Path | str) -> Path:
+    """Give a path back if the system can be asked about it.
+
+    Raises:
+        InputError: If it holds a zero byte, or is or has a name that is too long.
+    """
+    path = Path(path)
+    if "\0" in str(path):
+        raise InputError(f"{_short(str(path))}: a path cannot hold a zero byte")
+    try:
+        path.exists()
+    except OSError as error:
+        raise InputError(
+            f"{_short(str(path))}: cannot be read: {error.strerror or error}"
+        ) from None
+    return path
+
+
+def check_name(name: str) -> PurePosixPath:
+    """Check a relative path that a page or an archive gives, before a file is made of that name.
+
+    Returns:
+        The path, with slashes.
+
+    Raises:
+        InputError: If it leads out of its folder, holds a control character, or is too long or
+            too deep.
+    """
+    place = PurePosixPath(name.replace("\\", "/"))
+    if place.is_absolute() or ".." in place.parts or ":" in name or not place.parts:
+        raise InputError(f"names a path outside of its folder: {_short(name)}")
+    if any(unicodedata.category(character) in ("Cc", "Cs") for character in name):
+        raise InputError(f"the name {_short(name)} holds a control character; rename it")
+    if len(place.parts) > DEEPEST:
+        raise InputError(
+            f"{_short(name)} lies {len(place.parts):,} folders deep; {DEEPEST} is the most"
+        )
+    if any(len(part.encode("utf-8", "surrogatepass")) > LONGEST_NAME for part in place.parts):
+        raise InputError(f"the name {_short(name)} is longer than {LONGEST_NAME} bytes; rename it")
+    return place
+
+
+def _short(name: str) -> str:
+    return repr(name if len(name) <= 60 else f"{name[:59]}…")

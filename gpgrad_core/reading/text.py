@@ -1,0 +1,83 @@
+"""Text and the numbers in it."""
+
+import re
+from pathlib import Path
+
+from gpgrad_core.errors import InputError
+
+NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+-]?(?:nan|inf)", re.I)
+"""What counts as a number. Python itself would also take 1_000 and the digits of other scripts."""
+DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+")
+LONGEST_NUMBER = 64
+"""Digits of a whole number; Python turns 5,000 digits into an error of its own."""
+COMMA_HINT = "write decimal points instead of decimal commas: 3.158, not 3,158"
+
+
+def read_text(path: Path, most_bytes: int | None = None) -> str:
+    """Read a text file.
+
+    Args:
+        path: The file.
+        most_bytes: The largest size; None allows any.
+
+    Raises:
+        InputError: If it is not text in UTF-8, or larger than allowed.
+        OSError: If the file cannot be read.
+    """
+    with path.open("rb") as file:
+        data = file.read() if most_bytes is None else file.read(most_bytes + 1)
+    return decode_text(data, str(path), most_bytes)
+
+
+def decode_text(data: bytes, where: str, most_bytes: int | None = None) -> str:
+    """Decode the content of a text file; see `read_text`.
+
+    Args:
+        data: The content.
+        where: The file, for the error message.
+        most_bytes: The largest size; None allows any.
+
+    Raises:
+        InputError: If it is not text in UTF-8, or larger than allowed.
+    """
+    if most_bytes is not None and len(data) > most_bytes:
+        raise InputError(f"{where}: is larger than {most_bytes:,} bytes, the most for such a file")
+    try:
+        # Spreadsheets write a byte-order mark, which utf-8-sig removes.
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{where}: is not text in UTF-8 (byte {error.start:,}); is its ending right?"
+        ) from None
+    if "\0" in text:
+        raise InputError(
+            f"{where}: is not text: it holds a zero byte (character {text.index(chr(0)):,}); "
+            "is its ending right?"
+        )
+    return text
+
+
+def lines_of(text: str) -> list[str]:
+    r"""Split text at the line ends of any system, and at nothing else.
+
+    >>> lines_of("a\r\nb\x0bc\n")
+    ['a', 'b\x0bc']
+    """
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    if not lines[-1]:
+        lines.pop()
+    return lines
+
+
+def parse_number(word: str) -> float | None:
+    """Read a number; None if the word is not one.
+
+    >>> parse_number("1e3"), parse_number("1_000")
+    (1000.0, None)
+    """
+    return float(word) if NUMBER.fullmatch(word) else None
+
+
+def parse_count(word: str) -> int | None:
+    """Read a whole number, 0 or more; None if the word is not one, or is one of absurd size."""
+    return int(word) if len(word) <= 18 and word.isascii() and word.isdecimal() else None

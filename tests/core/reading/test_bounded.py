@@ -1,0 +1,108 @@
+"""Text, TOML, JSON and names from outside are bounded before anything is made of them."""
+
+import time
+
+import pytest
+
+from gpgrad_core.errors import LONGEST, InputError
+from gpgrad_core.reading.json_files import parse_json
+from gpgrad_core.reading.paths import check_name, check_path
+from gpgrad_core.reading.text import parse_number
+from gpgrad_core.reading.toml_files import LARGEST, parse_toml
+from tests.core.datasets.refusal import assert_refused
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a." * 49_000 + "a = 1",
+        "[" + "a." * 49_000 + "a]",
+        "'a'." * 20_000 + "a = 1",
+        '"a" . ' * 20_000 + "a = 1",
+        "x = " + "[" * 100_000,
+        "x = " + "{a=" * 30_000,
+        "x = " + "9" * 90_000,
+        "x = 0x" + "f" * 90_000,
+        "x = 1e" + "9" * 90_000,
+        "x" * 90_000,
+        '"""' + '\\"' * 40_000,
+        "'" * 90_000,
+        "#" * (LARGEST + 1),
+    ],
+    ids=lambda text: text[:12],
+)
+def test_no_toml_takes_long(text: str) -> None:
+    begin = time.process_time()
+    assert_refused(lambda: parse_toml(text, "a.toml"), "a.toml")
+    assert time.process_time() - begin < 1.0
+
+
+def test_what_toml_may_hold() -> None:
+    text = 'a.b."c.d.e" = [[1.5, 2.5], ["[[[[", \'{{{\']] # [[[[[[[[[[[[[[[[[[[[[[[[\n'
+    text += f'x = """\n{"[" * 30}\n{"1." * 30}\n"""'
+    table = parse_toml("\ufeff" + text, "a.toml")
+    assert table["a"] == {"b": {"c.d.e": [[1.5, 2.5], ["[[[[", "{{{"]]}}
+    line = "a.toml, line 6: is nested more than 20 deep"
+    assert_refused(lambda: parse_toml(f"{text}\ny = {'[' * 21}", "a.toml"), line)
+
+
+def test_json_is_bounded_and_strict() -> None:
+    assert parse_json('{"a": "[[[[\\"]]", "b": [1, {}]}', "a") == {"a": '[[[["]]', "b": [1, {}]}
+    for text, said in {
+        "[" * 33: "nested",
+        "NaN": "not JSON",
+        "[1, -Infinity]": "not JSON",
+        '{"a": 1, "a": 1}': "'a' twice",
+        "9" * 65: "65 digits",
+        '"' + "\\": "not a JSON file",
+        "\ud800": "not a JSON file",
+    }.items():
+        assert_refused(lambda text=text: parse_json(text, "a.json"), "a.json", said)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("../a.ply", "outside"),
+        ("/a.ply", "outside"),
+        ("C:\\a.ply", "outside"),
+        ("", "outside"),
+        ("a\0.ply", "control character"),
+        ("a\n.ply", "control character"),
+        ("a\ud800.ply", "control character"),
+        ("a" * 300, "longer than 200 bytes"),
+        ("é" * 101, "longer than 200 bytes"),
+        ("a/" * 2000 + "b", "2,001 folders deep"),
+    ],
+)
+def test_names_that_no_file_is_made_of(name: str, said: str) -> None:
+    assert_refused(lambda: check_name(name), said)
+    with pytest.raises(InputError) as refusal:
+        check_name(name)
+    assert str(refusal.value).isprintable()
+    assert len(str(refusal.value)) < 200
+
+
+def test_names_that_are_fine() -> None:
+    assert str(check_name("hills\\submaps/000 \u3000é.ply")) == "hills/submaps/000 \u3000é.ply"
+
+
+def test_paths_that_the_system_cannot_be_asked_about() -> None:
+    assert_refused(lambda: check_path("a\0b"), "a\\x00b", "zero byte")
+    assert_refused(lambda: check_path("a" * 5000), "too long")
+
+
+def test_every_message_is_one_printable_line_of_some_length() -> None:
+    message = str(InputError("a\nb\x1b[31mc\t\udcff" + "x" * 10_000 + "end"))
+    assert message.startswith("a b\\x1b[31mc \\xdcff")
+    assert message.endswith("end")
+    assert message.isprintable()
+    assert len(message) <= LONGEST
+    assert str(InputError(message)) == message
+
+
+def test_only_plain_numbers_are_numbers() -> None:
+    for word in ("1", "-.5", "1.e3", "+1E-5", "nan", "-inf"):
+        assert parse_number(word) is not None
+    for word in ("1_0", "\uff11\uff12", "0x1", "", " 1", "1e", ".", "infinity!", "1,5", "--1"):
+        assert parse_number(word) is None

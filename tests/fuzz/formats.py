@@ -1,0 +1,141 @@
+"""Every format that gpgrad reads: how to damage a file of it, and how it is read."""
+
+import random
+import shutil
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from app.viewer.data.unpacking import unpack
+from app.viewer.session_file import read_session
+from gpgrad_core.datasets import load_cloud, load_dataset
+from gpgrad_core.datasets.about import read_about
+from gpgrad_core.datasets.poses import read_poses
+from gpgrad_core.errors import InputError
+from gpgrad_core.outputs import read_closures, restore_closures
+from gpgrad_core.params.files import preferred_parameters, read_parameters
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.reading.images import read_images
+from gpgrad_core.scans import open_recording
+from gpgrad_core.scans.pose_files import read_mount, read_pose_file, read_times
+from gpgrad_core.slam import read_graph
+from gpgrad_core.types import Dataset
+from tests.fuzz import clouds, packed, texts
+from tests.fuzz.mutation import Case, Mutator
+
+MOST_UNPACKED = 8_000_000
+SECONDS = 10.0
+"""Longest that a file may take."""
+
+Outcome = Literal["refused", "accepted", "silent", "lost", "foreign", "over"]
+
+
+@dataclass(frozen=True)
+class Format:
+    """How files of a format are damaged and read.
+
+    Attributes:
+        ending: Of the file's name.
+        mutate: Makes a damaged file.
+        read: Reads it.
+        share: How many files of it are tried, relative to other formats; a process for each file
+            takes its time.
+        name: Of the file, where messages call it by its only name.
+    """
+
+    ending: str
+    mutate: Mutator
+    read: Callable[[Path], object]
+    share: float = 1.0
+    name: str = ""
+
+
+def _read_about(path: Path) -> object:
+    about = read_about(path, frozenset({"000", "001"}))
+    dataset = Dataset("hills", (), preferred=about.preferred)
+    return preferred_parameters(dataset, PipelineParams())
+
+
+def _read_archive(path: Path) -> object:
+    folder = path.with_name("unpacked")
+    try:
+        found, _ = unpack(path.name, path.read_bytes(), folder, MOST_UNPACKED)
+        return load_dataset(found)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _read_bag(path: Path) -> object:
+    recording = open_recording(path)
+    return list(recording.read(0, len(recording)))
+
+
+FORMATS: dict[str, Format] = {
+    "ply": Format(".ply", clouds.ply, load_cloud),
+    "pcd": Format(".pcd", clouds.pcd, load_cloud),
+    "npy": Format(".npy", clouds.npy, load_cloud),
+    "npz": Format(".npz", clouds.npz, load_cloud),
+    "xyz": Format(".xyz", clouds.table, load_cloud),
+    "csv": Format(".csv", clouds.table, load_cloud),
+    "las": Format(".las", clouds.las, load_cloud),
+    "laz": Format(".laz", clouds.laz, load_cloud, share=0.5),
+    "bin": Format(".bin", clouds.kitti, load_cloud),
+    "poses": Format(
+        ".txt", texts.poses, lambda path: read_poses(path, dict.fromkeys(range(3), ""))
+    ),
+    "trajectory": Format(".txt", texts.trajectory, read_pose_file),
+    "times": Format(".txt", texts.times, read_times),
+    "mount": Format(".txt", texts.mount, read_mount),
+    "g2o": Format(".g2o", texts.g2o, read_graph),
+    "about": Format(".toml", texts.about, _read_about, name="dataset.toml"),
+    "params": Format(".toml", texts.params, lambda path: read_parameters(path, PipelineParams())),
+    "session": Format(".toml", texts.session, read_session),
+    "closures": Format(".json", texts.closures, lambda path: restore_closures(read_closures(path))),
+    "zip": Format(".zip", packed.archive, _read_archive),
+    "image": Format(".png", packed.image, lambda path: list(read_images([path])), share=0.2),
+    "bag": Format(".bag", packed.bag, _read_bag, share=0.3),
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of a file."""
+
+    outcome: Outcome
+    what: str
+    said: str
+    seconds: float
+
+
+def make_case(name: str, seed: int, number: int) -> Case:
+    """Make a damaged file; the same arguments make the same file."""
+    return FORMATS[name].mutate(random.Random(f"{name}/{seed}/{number}"))
+
+
+def try_case(name: str, case: Case, folder: Path) -> Result:
+    """Read a damaged file, and say what came of it."""
+    path = folder / (FORMATS[name].name or f"000{case.ending or FORMATS[name].ending}")
+    path.write_bytes(case.content)
+    begin = time.perf_counter()
+    try:
+        FORMATS[name].read(path)
+        outcome, said = ("silent" if case.damaged else "accepted"), ""
+    except InputError as error:
+        said = str(error)
+        # One line that names the file.
+        outcome = "refused" if "\n" not in said and path.name in said else "foreign"
+        if case.sound:
+            outcome = "lost"
+    except (MemoryError, TimeoutError) as error:
+        outcome, said = "over", repr(error)
+    except Exception as error:  # which is what is looked for
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        outcome, said = "foreign", f"{error!r:.200} at {place.filename}:{place.lineno}"
+    seconds = time.perf_counter() - begin
+    path.unlink()
+    if seconds > SECONDS:
+        outcome = "over"
+    return Result(outcome, case.what, said, seconds)

@@ -1,0 +1,178 @@
+"""Mutators of what holds files: zipped datasets; of images; of bags."""
+
+import io
+import random
+import struct
+import tempfile
+import zipfile
+import zlib
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from tests.fuzz.mutation import Case, at_random, cut, flipped, surplus
+
+NAMES = (
+    "../000.npy", "/etc/000.npy", "a/../../000.npy", "..\\000.npy", "C:000.npy", "a\nb.npy",
+    "\x1b[31m.npy",
+    "a" * 300 + ".npy", "b/" * 2000 + "000.npy", "x" * 60_000 + ".npy", "é" * 150 + ".npy",
+    "\x7f.npy",
+)  # fmt: skip
+"""Names of files that no file may be made of."""
+
+
+def _array() -> bytes:
+    file = io.BytesIO()
+    np.save(file, np.random.default_rng(0).normal(size=(12, 3)))
+    return file.getvalue()
+
+
+def _zip(names: list[str], method: int = zipfile.ZIP_DEFLATED, attributes: int = 0) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", method) as archive:
+        for name in names:
+            member = zipfile.ZipInfo(name)
+            member.filename = name  # ZipInfo itself would cut it at a zero byte
+            member.external_attr = attributes
+            archive.writestr(member, _array(), method)
+    return file.getvalue()
+
+
+@cache
+def _bomb() -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as packed:
+        packed.writestr("000.xyz", bytes(9_000_000))
+    return file.getvalue()
+
+
+def archive(rng: random.Random) -> Case:
+    names = ["hills/submaps/000.npy", "hills/submaps/001.npy"]
+    whole = _zip(names)
+    what = rng.choice(
+        ("name", "link", "size", "cut", "directory", "bomb", "method", "random", "data")
+    )
+    match what:
+        case "name":
+            return Case(_zip([*names, rng.choice(NAMES)]), what, damaged=True)
+        case "link":
+            return Case(_zip(names, attributes=0o120777 << 16), what, damaged=True)
+        case "size":
+            data = bytearray(whole)
+            true = struct.pack("<I", len(_array()))
+            place = rng.choice([k for k in range(len(data)) if data[k : k + 4] == true])
+            data[place : place + 4] = struct.pack("<I", rng.choice((0, 10, 2**31, 2**32 - 2)))
+            # Of the two places that give the size, Python reads the one in the directory.
+            return Case(bytes(data), what, damaged=place > data.index(b"PK\x01\x02"))
+        case "bomb":
+            return Case(_bomb(), what, damaged=True)
+        case "directory":
+            data = bytearray(whole)
+            for _ in range(rng.choice((1, 2, 6))):
+                data[rng.randrange(data.index(b"PK\x01\x02"), len(data))] = rng.choice(
+                    (0, 255, 1, 127)
+                )
+            return Case(bytes(data), what, damaged=False)
+        case "data":
+            data = bytearray(whole)
+            data[rng.randint(60, 90)] ^= 1 << rng.randrange(8)
+            return Case(bytes(data), what, damaged=True)
+        case "method":
+            data = bytearray(whole)
+            place = data.index(b"PK\x01\x02") + 10
+            data[place : place + 2] = struct.pack("<H", rng.choice((1, 6, 9, 12, 14, 99)))
+            return Case(bytes(data), what, damaged=True)
+        case "cut":
+            return cut(rng, whole)
+        case _:
+            return at_random(rng, whole)
+
+
+def _chunk(kind: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+
+def image(rng: random.Random) -> Case:
+    """A PNG, or a JPEG."""
+    if rng.random() < 0.2:
+        jpeg = _jpeg()
+        return (
+            cut(rng, jpeg, 2)
+            if rng.random() < 0.4
+            else Case(flipped(rng, jpeg), "flip", damaged=False)
+        )
+    width, height, depth, color = 8, 6, 8, 0
+    rows = b"".join(b"\0" + bytes(rng.randrange(256) for _ in range(width)) for _ in range(height))
+    data = zlib.compress(rows)
+    what = rng.choice(("size", "depth", "data", "cut", "surplus", "checksum", "chunk", "random"))
+    if what == "size":
+        width, height = rng.choice(
+            ((0, 6), (2**31 - 1, 2**31 - 1), (100_000, 100_000), (8, 2**31), (8, 0))
+        )
+    if what == "depth":
+        depth, color = rng.choice(((0, 0), (3, 0), (16, 3), (8, 5), (255, 255)))
+    if what == "data":
+        data = rng.choice(
+            (b"", b"x", data[: rng.randrange(1, len(data))], zlib.compress(bytes(10_000_000)))
+        )
+    header = struct.pack(">IIBBBBB", width & 0xFFFFFFFF, height & 0xFFFFFFFF, depth, color, 0, 0, 0)
+    whole = (
+        b"\x89PNG\r\n\x1a\n"
+        + _chunk(b"IHDR", header)
+        + _chunk(b"IDAT", data)
+        + _chunk(b"IEND", b"")
+    )
+    match what:
+        case "cut":
+            return cut(rng, whole)
+        case "surplus":
+            return surplus(rng, whole)
+        case "checksum":
+            place = rng.randrange(12, len(whole))
+            spoilt = (
+                whole[:place] + bytes([whole[place] ^ (1 << rng.randrange(8))]) + whole[place + 1 :]
+            )
+            return Case(spoilt, what, damaged=True)
+        case "chunk":
+            odd = _chunk(
+                rng.choice((b"PLTE", b"tRNS", b"iCCP", b"zTXt", b"eXIf", b"acTL")), bytes(40)
+            )
+            return Case(whole[:33] + odd + whole[33:], what, damaged=False)
+        case "random":
+            return at_random(rng, whole)
+    # How much of broken pixels is shown is the library's choice.
+    return Case(whole, what, damaged=what == "size")
+
+
+@cache
+def _jpeg() -> bytes:
+    import cv2  # noqa: PLC0415 (only where images are fuzzed)
+
+    done, data = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (16, 16), np.uint8))
+    assert done
+    return data.tobytes()
+
+
+@cache
+def _bags() -> tuple[tuple[str, bytes], ...]:
+    """A bag of each kind, by its ending."""
+    from tests.core.scans.bags import write_bag  # noqa: PLC0415 (needs the extra 'ros')
+    from tests.core.scans.drive import make_drive  # noqa: PLC0415
+
+    few = make_drive(num_scans=3, points_a_scan=10)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_bag(folder / "a.bag", few, ros1=True, poses="odometry")
+        write_bag(folder / "b", few, ros1=False, poses="odometry", storage="mcap")
+        write_bag(folder / "c", few, ros1=False, poses="stamped", storage="sqlite3")
+        files = (folder / "a.bag", *folder.glob("*/*.mcap"), *folder.glob("*/*.db3"))
+        return tuple((file.suffix, file.read_bytes()) for file in files)
+
+
+def bag(rng: random.Random) -> Case:
+    ending, whole = rng.choice(_bags())
+    if rng.random() < 0.3:
+        return replace(cut(rng, whole, len(whole) // 20), ending=ending)
+    return replace(at_random(rng, whole), ending=ending)

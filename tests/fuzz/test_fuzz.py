@@ -1,0 +1,50 @@
+"""Damaged files are refused in a line: those that once failed, and new ones of every format."""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.corpus import CORPUS
+from tests.fuzz.formats import FORMATS, SECONDS, make_case, try_case
+from tests.fuzz.mutation import Case
+
+NUM_CASES = 40
+"""Of each format; ``poe fuzz`` tries 50,000."""
+NEEDS = {"las": "laspy", "laz": "laspy", "bag": "rosbags"}
+
+
+def skip_without_its_library(name: str) -> None:
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name], reason="an extra is not installed")
+
+
+@pytest.mark.parametrize("name", CORPUS)
+def test_what_once_failed_is_refused(name: str, tmp_path: Path) -> None:
+    failure = CORPUS[name]
+    begin = time.perf_counter()
+    result = try_case(failure.format, Case(failure.content, name, damaged=True), tmp_path)
+    assert result.outcome == "refused", result
+    assert failure.said in result.said
+    assert len(result.said) < 2100
+    assert time.perf_counter() - begin < SECONDS
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_damaged_files_are_refused_or_read(name: str, tmp_path: Path) -> None:
+    skip_without_its_library(name)
+    for number in range(round(NUM_CASES * FORMATS[name].share ** 2)):
+        result = try_case(name, make_case(name, 0, number), tmp_path)
+        assert result.outcome in ("refused", "accepted"), (number, result)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_sound_files_are_among_them_and_read(name: str, tmp_path: Path) -> None:
+    skip_without_its_library(name)
+    sound = next(case for k in range(999) if (case := make_case(name, 0, k)).sound)
+    assert try_case(name, sound, tmp_path).outcome == "accepted"
+
+
+def test_the_same_seed_makes_the_same_files() -> None:
+    for name in set(FORMATS) - set(NEEDS):
+        assert make_case(name, 3, 7) == make_case(name, 3, 7)
