@@ -76,11 +76,9 @@ def _comparison(registration: Registration) -> list[tuple[str, str]]:
     agreement, scale = registration.agreement, registration.scale
     if agreement is None or scale is None:
         return []
-    return [
-        ("compared at", f"{scale:.2f} m and more"),
-        ("heights differ by", describe_length(agreement.difference)),
-        ("maps allow", describe_length(agreement.possible)),
-    ]
+    difference = describe_length(agreement.difference)
+    possible = describe_length(agreement.possible)
+    return [("heights differ", f"{difference} at {scale:.2f} m ({possible} possible)")]
 
 
 def frame(content: str) -> str:
