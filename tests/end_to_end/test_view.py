@@ -53,7 +53,8 @@ def test_on_a_network_the_token_is_printed_and_asked_for() -> None:
     ) as process:
         try:
             assert process.stdout is not None
-            link = re.search(r"(http://localhost:\d+)/\?token=(\S+)", process.stdout.readline())
+            said = next((line for line in process.stdout if "http://" in line), "")
+            link = re.search(r"(http://localhost:\d+)/\?token=(\S+)", said)
             assert link
             with urllib.request.urlopen(link[0], timeout=30) as page:
                 assert page.status == 200

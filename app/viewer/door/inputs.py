@@ -171,17 +171,19 @@ def _why_no_text(value: object) -> str | None:
 def _why_no_number(
     value: object, low: float | None, high: float | None, *, whole: bool
 ) -> str | None:
-    if not _is_number(value):
+    if not isinstance(value, int | float) or isinstance(value, bool) or math.isnan(value):
         return f"must be a number, got {shown(value)}"
-    number = cast("float", value)
-    if whole and number != round(number):
-        return f"must be a whole number, got {shown(value)}"
-    low = -LARGEST_NUMBER if low is None else low
-    high = LARGEST_NUMBER if high is None else high
+    least = -LARGEST_NUMBER if low is None else low
+    most = LARGEST_NUMBER if high is None else high
     # A slider counts its steps in floating point.
-    slack = 0.0 if whole else 1e-9 * (high - low)
-    if not low - slack <= number <= high + slack:
-        return f"must be from {low:.10g} to {high:.10g}, got {shown(value)}"
+    slack = 0.0 if whole else 1e-9 * (most - least)
+    if not least - slack <= value <= most + slack:
+        rule = f"from {least:.10g} to {most:.10g}"
+        if low is None or high is None:
+            rule = f"at most {most:.10g}" if value > most else f"at least {least:.10g}"
+        return f"must be {rule}, got {shown(value)}"
+    if whole and value != round(value):
+        return f"must be a whole number, got {shown(value)}"
     return None
 
 

@@ -246,10 +246,10 @@ def test_with_a_token_only_its_holders_come_in(with_token: Served) -> None:
 @pytest.mark.parametrize(
     ("label", "value", "words"),
     [
-        ("Seed", 2**64 - 1, "Seed: must be a number, got a number beyond all bounds"),
+        ("Seed", 2**64 - 1, "Seed: must be from 0 to 4294967295, got a number beyond all bounds"),
         ("Seed", 2**32, "Seed: must be from 0 to 4294967295, got 4294967296"),
         ("Seed", float("nan"), "Seed: must be a number, got nan"),
-        ("Slider", 1e300, "Slider: must be a number, got 1e+300"),
+        ("Slider", 1e300, "Slider: must be from 3 to 50, got 1e+300"),
         ("Slider", -1, "Slider: must be from 3 to 50, got -1"),
         ("Layer", "/etc/passwd", "Layer: offers no such choice as '/etc/passwd'"),
         ("Folder", "x" * 100_000, "Folder: may have 4,096 characters, got 100,000"),

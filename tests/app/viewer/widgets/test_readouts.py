@@ -43,6 +43,18 @@ def dataset_panel(server: viser.ViserServer, asked: list[str]) -> DatasetPanel:
     return panel
 
 
+def test_what_is_refused_is_shown_as_text(server: viser.ViserServer) -> None:
+    line = StatusLine(server)
+    panel = dataset_panel(server, [])
+    evil = "<img src=x onerror=alert(1)>"
+    line.refused(f"Folder: may not be {evil}")
+    panel.work_bar.failed(f"{evil}.ply: has 3 MB")
+    shown = html_of(line) + html_of(panel.work_bar)
+    assert "&lt;img" in shown
+    assert "<img" not in shown
+    assert "Not taken" in shown
+
+
 def test_the_card_tells_an_accepted_pair_with_units() -> None:
     state = open_dataset(make_dataset(), needing(8))
     html = verdict_html(state, make_result(state))
