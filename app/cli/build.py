@@ -9,6 +9,7 @@ from typing_extensions import Doc
 
 from app.cli.flags import Given
 from app.cli.terminal import count, progress_bar, say, warn
+from app.ending import reason_of
 from gpgrad_core.scans import BuildParams, RecordingSources, build_dataset
 
 
@@ -105,8 +106,9 @@ class Build:
                     restart=self.restart,
                     progress=progress,
                 )
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt("interrupted; run the same command to resume") from None
+        except KeyboardInterrupt as stopped:
+            stopped.args = (f"{reason_of(stopped)}; run the same command to resume",)
+            raise
         for note in report.notes:
             warn(note)
         resumed = f", {report.num_resumed} of them resumed" if report.num_resumed else ""
