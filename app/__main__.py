@@ -2,15 +2,22 @@
 
 import sys
 
+from app.ending import code_of, leave, reason_of, termination_raised
+
 
 def main() -> None:
     """Run one verb and leave with its exit code."""
     try:
-        # Within the block: a Ctrl-C while all is loaded, about a second, is no traceback either.
-        from app.cli import run  # noqa: PLC0415
-    except KeyboardInterrupt:
-        sys.exit(130)
-    sys.exit(run(sys.argv[1:]))
+        with termination_raised():
+            # Within the block: to be stopped while all is loaded, about a second, is no traceback
+            # either.
+            from app.cli import run  # noqa: PLC0415
+
+            code = run(sys.argv[1:])
+    except KeyboardInterrupt as stopped:
+        sys.stderr.write(f"gpgrad: {reason_of(stopped)}\n")
+        code = code_of(stopped)
+    leave(code)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,8 @@ from typing import Protocol, cast
 import tyro
 
 from app.cli.flags import one_line_usage, parse
-from app.cli.terminal import FAILED, INTERRUPTED, exit_code, say
+from app.cli.terminal import FAILED, exit_code, say
+from app.ending import INTERRUPTED
 from gpgrad_core.errors import InputError
 from gpgrad_core.version import VERSION
 
@@ -55,7 +56,7 @@ def run(arguments: Sequence[str]) -> int:
 
     Returns:
         The exit code: 0, or 2 after one line on standard error that says what was wrong, or 130
-        if interrupted.
+        if interrupted and 143 if terminated.
     """
     return exit_code(lambda: _run(arguments))
 

@@ -8,7 +8,10 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given
+from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
+from app.ending import reason_of
+from gpgrad_core.outputs import check_apart
 from gpgrad_core.scans import BuildParams, RecordingSources, build_dataset
 
 
@@ -82,6 +85,7 @@ class Build:
     restart: Annotated[
         bool, Doc("Delete what a stopped build has left, instead of resuming it.")
     ] = False
+    overwrite: Overwrite = False
     build: Annotated[Given[BuildParams], tyro.conf.arg(name="")] = Given(BuildParams)
 
     def run(self) -> None:
@@ -95,6 +99,7 @@ class Build:
             pose_topic=self.pose_topic,
             world_frame=self.world_frame,
         )
+        check_apart([self.out], [self.scans, self.poses, self.truth, self.times, self.mount])
         try:
             with progress_bar("build") as progress:
                 report = build_dataset(
@@ -103,10 +108,12 @@ class Build:
                     self.build.over(BuildParams()),
                     sources=sources,
                     restart=self.restart,
+                    overwrite=self.overwrite,
                     progress=progress,
                 )
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt("interrupted; run the same command to resume") from None
+        except KeyboardInterrupt as stopped:
+            stopped.args = (f"{reason_of(stopped)}; run the same command to resume",)
+            raise
         for note in report.notes:
             warn(note)
         resumed = f", {report.num_resumed} of them resumed" if report.num_resumed else ""

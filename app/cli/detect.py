@@ -17,10 +17,11 @@ from app.cli.inputs import (
     load,
     settled,
 )
+from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods import METHODS, find_method
-from gpgrad_core.outputs import check_output, report_closures, write_closures
+from gpgrad_core.outputs import check_apart, check_output, report_closures, write_closures
 from gpgrad_core.pipeline import detect_loop_closures
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
@@ -52,15 +53,17 @@ class Detect:
         Doc("Compare only these two submaps, given by their ids."),
         tyro.conf.arg(metavar="QUERY DATABASE", help_behavior_hint="(default: all pairs)"),
     ] = None
+    overwrite: Overwrite = False
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
     def run(self) -> None:
         """Detect and write."""
         method = find_method(self.method)
-        check_output(self.out, (".json",))
+        check_output(self.out, (".json",), overwrite=self.overwrite)
         if self.g2o:
-            check_output(self.g2o, (".g2o",))
+            check_output(self.g2o, (".g2o",), overwrite=self.overwrite)
+        check_apart([self.out, self.g2o], [self.dataset, self.params])
         dataset = load(self.dataset)
         asked, whole = self.pipeline.over(base_params(dataset, self.params)), dataset.submaps
         if self.pair:

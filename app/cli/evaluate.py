@@ -1,6 +1,7 @@
 """``gpgrad evaluate``: judge methods by the true poses."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,7 @@ from typing_extensions import Doc
 
 from app.cli.flags import Given
 from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load
+from app.cli.outputs import Overwrite
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.evaluation import (
     Evaluation,
@@ -26,11 +28,16 @@ from gpgrad_core.evaluation import (
     write_report,
 )
 from gpgrad_core.methods import METHODS, find_method
+from gpgrad_core.outputs import check_apart
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
+from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.types import Dataset
+
+REPORT = ("report.md", "report.json")
+"""Files that tell an evaluation; the last one is written last."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +77,7 @@ class Evaluate:
         Doc("Also test the maps' uncertainty on points held out. This takes about a minute."),
     ] = False
     evaluation: Annotated[Given[EvaluationParams], tyro.conf.arg(name="")] = Given(EvaluationParams)
+    overwrite: Overwrite = False
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
@@ -79,7 +87,7 @@ class Evaluate:
             SEEDS.check("--seed", self.seed)
         names = self.method if self.method or self.closures else ("gradient",)
         methods = [find_method(name) for name in names]
-        check_directory(self.out)
+        self._check_out(names)
         rivals = read_rivals(self.closures, taken=names)
         dataset = load(self.dataset)
         params = self.pipeline.over(base_params(dataset, self.params))
@@ -89,22 +97,33 @@ class Evaluate:
         for name, report in rivals.items():
             rank_pairs(report, dataset, pairs, name)  # refuses a wrong file before the work
         num_jobs = math.comb(len(dataset.submaps), 2) * len(methods)
-        with progress_bar("evaluate") as progress, workers(num_workers(), num_jobs) as executor:
-            found = run_methods(dataset, methods, params, executor=executor, progress=progress)
-        evaluation = evaluate(
-            dataset,
-            found | rivals,
-            self.evaluation.over(EvaluationParams()),
-            pairs=pairs,
-            seed=params.registration.seed,
-        )
-        sections = self._sections(dataset, params)
-        with progress_bar("figures") as progress:
-            write_report(self.out, evaluation, closures=found, sections=sections, progress=progress)
+        with whole_folder(self.out, earlier=REPORT) as folder:
+            self._check_out(names)  # another process may just have ended
+            with progress_bar("evaluate") as progress, workers(num_workers(), num_jobs) as executor:
+                found = run_methods(dataset, methods, params, executor=executor, progress=progress)
+            evaluation = evaluate(
+                dataset,
+                found | rivals,
+                self.evaluation.over(EvaluationParams()),
+                pairs=pairs,
+                seed=params.registration.seed,
+            )
+            sections = self._sections(dataset, params)
+            with progress_bar("figures") as progress:
+                write_report(
+                    folder, evaluation, closures=found, sections=sections, progress=progress
+                )
         for note in evaluation.notes:
             warn(note)
         for line in (*_summary(evaluation), str(self.out / "report.md")):
             say(line)
+
+    def _check_out(self, methods: Sequence[str]) -> None:
+        check_directory(self.out, REPORT, overwrite=self.overwrite)
+        written = (*REPORT, *(f"closures_{name}.json" for name in methods))
+        check_apart(
+            [self.out / name for name in written], [self.dataset, *self.closures, self.params]
+        )
 
     def _sections(self, dataset: Dataset, params: PipelineParams) -> tuple[Section, ...]:
         if not self.calibration:

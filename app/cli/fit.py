@@ -12,7 +12,7 @@ from app.cli.inputs import ParamsFile, base_params, load
 from app.cli.terminal import count, progress_bar, say
 from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.gradient_map import TerrainParams
-from gpgrad_core.outputs import check_output, write_fitted
+from gpgrad_core.outputs import check_apart, check_output, write_fitted
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.params.fields import bounds_of
 
@@ -41,6 +41,7 @@ class Fit:
         """Fit, print and write."""
         if self.out:
             check_output(self.out, (".toml",))
+            check_apart([self.out], [self.dataset, self.params])
         SEEDS.check("--seed", self.seed)
         dataset = load(self.dataset)
         start = self.map.over(base_params(dataset, self.params).map.terrain)

@@ -12,7 +12,7 @@ from app.cli.inputs import ParamsFile, base_params, load
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams, infer_gradient_map, point_noise
-from gpgrad_core.outputs import MAP_ENDINGS, check_output, write_map
+from gpgrad_core.outputs import MAP_ENDINGS, check_apart, check_output, write_map
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class Map:
     def run(self) -> None:
         """Infer and write."""
         check_output(self.out, MAP_ENDINGS)
+        check_apart([self.out], [self.cloud, self.params])
         if self.cloud.is_dir():
             raise InputError(f"{self.cloud}: is a folder; name one cloud")
         dataset = load(self.cloud)

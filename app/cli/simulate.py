@@ -8,8 +8,9 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given
+from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say
-from gpgrad_core.datasets import SimulationParams, simulate_dataset, write_dataset
+from gpgrad_core.datasets import SimulationParams, check_vacant, simulate_dataset, write_dataset
 from gpgrad_core.scans import simulate_recording
 
 
@@ -26,17 +27,25 @@ class Simulate:
         int,
         Doc("Simulate a recording of this many scans, for gpgrad build. 0 simulates submaps."),
     ] = 0
+    overwrite: Overwrite = False
     simulation: Annotated[Given[SimulationParams], tyro.conf.arg(name="")] = Given(SimulationParams)
 
     def run(self) -> None:
         """Simulate and write."""
+        check_vacant(self.directory, overwrite=self.overwrite)
         params = self.simulation.over(SimulationParams())
         if self.scans:
             with progress_bar("simulate") as progress:
-                simulate_recording(self.directory, self.scans, params, progress=progress)
+                simulate_recording(
+                    self.directory,
+                    self.scans,
+                    params,
+                    overwrite=self.overwrite,
+                    progress=progress,
+                )
             say(f"{count(self.scans, 'scan')}: {self.directory}")
             return
         with progress_bar("simulate") as progress:
             dataset = simulate_dataset(params, progress)
-        write_dataset(dataset, self.directory)
+        write_dataset(dataset, self.directory, overwrite=self.overwrite)
         say(f"{count(len(dataset.submaps), 'submap')}: {self.directory}")

@@ -11,15 +11,23 @@ from typing_extensions import Doc
 
 from app.cli.flags import Given
 from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, settled
+from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import outline_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import check_directory
 from gpgrad_core.fitting import representative
-from gpgrad_core.outputs import read_closures, report_closures, restore_closures, write_closures
+from gpgrad_core.outputs import (
+    check_apart,
+    read_closures,
+    report_closures,
+    restore_closures,
+    write_closures,
+)
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.threads import num_workers
+from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.slam import (
     GraphParams,
     JoinedDatasets,
@@ -32,6 +40,7 @@ from gpgrad_core.slam import (
     join_datasets,
     measure_errors,
     odometry_poses,
+    solution_files,
     solve_datasets,
     write_merged,
     write_solution,
@@ -74,6 +83,7 @@ class Slam:
         SolverParams
     )
     merged: Annotated[Given[MergeParams], Doc("The merged cloud and map.")] = Given(MergeParams)
+    overwrite: Overwrite = False
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
@@ -83,8 +93,10 @@ class Slam:
         if self.search_radius is not None and not self.search_radius > 0:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
         joined = join_datasets([outline_dataset(path) for path in self.datasets])
+        self._check_out(joined)
         dataset = joined.outline.dataset
         odometry_poses(dataset)  # refuses what lacks it before the work
+        given = restore_closures(read_closures(self.closures)) if self.closures else None
         check_solver()
         for note in dataset.notes:
             warn(note)
@@ -92,23 +104,35 @@ class Slam:
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
         some = [joined.load(k)[0] for k in representative(len(dataset.submaps))]
         params = settled(params, some, dataset.name)
-        if self.closures:
-            closures = restore_closures(read_closures(self.closures))
-        else:
-            closures = self._detect(joined, params, graph, solver)
-        solution = solve_datasets(joined, closures, graph, solver)
-        with progress_bar("judge") as progress:
-            errors = measure_errors(solution, progress)
-        with progress_bar("write") as progress:
-            write_solution(self.out, solution, errors, progress)
-        if self.merge:
-            with progress_bar("merge") as progress:
-                merged = self.merged.over(MergeParams())
-                notes = write_merged(self.out, solution, params.map.terrain, merged, progress)
-            for note in notes:
-                warn(note)
+        with whole_folder(self.out, earlier=self._names(joined)) as folder:
+            self._check_out(joined)  # another process may just have ended
+            closures = given
+            if closures is None:
+                closures = self._detect(joined, params, graph, solver, folder)
+            solution = solve_datasets(joined, closures, graph, solver)
+            with progress_bar("judge") as progress:
+                errors = measure_errors(solution, progress)
+            with progress_bar("write") as progress:
+                write_solution(folder, solution, errors, progress)
+            if self.merge:
+                with progress_bar("merge") as progress:
+                    merged = self.merged.over(MergeParams())
+                    notes = write_merged(folder, solution, params.map.terrain, merged, progress)
+                for note in notes:
+                    warn(note)
         for line in (*_corrected(solution, errors), str(self.out)):
             say(line)
+
+    def _names(self, joined: JoinedDatasets) -> tuple[str, ...]:
+        """Name the files that this run may write; the last one is written last."""
+        return (*(() if self.closures else ("closures.json",)), *solution_files(joined))
+
+    def _check_out(self, joined: JoinedDatasets) -> None:
+        names = self._names(joined)
+        check_directory(self.out, names, overwrite=self.overwrite)
+        check_apart(
+            [self.out / name for name in names], [*self.datasets, self.closures, self.params]
+        )
 
     def _detect(
         self,
@@ -116,6 +140,7 @@ class Slam:
         params: PipelineParams,
         graph: GraphParams,
         solver: SolverParams,
+        folder: Path,
     ) -> tuple[LoopClosure, ...]:
         """Find the closures submap by submap, and keep them beside the results."""
         total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
@@ -139,9 +164,8 @@ class Slam:
                 )
             closures = closer.closures
         seconds = {"total": time.perf_counter() - start}
-        self.out.mkdir(exist_ok=True)
         report = report_closures(joined.outline.dataset, DetectionResult(closures, seconds), params)
-        write_closures(self.out / "closures.json", replace(report, submaps=sizes))
+        write_closures(folder / "closures.json", replace(report, submaps=sizes))
         return closures
 
 

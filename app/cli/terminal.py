@@ -4,23 +4,27 @@ import contextlib
 import sys
 from collections.abc import Callable, Generator
 
+from app.ending import code_of, reason_of, termination_raised
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, silent
 
-FAILED, INTERRUPTED = 2, 130
+FAILED = 2
 
 
 def exit_code(work: Callable[[], None]) -> int:
     """Do a verb's work, and turn how it ends into an exit code.
 
     Args:
-        work: May raise `InputError`, what the system refuses, or the user's Ctrl-C.
+        work: May raise `InputError`, what the system refuses, or the user's Ctrl-C. SIGTERM takes
+            the same way out.
 
     Returns:
-        0, or 2 after one line on standard error that says what was wrong, or 130 if interrupted.
+        0, or 2 after one line on standard error that says what was wrong, or 130 if interrupted
+        and 143 if terminated.
     """
     try:
-        work()
+        with termination_raised():
+            work()
     except InputError as error:
         warn(one_line(str(error)))
         return FAILED
@@ -29,8 +33,8 @@ def exit_code(work: Callable[[], None]) -> int:
         warn(one_line(f"{error.filename}: {what}" if error.filename else what))
         return FAILED
     except KeyboardInterrupt as stopped:
-        warn(str(stopped) or "interrupted")
-        return INTERRUPTED
+        warn(reason_of(stopped))
+        return code_of(stopped)
     return 0
 
 

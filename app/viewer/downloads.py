@@ -1,7 +1,6 @@
 """Files for the pages that ask for them: made in a worker, and sent when they are whole."""
 
 import re
-import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import viser
 from app.viewer.widgets.work_bar import WorkBar
 from app.viewer.work import Work
 from gpgrad_core.run.progress import Progress
+from gpgrad_core.run.whole import TemporaryFolder
 
 Write: TypeAlias = Callable[[Path, Progress], None]
 """Given where to write a file, and a progress hook."""
@@ -75,7 +75,7 @@ class Downloads:
 
 
 def _make(order: FileOrder, progress: Progress) -> bytes:
-    with tempfile.TemporaryDirectory(prefix="gpgrad-") as folder:
+    with TemporaryFolder("gpgrad-download-") as folder:
         path = Path(folder) / order.name
         order.write(path, progress)
         return path.read_bytes()

@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import tempfile
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, resolve_parameters
 from gpgrad_core.run.helper import start_helper
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.types import Dataset
 
 MEMO_BYTES = 1_500_000_000
@@ -75,7 +75,7 @@ class Viewer:
         start = params if params is not None else preferred_parameters(dataset, PipelineParams())
         start = resolve_parameters(dataset.submaps, start)
         self._opened = Opened(dataset, start, source, saved)
-        self._uploads = tempfile.TemporaryDirectory(prefix="gpgrad-uploads-")
+        self._uploads = TemporaryFolder("gpgrad-uploads-")
         self._permissions = replace(permissions, uploads=Path(self._uploads.name))
         self._memo = Memo(MEMO_BYTES)
         self._capacity = Capacity(helper=start_helper())

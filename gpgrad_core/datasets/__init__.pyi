@@ -1,12 +1,13 @@
 from .clouds import load_cloud
 from .demo import demo_params, demo_path, simulate_demo
-from .folder import Outline, load_dataset, outline_dataset, write_dataset
+from .folder import Outline, check_vacant, load_dataset, outline_dataset, write_dataset
 from .simulate import simulate_dataset
 from .simulation_params import SimulationParams
 
 __all__ = [
     "Outline",
     "SimulationParams",
+    "check_vacant",
     "demo_params",
     "demo_path",
     "load_cloud",

@@ -1,8 +1,7 @@
 """A folder of clouds with poses -> a dataset, and back."""
 
+import os
 import re
-import shutil
-import uuid
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from gpgrad_core.datasets.poses import read_poses, write_poses
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap
 
@@ -22,6 +22,15 @@ TRUTH_FILE = "poses_gt.txt"
 ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first one that exists is read
 ABOUT_FILE = "dataset.toml"
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
+JOURNAL = "build.jsonl"
+"""Name of the journal of a build; it tells what the submaps were made of."""
+SIMULATED = "gpgrad simulate"
+"""Stands in the description, or above the poses, of what was simulated."""
+MADE_ENTRIES = (
+    *("submaps", "scans", "trajectory"),
+    *(TRUTH_FILE, *ODOMETRY_FILES, "times.txt", ABOUT_FILE, JOURNAL),
+)
+"""What gpgrad writes into a dataset or a recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,46 +212,81 @@ def _no_clouds(path: Path, *, has_submaps: bool) -> str:
     return message
 
 
-def write_dataset(dataset: Dataset, directory: Path | str, progress: Progress = silent) -> None:
+def write_dataset(
+    dataset: Dataset,
+    directory: Path | str,
+    progress: Progress = silent,
+    *,
+    overwrite: bool = False,
+) -> None:
     """Write a dataset folder; a reader never sees it half-written.
 
     Args:
         dataset: The dataset; its submaps' ids become the file names.
         directory: The folder; it is made with its parents if it does not exist.
         progress: Called once per cloud.
+        overwrite: Whether to replace a dataset that gpgrad made.
 
     Raises:
-        InputError: If the directory is not empty or cannot be made, if an id cannot be a file
-            name, or if a submap has a pose but no number, by which pose files name it.
+        InputError: If the directory is taken or cannot be made, if another process is writing it,
+            if an id cannot be a file name, or if a submap has a pose but no number, by which pose
+            files name it.
     """
     directory = Path(directory)
     _check_ids(dataset)
-    check_vacant(directory)
+    check_vacant(directory, overwrite=overwrite)
     try:
-        directory.parent.mkdir(parents=True, exist_ok=True)
-        # It is written next to its place and then renamed, so that no half dataset is left.
-        unfinished = directory.resolve().with_name(f".{directory.name}.{uuid.uuid4().hex[:8]}")
-        try:
+        with whole_folder(directory, replace=overwrite) as unfinished:
+            check_vacant(directory, overwrite=overwrite)  # another process may just have ended
             _write_folder(dataset, unfinished, progress)
-            if directory.exists():
-                directory.rmdir()
-            unfinished.rename(directory)
-        finally:
-            shutil.rmtree(unfinished, ignore_errors=True)
     except OSError as error:
         raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from None
 
 
-def check_vacant(directory: Path) -> None:
-    """Check that a dataset may be written there.
+def check_vacant(directory: Path | str, *, overwrite: bool = False) -> None:
+    """Check that a dataset or a recording may be written there; call it before long work.
+
+    Args:
+        directory: The folder; it need not exist.
+        overwrite: Whether it may replace what gpgrad made. Other data are never replaced.
 
     Raises:
-        InputError: If there is a file, or a folder that is not empty.
+        InputError: If there is a file, or a folder that is not empty, or if the nearest folder
+            above that exists cannot be written to.
     """
+    directory = Path(directory)
     if directory.exists() and not directory.is_dir():
         raise InputError(f"{directory}: is a file; name a new or empty folder")
     if directory.exists() and any(directory.iterdir()):
-        raise InputError(f"{directory}: is not empty; name a new or empty folder")
+        if not overwrite:
+            raise InputError(
+                f"{directory}: is not empty; name a new or empty folder, or replace what gpgrad "
+                "made there: --overwrite"
+            )
+        _check_made_here(directory)
+    above = next(folder for folder in directory.absolute().parents if folder.exists())
+    if above.is_dir() and not os.access(above, os.W_OK | os.X_OK):
+        raise InputError(f"{directory}: cannot be written: no permission to write to {above}")
+
+
+def _check_made_here(directory: Path) -> None:
+    """Refuse to replace a folder that holds anything that gpgrad did not make."""
+    others = sorted(e.name for e in directory.iterdir() if e.name not in MADE_ENTRIES)
+    if others:
+        raise InputError(
+            f"{directory}: holds {others[0]}, which is no part of a dataset that gpgrad made; "
+            "move it away, or name another folder"
+        )
+    if (directory / JOURNAL).is_file():
+        return
+    for name in (ABOUT_FILE, *ODOMETRY_FILES):
+        file = directory / name
+        if file.is_file() and SIMULATED in file.read_text(encoding="utf-8", errors="replace"):
+            return
+    raise InputError(
+        f"{directory}: gpgrad did not make what is there; remove it yourself, or name another "
+        "folder"
+    )
 
 
 def _check_ids(dataset: Dataset) -> None:

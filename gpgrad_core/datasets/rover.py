@@ -11,6 +11,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.simulation_params import SimulationParams
 from gpgrad_core.datasets.terrain import HeightField
 from gpgrad_core.errors import InputError
+from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.se2 import Pose
 
 STEP = 0.05  # between the points of a track [m]
@@ -90,9 +91,17 @@ def plan_track(params: SimulationParams) -> Track:
     low, high = np.vstack([out, back]).min(axis=0), np.vstack([out, back]).max(axis=0)
     needed = float(np.max(high - low)) + 2.0 * margin
     if needed > params.extent:
+        drive = (
+            f"{params.num_submaps} submaps {params.spacing:g} m apart on the route {params.route!r}"
+        )
+        most = bounds_of(SimulationParams)["extent"].high
+        if needed > most:
+            raise InputError(
+                f"{drive} need an extent of {np.ceil(needed):g} m, more than the {most:g} m "
+                "allowed; lower num_submaps, spacing or max_range"
+            )
         raise InputError(
-            f"extent must be {np.ceil(needed):g} m or more for {params.num_submaps} submaps "
-            f"{params.spacing:g} m apart on the route {params.route!r}, got {params.extent:g} m"
+            f"extent must be {np.ceil(needed):g} m or more for {drive}, got {params.extent:g} m"
         )
     shift = 0.5 * params.extent - 0.5 * (low + high)
     xy = np.vstack([out[:-1], back]) + shift

@@ -3,7 +3,7 @@
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
@@ -47,17 +47,22 @@ class Section:
     figures: Mapping[str, Picture] = field(default_factory=dict[str, Picture])
 
 
-def check_directory(directory: Path | str) -> Path:
+def check_directory(
+    directory: Path | str, names: Iterable[str] = (), *, overwrite: bool = True
+) -> Path:
     """Check that a report can be written to a folder; call it before long work.
 
     Args:
         directory: The folder; it need not exist.
+        names: Files that will be written, or patterns of them.
+        overwrite: Whether they may replace files that exist.
 
     Returns:
         The folder as a path.
 
     Raises:
-        InputError: If it is a file, or cannot be made or written to.
+        InputError: If it is a file, cannot be made or written to, or holds one of these files,
+            which may not be replaced.
     """
     directory = Path(directory)
     if directory.exists() and not directory.is_dir():
@@ -69,6 +74,12 @@ def check_directory(directory: Path | str) -> Path:
         )
     if not os.access(parent, os.W_OK):
         raise InputError(f"{directory}: cannot write: no permission to write to {parent}")
+    for name in () if overwrite or not directory.is_dir() else names:
+        for there in sorted(directory.glob(name)):
+            raise InputError(
+                f"{directory}: holds {there.name} of an earlier run; name another folder, or "
+                "replace it: --overwrite"
+            )
     return directory
 
 

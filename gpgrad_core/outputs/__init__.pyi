@@ -7,7 +7,7 @@ from .closures import (
     restore_closures,
     write_closures,
 )
-from .files import check_output, replacing
+from .files import check_apart, check_output, replacing
 from .fitted import write_fitted
 from .maps import MAP_ENDINGS, write_map
 
@@ -15,6 +15,7 @@ __all__ = [
     "MAP_ENDINGS",
     "ClosureReport",
     "PairRecord",
+    "check_apart",
     "check_output",
     "read_closures",
     "replacing",

@@ -1,7 +1,9 @@
 """Many similar jobs, in this thread or over an executor, with one progress and one way to stop."""
 
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -11,6 +13,8 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     wait,
 )
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import wait as wait_for_any
 from threading import Event, Lock
 from typing import TypeAlias, TypeVar
 
@@ -44,11 +48,24 @@ def workers(count: int, num_jobs: int) -> Executor:
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if hasattr(context, "set_forkserver_preload"):
         context.set_forkserver_preload(["gpgrad_core.methods"])  # loaded once, for all of them
-    return ProcessPoolExecutor(count, context, initializer=_leave_interrupts_to_the_parent)
+    return ProcessPoolExecutor(count, context, initializer=_follow_the_parent)
 
 
-def _leave_interrupts_to_the_parent() -> None:
+def _follow_the_parent() -> None:
+    """Leave Ctrl-C to the parent, and end when it ends.
+
+    A worker of a pool waits for its parent's next job for ever, even if the parent was killed. But
+    it holds the end of a pipe that the system closes with the parent.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None  # this runs in a worker
+
+    def watch() -> None:
+        wait_for_any([parent.sentinel])
+        os._exit(1)  # at once, in the middle of a job: nobody waits for its result
+
+    threading.Thread(target=watch, name="watch", daemon=True).start()
 
 
 def run_jobs(
@@ -69,6 +86,9 @@ def run_jobs(
         jobs: Jobs of similar length.
         executor: Threads or processes; None does all jobs in this thread, one after the other.
         progress: Called with the fraction done; may raise Cancelled.
+
+    Raises:
+        OSError: If a process has died, because memory did not suffice or it was killed.
     """
     jobs = list(jobs)
     if executor is None:
@@ -85,9 +105,14 @@ def run_jobs(
             if done:
                 tally.finish([k for k, future in enumerate(futures) if future.done()])
             progress(tally.fraction)
-    except BaseException:
+    except BaseException as error:
         tally.stop.set()
         wait([future for future in futures if not future.cancel()])
+        if isinstance(error, BrokenProcessPool):
+            raise OSError(
+                "a worker process has died: it was killed, or the memory did not suffice "
+                "(GPGRAD_THREADS=1 takes least)"
+            ) from error
         raise
     return [future.result() for future in futures]
 

@@ -96,6 +96,7 @@ def build_dataset(
     *,
     sources: RecordingSources | None = None,
     restart: bool = False,
+    overwrite: bool = False,
     progress: Progress = silent,
 ) -> BuildReport:
     """Build a dataset of submaps from scans and poses.
@@ -114,6 +115,7 @@ def build_dataset(
         params: Where to cut, which direction is up, and how points are put together.
         sources: Where the parts of the recording are, if they are not to be found automatically.
         restart: Whether to delete an unfinished build and begin again.
+        overwrite: Whether to replace a dataset that gpgrad made, once the new one is finished.
         progress: Called once per scan; may raise Cancelled.
 
     Returns:
@@ -125,7 +127,7 @@ def build_dataset(
     """
     directory = Path(directory)
     sources, params = sources or RecordingSources(), params or BuildParams()
-    check_vacant(directory)  # before the recording is read
+    check_vacant(directory, overwrite=overwrite)  # before the recording is read
     recording = open_recording(scans, sources, params)
     recording, notes = _levelled(recording, params)
     if params.max_time is not None and recording.stamps is None:
@@ -139,7 +141,7 @@ def build_dataset(
         "params": asdict(params),
         "topics": [sources.cloud_topic, sources.pose_topic, sources.world_frame],
     }
-    with open_journal(directory, header, restart=restart) as begun:
+    with open_journal(directory, header, restart=restart, overwrite=overwrite) as begun:
         resumed = len(begun.entries)
         whole = _add_submaps(begun, recording, pieces, params, progress)
         written = [entry for entry in whole.entries if "hash" in entry]
@@ -151,7 +153,7 @@ def build_dataset(
                 f"the {len(recording):,} scans have {measured:,} points together"
             )
         _write_rest(whole, recording, pieces, params)
-        whole.finish()
+        whole.finish(overwrite=overwrite)
     progress(1.0)
     return BuildReport(
         num_submaps=len(written),

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.clouds import READERS, read_points
 from gpgrad_core.errors import InputError
+from gpgrad_core.run.whole import is_unfinished
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.pose_files import Mount, PoseFile, read_mount, read_pose_file, read_times
 from gpgrad_core.scans.recording import (
@@ -47,12 +48,15 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     Raises:
         InputError: If there are no clouds or no poses, or they do not belong together.
     """
+    if is_unfinished(path.resolve()):
+        raise InputError(f"{path}: is a recording that is not finished; make it again")
     clouds, scans_folder = _find_clouds(path)
     files = _read_files(path, scans_folder, sources)
     times = files.times
     if times is not None and len(times) != len(clouds) and not files.poses.numbered:
         raise InputError(
-            f"{files.times_path}: holds {len(times):,} times for {len(clouds):,} scans"
+            f"{files.times_path}: holds {len(times):,} times for {len(clouds):,} scans; "
+            "the recording is not complete, or they do not belong together"
         )
     keys, stamps, notes = _stamps(clouds, files.poses, times, path)
     order = np.argsort(keys, kind="stable")

@@ -8,8 +8,6 @@ step.
 
 import contextlib
 import hashlib
-import importlib
-import importlib.util
 import json
 import os
 import shutil
@@ -18,15 +16,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from gpgrad_core.datasets.folder import check_vacant
+from gpgrad_core.datasets.folder import JOURNAL, check_vacant
 from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.json_files import parse_json
 from gpgrad_core.reading.text import lines_of, read_text
+from gpgrad_core.run.whole import alone, empty, put_in_place, recover
 
 Entry = dict[str, Any]
-JOURNAL = "build.jsonl"
-"""Name of the journal; it stays in the finished dataset and tells what the submaps were made of."""
 UNFINISHED_CLOUDS, CLOUDS = "unfinished", "submaps"
 
 
@@ -69,19 +66,25 @@ class Journal:
         """Remove the unfinished dataset."""
         shutil.rmtree(self.folder)
 
-    def finish(self) -> None:
-        """Give the dataset its name; from then on it is finished."""
+    def finish(self, *, overwrite: bool = False) -> None:
+        """Give the dataset its name; from then on it is finished.
+
+        Args:
+            overwrite: Whether to replace what has the name now.
+        """
         self.clouds.rename(self.folder / CLOUDS)
         _to_disk(self.folder)
-        if self.directory.exists():
-            self.directory.rmdir()
-        self.folder.rename(self.directory)
+        put_in_place(self.folder, self.directory, replace=overwrite)
         _to_disk(self.directory.parent)
 
 
 @contextlib.contextmanager
 def open_journal(
-    directory: Path, header: Mapping[str, Any], *, restart: bool = False
+    directory: Path,
+    header: Mapping[str, Any],
+    *,
+    restart: bool = False,
+    overwrite: bool = False,
 ) -> Generator[Journal]:
     """Begin a dataset, or resume an unfinished one with the same header.
 
@@ -89,23 +92,27 @@ def open_journal(
         directory: Where the dataset will be; it must not exist or be empty.
         header: What the dataset is made of: the recording's identity and all parameters.
         restart: Whether to delete an unfinished dataset and begin again.
+        overwrite: Whether to replace a dataset that gpgrad made, once the new one is finished.
 
     Raises:
         InputError: If the directory is not empty, the unfinished dataset has another header, or
             another process is working on it.
     """
     directory = directory.resolve()
-    check_vacant(directory)
     folder = directory.with_name(f"{directory.name}.partial")
     try:
         directory.parent.mkdir(parents=True, exist_ok=True)
-        with _alone(folder):
-            if restart:
-                shutil.rmtree(folder, ignore_errors=True)
-            if folder.exists():
-                yield _taken_up(directory, folder, header)
-            else:
-                yield _begun(directory, folder, header)
+        recover(directory)
+        with alone(folder):
+            try:
+                check_vacant(directory, overwrite=overwrite)
+                if restart:
+                    empty(folder)
+                begun = any(folder.iterdir())
+                yield (_taken_up if begun else _begun)(directory, folder, header)
+            finally:
+                with contextlib.suppress(OSError):
+                    folder.rmdir()  # if nothing was begun
     except OSError as error:
         place = error.filename or directory
         raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
@@ -126,7 +133,7 @@ def _taken_up(directory: Path, folder: Path, header: Mapping[str, Any]) -> Journ
             raise InputError(
                 f"{folder}: is in the way and is not an unfinished build; move it away"
             )
-        shutil.rmtree(folder)  # the run was killed before it wrote a line
+        empty(folder)  # the run was killed before it wrote a line
         return _begun(directory, folder, header)
     begun = _parsed(lines[0])
     if begun is None or begun != json.loads(json.dumps(header)):
@@ -203,28 +210,3 @@ def _to_disk(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-@contextlib.contextmanager
-def _alone(folder: Path) -> Generator[None]:
-    """Lock an unfinished dataset against other processes; the lock ends with its process.
-
-    Raises:
-        InputError: If another process is working on it.
-    """
-    if importlib.util.find_spec("fcntl") is None:  # not on Windows
-        yield
-        return
-    fcntl: Any = importlib.import_module("fcntl")
-    lock = folder.with_name(f".{folder.name}.lock")
-    with lock.open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(
-                f"{folder}: another process is working on it; wait until it has finished"
-            ) from None
-        try:
-            yield
-        finally:
-            lock.unlink(missing_ok=True)

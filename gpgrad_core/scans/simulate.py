@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gpgrad_core.datasets.folder import check_vacant
+from gpgrad_core.datasets.folder import SIMULATED, check_vacant
 from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import pose_row
 from gpgrad_core.datasets.rover import Track, plan_track, scan, sensor_pose
@@ -22,6 +22,7 @@ from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import Pose
 
 SCAN_STREAM = 3
@@ -37,45 +38,52 @@ def simulate_recording(
     params: SimulationParams | None = None,
     *,
     points_a_scan: int | None = None,
+    overwrite: bool = False,
     progress: Progress = silent,
 ) -> None:
     """Simulate a drive and write the recording: scans, odometry and true poses.
 
     `build_dataset` can read the folder. ``scans/`` has the clouds in the sensor's frame, named by
-    their time; ``poses.txt`` has the sensor's poses by odometry and ``poses_gt.txt`` the true
-    ones, both as TUM rows.
+    their time; ``times.txt`` has their times, so that a copy that lacks scans is found out;
+    ``poses.txt`` has the sensor's poses by odometry and ``poses_gt.txt`` the true ones, both as
+    TUM rows. The folder appears when all of it is written.
 
     Args:
         directory: Folder to make; it must not exist or be empty.
         num_scans: Number of scans, evenly spread over the drive.
         params: Ground, route, sensor and odometry.
         points_a_scan: A scan with more points is thinned to this many; None keeps all.
+        overwrite: Whether to replace a recording that was simulated.
         progress: Called once per scan.
 
     Raises:
-        InputError: If the directory is taken, the route does not fit into the extent, or there
-            are fewer than two scans.
+        InputError: If the directory is taken, another process is writing it, the route does not
+            fit into the extent, or there are fewer than two scans.
     """
     directory, params = Path(directory), params or SimulationParams()
-    check_vacant(directory)
+    check_vacant(directory, overwrite=overwrite)
     if num_scans < 2:
         raise InputError(f"a recording needs 2 or more scans, got {num_scans}")
     track = plan_track(params)
-    terrain = make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM))
     try:
-        (directory / "scans").mkdir(parents=True, exist_ok=True)
-        spacing = track.length / (num_scans - 1)
-        _write_poses(directory, num_scans, spacing, track, terrain, params)
-        for k in range(num_scans):
-            rng = stream(params.seed, SCAN_STREAM, k)
-            stop = track.between(k * spacing)
-            points = scan(terrain, stop, params, rng)
-            if points_a_scan is not None and len(points) > points_a_scan:
-                points = points[np.sort(rng.choice(len(points), points_a_scan, replace=False))]
-            sensor = sensor_pose(terrain, stop, params)
-            local = (points - sensor.translation) @ sensor.rotation
-            write_ply(directory / "scans" / f"{START + k * PERIOD:.6f}.ply", local)
-            progress((k + 1) / num_scans)
+        with whole_folder(directory, replace=overwrite) as unfinished:
+            check_vacant(directory, overwrite=overwrite)  # another process may just have ended
+            terrain = make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM))
+            spacing = track.length / (num_scans - 1)
+            _write_poses(unfinished, num_scans, spacing, track, terrain, params)
+            stamps = [f"{START + k * PERIOD:.6f}" for k in range(num_scans)]
+            write_lines(unfinished / "times.txt", stamps)
+            (unfinished / "scans").mkdir()
+            for k, stamp in enumerate(stamps):
+                rng = stream(params.seed, SCAN_STREAM, k)
+                stop = track.between(k * spacing)
+                points = scan(terrain, stop, params, rng)
+                if points_a_scan is not None and len(points) > points_a_scan:
+                    points = points[np.sort(rng.choice(len(points), points_a_scan, replace=False))]
+                sensor = sensor_pose(terrain, stop, params)
+                local = (points - sensor.translation) @ sensor.rotation
+                write_ply(unfinished / "scans" / f"{stamp}.ply", local)
+                progress((k + 1) / num_scans)
     except OSError as error:
         raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from None
 
@@ -97,7 +105,7 @@ def _write_poses(
     believed = drift(ground, params, rng, step)
     truth = [sensor_pose(terrain, stop, params) for stop in stops]
     head = "# timestamp tx ty tz qx qy qz qw   (p_world = R p_sensor + t)"
-    of_truth, of_odometry = [head], [head]
+    of_truth, of_odometry = [f"# {SIMULATED}", head], [f"# {SIMULATED}", head]
     for distance, level, wrong, true in zip(distances, ground, believed, truth, strict=True):
         # Drift moves and turns the rover as a whole; an inertial unit measures its tilt.
         moved = Rotation.from_quat(wrong.quaternion) * Rotation.from_quat(level.quaternion).inv()

@@ -1,7 +1,6 @@
 """Loop closing while the robot drives: submaps are added one by one."""
 
 import pickle
-import tempfile
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -19,6 +18,7 @@ from gpgrad_core.pipeline import MapDetector, PipelineParams, resolve_parameters
 from gpgrad_core.pipeline.all_pairs import StagedDetector, side_by_side
 from gpgrad_core.run.memo import Memo, array_bytes
 from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
 from gpgrad_core.slam.joining import place_traverses
@@ -219,7 +219,7 @@ class _Store:
         self._max_bytes, self._bytes = max_bytes, 0
         self._held: OrderedDict[str, tuple[Any, int]] = OrderedDict()
         self._names: dict[str, int] = {}
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._folder: TemporaryFolder | None = None
         self._lock = Lock()
 
     def put(self, name: str, extracted: Any) -> None:
@@ -256,7 +256,7 @@ class _Store:
 
     def _file(self, name: str) -> Path:
         if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="gpgrad-")
+            self._folder = TemporaryFolder("gpgrad-submaps-")
         return Path(self._folder.name) / f"{self._names[name]}.pickle"
 
 

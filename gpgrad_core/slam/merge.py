@@ -1,5 +1,6 @@
 """One cloud and one elevation map of all submaps, tile by tile, in bounded memory."""
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -231,7 +232,12 @@ def _thinned(gathered: Gathered, length_scale: float, folder: Path) -> TileStore
 
 
 def _on_disk(path: Path, shape: tuple[int, int]) -> Floats:
-    return np.lib.format.open_memmap(path, mode="w+", dtype=np.float32, shape=shape)
+    layer = np.lib.format.open_memmap(path, mode="w+", dtype=np.float32, shape=shape)
+    if hasattr(os, "posix_fallocate"):
+        # Without it a full disk would end the process by a signal when a page is written to.
+        with path.open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+    return layer
 
 
 def _add_tile(

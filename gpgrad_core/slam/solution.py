@@ -1,7 +1,6 @@
 """Datasets put into one map, and the files of it: poses, graph, errors, figures, cloud and map."""
 
 import json
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from gpgrad_core.gradient_map import TerrainParams
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.outputs.maps import write_arrays, write_raster
 from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.consistency import Consistency, measure_consistency
 from gpgrad_core.slam.g2o import vertex_numbers, write_graph
@@ -128,6 +128,13 @@ def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors
     return MapErrors(trajectories, (overlaps[0], overlaps[1]))
 
 
+SOLUTION_FILES = (
+    *("trajectory.png", "errors.png", "cloud.ply", "map.npz", "map.tif"),
+    *("graph.g2o", "report.json"),
+)
+"""Names of the files of a map, apart from its poses."""
+
+
 def write_solution(
     directory: Path | str,
     solution: Solution,
@@ -179,6 +186,11 @@ def write_solution(
     progress(1.0)
 
 
+def solution_files(joined: JoinedDatasets) -> tuple[str, ...]:
+    """Name the files that `write_solution` and `write_merged` may write; the report is the last."""
+    return (*(poses_file(joined, session) for session in joined.traverses), *SOLUTION_FILES)
+
+
 def poses_file(joined: JoinedDatasets, session: str) -> str:
     """Name the file of a dataset's corrected poses."""
     if len(joined.traverses) == 1:
@@ -219,7 +231,7 @@ def write_merged(
     """
     directory, params = Path(directory), params or MergeParams()
     # Beside the results, because the temporary files can be as large as they are.
-    with tempfile.TemporaryDirectory(dir=directory, prefix=".merging-") as folder:
+    with TemporaryFolder(".merging-", directory) as folder:
         tiles, layers = Path(folder, "tiles"), Path(folder, "layers")
         tiles.mkdir()
         layers.mkdir()

@@ -1,0 +1,69 @@
+"""How the program ends when it is told to: by Ctrl-C, by SIGTERM, or because its terminal closed.
+
+All of them take the way out of Ctrl-C, an exception in the main thread, so that every verb leaves
+its temporary files and its processes in one way. This module is loaded before everything else and
+loads nothing that takes time.
+"""
+
+import contextlib
+import signal
+import sys
+import threading
+from collections.abc import Generator
+from types import FrameType
+
+INTERRUPTED = 130
+
+
+class Terminated(KeyboardInterrupt):
+    """Raised in the main thread when the process is told to end."""
+
+    def __init__(self, number: int = signal.SIGTERM) -> None:
+        """Remember why.
+
+        Args:
+            number: Of the signal.
+        """
+        super().__init__("terminated")
+        self.exit_code = 128 + number
+
+
+@contextlib.contextmanager
+def termination_raised() -> Generator[None]:
+    """Raise `Terminated` where SIGTERM or SIGHUP arrives, until the block ends.
+
+    A signal that is ignored stays ignored, as ``nohup`` wants it. Outside of the main thread,
+    where Python allows no handlers, nothing changes.
+    """
+    numbers = [getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")]  # not all on Windows
+    handled: list[int] = []
+    if threading.current_thread() is threading.main_thread():
+        handled = [n for n in numbers if n is not None and signal.getsignal(n) is signal.SIG_DFL]
+    try:
+        for number in handled:
+            signal.signal(number, _raise)
+        yield
+    finally:
+        for number in handled:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _raise(number: int, _: FrameType | None) -> None:
+    raise Terminated(number)
+
+
+def leave(code: int) -> None:
+    """Leave with an exit code; a signal that comes later ends the process without a word."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    sys.exit(code)
+
+
+def code_of(stopped: KeyboardInterrupt) -> int:
+    """Give the exit code: 130 for Ctrl-C, 143 for SIGTERM, as shells count."""
+    return stopped.exit_code if isinstance(stopped, Terminated) else INTERRUPTED
+
+
+def reason_of(stopped: KeyboardInterrupt) -> str:
+    """Say why the program was stopped."""
+    return str(stopped) or "interrupted"
