@@ -285,7 +285,7 @@ def _maximum(
     start = Hyperparameters(params.length_scale, signal_std_of(areas[0].points, params), 1.0)
     for k, name in enumerate(HYPERPARAMETERS):
         if name in fixed:
-            limits[:, k] = np.exp(start.logs[k])
+            limits[:, k] = (start.length_scale, start.signal_std, start.noise_std)[k]
     found: Array = minimize(
         descend,
         np.clip(start.logs, *np.log(limits)),

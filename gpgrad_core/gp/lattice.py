@@ -82,7 +82,7 @@ class LatticePosterior:
     Attributes:
         kernel: Covariance of the terrain.
         mean: Height that was subtracted before the fit [m].
-        panels: Panels from low to high x.
+        panels: Panels from low to high x; where there is none, the prior holds.
     """
 
     kernel: SquaredExponential
@@ -100,10 +100,8 @@ class LatticePosterior:
 
         def mean(panel: Panel) -> None:
             own = _columns(grid, panel)
-            height, slope_x, slope_y = panel.mean.sample(grid.x[own], grid.y)
-            fields.elevation[:, own] += height
-            fields.slope[:, own, 0] = slope_x
-            fields.slope[:, own, 1] = slope_y
+            into = fields.elevation[:, own], fields.slope[:, own]
+            panel.mean.add_to(grid.x[own], grid.y, *into)
 
         def variance(strip: Strip) -> None:
             own = _columns(grid, strip)
@@ -169,7 +167,9 @@ def fit_lattice(
     with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
         for group in groups:
             fitter = _PanelFitter(kernel, bits, spacing, accuracy, report, executor)
-            panels.append(fitter.fit(cloud, group))
+            panel = fitter.fit(cloud, group)
+            if panel is not None:
+                panels.append(panel)
     return LatticePosterior(kernel, offset, tuple(panels))
 
 
@@ -245,11 +245,14 @@ class _PanelFitter:
     report: _SharedProgress
     executor: Executor
 
-    def fit(self, cloud: Cloud, edges: Float[Array, "edges"]) -> Panel:
-        """Fit the strips between the edges, then the mean over all of them."""
+    def fit(self, cloud: Cloud, edges: Float[Array, "edges"]) -> Panel | None:
+        """Fit the strips between the edges, then the mean over all; None if they see no point."""
         halo = PANEL_HALO * self.kernel.length_scale
         x = cloud.xy[:, 0]
         seen = cloud.select((x >= edges[0] - halo) & (x < edges[-1] + halo))
+        if len(seen) == 0:
+            self.report.advance(len(edges) - 1.0)
+            return None
         # The outermost strips also write the points beyond the panel's edges.
         inner = edges[1:-1]
         owner = np.searchsorted(inner, seen.xy[:, 0], side="right")
@@ -379,7 +382,7 @@ def _panels(
     sides = xy.max(axis=0) - xy.min(axis=0)
     num_strips = len(edges) - 1
     columns = (sides[0] / num_strips + 2 * (halo + MARGIN * length_scale)) / spacing
-    rows = sides[1] / spacing
+    rows = (sides[1] + 2 * MARGIN * length_scale) / spacing
     a_strip = 2 * rows * columns**2 * band_of(information, spacing / length_scale) * 4
     together = max(1, int(MOST_PANEL_BYTES / a_strip))
     num_panels = -(-num_strips // together)
