@@ -20,6 +20,8 @@ from gpgrad_core.se2 import SE2, Pose
 MAX_GRID_CELLS = 25_000_000
 """Largest number of cells of a submap's map; four float64 fields of this size take 0.8 GB."""
 
+MAX_COORDINATE = 1e9
+"""Largest coordinate of a point [m]; it is rounded to 1e-7 m, and its square can be summed."""
 
 MAX_STD_RATIO = 0.3
 """Default threshold of the variance mask; see `GradientMap.trusted`."""
@@ -96,7 +98,8 @@ class Submap:
 
         Raises:
             InputError: If the points are not an (n, 3) array, if fewer than three of them are
-                finite, if all of them lie on one line, if a noise is not above zero, or if a
+                finite, if all of them lie on one line, if a coordinate is beyond
+                `MAX_COORDINATE`, if a noise is not above zero, or if a
                 range is negative.
         """
         rows = np.asarray(points)
@@ -104,6 +107,12 @@ class Submap:
             raise InputError(f"{id}: points must be an (n, 3) array, got shape {rows.shape}")
         finite = np.asarray(np.isfinite(rows).all(axis=1))
         kept = _frozen_copy(rows, finite)
+        farthest = float(np.abs(kept).max(initial=0.0))
+        if farthest > MAX_COORDINATE:
+            raise InputError(
+                f"{id}: a coordinate of {farthest:.3g} m is beyond the {MAX_COORDINATE:g} m "
+                "allowed; give metres, in a frame near the ground"
+            )
         _check_spans_area(kept, len(rows), id)
         digest = hashlib.blake2b(kept.tobytes(), digest_size=16)
         if colors is not None:
@@ -237,11 +246,13 @@ class Grid:
         columns, rows = (int(count) + 1 for count in steps)
         if rows * columns > max_cells:
             width, height = high - low
-            fitting = np.sqrt(width * height / max_cells)
+            # The resolution r at which (width / r + 2) (height / r + 2) is the largest number.
+            edge, most = float(width + height), max_cells - 4
+            fitting = (edge + np.sqrt(edge**2 + most * width * height)) / most
             raise InputError(
                 f"{name} spans {width:,.0f} m x {height:,.0f} m: {rows * columns:,} cells at "
                 f"{resolution:g} m, more than the {max_cells:,} allowed; raise the resolution "
-                f"to {np.ceil(fitting * 100) / 100:g} m or more, or map less ground at once"
+                f"to {np.ceil(fitting * 1000) / 1000:.4g} m or more, or map less ground at once"
             )
         return cls((float(origin[0]), float(origin[1])), resolution, (rows, columns))
 

@@ -16,6 +16,7 @@ from scipy.ndimage import correlate1d
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.gp.accuracy import EXACT, Accuracy
 from gpgrad_core.gp.cloud import Cloud
+from gpgrad_core.gp.cost import Cost
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import TerrainFields, clip_variance
@@ -50,6 +51,8 @@ MOST_SMOOTH = 6.0
 """Largest side of a tile for which that holds [length-scales]."""
 WORTH = 1.2
 """A tile is interpolated if it has this many times as many cells as nodes."""
+BYTES_A_POINT = 3500
+"""Memory of a point in the factors of its Gaussians, and in the tiles that see it."""
 SECONDS_A_PRODUCT, SECONDS_A_TILE, SECONDS_A_POINT, SECONDS = 2.7e-10, 5.8e-5, 1.2e-5, 0.034
 """Seconds of a fit and its samples on two cores of 2.8 GHz: for the cube of the points that a tile
 sees, for a tile, for a point, and constant (fitted to 90 clouds and length-scales, within 35 %)."""
@@ -229,14 +232,18 @@ def fit_tiles(
     return TilePosterior(kernel, offset, field, cloud.xy, tiling, tuple(batches))
 
 
-def estimate_seconds(
-    xy: Float[Array, "n 2"], kernel: SquaredExponential, accuracy: Accuracy = EXACT
-) -> float:
-    """Estimate the time of a fit [s], to compare it with that of another solver.
+def estimate_cost(
+    xy: Float[Array, "n 2"],
+    kernel: SquaredExponential,
+    information: float,
+    accuracy: Accuracy = EXACT,
+) -> Cost:
+    """Estimate what a fit and its samples cost.
 
     Args:
         xy: Positions of the points (n, 2) [m].
         kernel: Covariance of the terrain.
+        information: Largest precision that data bring to one bump; see `spacing`.
         accuracy: How exact the solution has to be.
     """
     cells = np.floor((xy - xy.min(axis=0)) / (TILE * kernel.length_scale)).astype(np.int64)
@@ -249,12 +256,16 @@ def estimate_seconds(
     for axis in (0, 1):
         image = correlate1d(image, [share, 1.0, share], axis=axis, mode="constant")
     seen = image.flat[tiles]
-    return float(
+    seconds = (
         SECONDS
         + SECONDS_A_PRODUCT * np.sum(seen**3)
         + SECONDS_A_TILE * len(seen)
         + SECONDS_A_POINT * len(xy)
     )
+    digits = 4 if information <= MOST_INFORMATION_IN_SINGLE else 8
+    # While they are inverted, a batch of them on each thread takes several times its size.
+    inverses = digits * np.sum(seen**2) + 8 * 10 * BATCH * seen.max() ** 2
+    return Cost(float(seconds), float(inverses + BYTES_A_POINT * len(xy)))
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpgrad_core.fitting import Hyperparameter, fit_parameters, representative
-from gpgrad_core.gradient_map import MapParams, TerrainParams, ordinary_noise
+from gpgrad_core.fitting import MOST_POINTS, Hyperparameter, fit_parameters, representative
+from gpgrad_core.gradient_map import MapParams, TerrainParams, few_of, ordinary_noise
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.pipeline.params import PipelineParams
@@ -157,8 +157,9 @@ def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
     found: list[float] = []
     for submap in (submaps[k] for k in representative(len(submaps))):
         width, height = np.ptp(submap.points[:, :2], axis=0).tolist()
-        area, noise = width * height, ordinary_noise(submap, submap, fitted)
-        count = len(noise) if fitted.max_points is None else min(len(noise), fitted.max_points)
+        some, total = few_of(submap, MOST_POINTS), len(submap.points)
+        area, noise = width * height, ordinary_noise(some, some, fitted)
+        count = total if fitted.max_points is None else min(total, fitted.max_points)
         density = float(np.mean(noise**2)) * area / count
         signal_std, length_scale = fitted.signal_std or 0.0, fitted.length_scale
         resolved = resolved_scale(density, signal_std / length_scale, area)
