@@ -17,6 +17,7 @@ from gpgrad_core.gp.spacing import MOST_INFORMATION, information
 from gpgrad_core.gradient_map import (
     NoiseModel,
     TerrainParams,
+    few_of,
     kept_rows,
     point_noise,
     signal_std_of,
@@ -30,6 +31,9 @@ PATCHES = 16
 """Number of patches of a single submap. With m submaps each has this number divided by √m."""
 MOST_SUBMAPS = 8
 """Largest number of submaps that a fit uses; of more, this many are taken, evenly spaced."""
+MOST_POINTS = 300_000
+"""Largest number of points of a submap that a fit uses; of more, as many are drawn at random. Every
+round measures the noise of all of them."""
 MOST_ROUNDS = 4
 """Largest number of times that patches are drawn; mostly it is one or two."""
 MOST_LENGTH_SCALE = 2.0
@@ -121,7 +125,7 @@ def fit_parameters(
     if not submaps:
         raise InputError("nothing to fit to: give one submap or more")
     start = start or TerrainParams()
-    chosen = [submaps[k] for k in representative(len(submaps))]
+    chosen = [few_of(submaps[k], MOST_POINTS) for k in representative(len(submaps))]
     with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
         evaluate = _Evaluate(executor, progress)
         params, areas = _search(chosen, start, fixed, np.random.default_rng(seed), evaluate)
@@ -285,7 +289,7 @@ def _maximum(
     start = Hyperparameters(params.length_scale, signal_std_of(areas[0].points, params), 1.0)
     for k, name in enumerate(HYPERPARAMETERS):
         if name in fixed:
-            limits[:, k] = np.exp(start.logs[k])
+            limits[:, k] = (start.length_scale, start.signal_std, start.noise_std)[k]
     found: Array = minimize(
         descend,
         np.clip(start.logs, *np.log(limits)),

@@ -1,6 +1,6 @@
 """Turns a submap into a gradient map (the paper's Sec. IV)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
@@ -28,6 +28,11 @@ MEASURED_CELLS = 10_000
 SEEN_BELOW = 0.5
 """A cell counts as seen if its variance is at most this share of the signal's variance. The scale
 of comparison is measured on these cells."""
+MOST_CELLS = 12_000_000
+"""Largest number of cells of a submap's map. Two such maps and what is made of them stay below
+2 GB."""
+MOST_POINTS = 7_000_000
+"""Largest number of points of a submap's map; measuring their noise takes 270 bytes a point."""
 BINNED_FROM = 10_000
 """Smallest number of points for which binning saves more time than it costs."""
 
@@ -200,9 +205,10 @@ def map_grid(submap: Submap, resolution: float) -> Grid:
         resolution: Side of a cell [m].
 
     Raises:
-        InputError: If the grid would have more than `types.MAX_GRID_CELLS` cells.
+        InputError: If the grid would have more than `MOST_CELLS` cells.
     """
-    return Grid.covering(submap.points[:, :2], resolution, name=f"submap {submap.id}")
+    xy, name = submap.points[:, :2], f"submap {submap.id}"
+    return Grid.covering(xy, resolution, name=name, max_cells=MOST_CELLS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,6 +301,13 @@ def fit_terrain(
         InputError: If the GP would be too large or cannot be solved, or if the noise model is
             ``file`` and the cloud gives no noise.
     """
+    if len(submap.points) > MOST_POINTS:
+        if params.max_points is None or params.max_points > MOST_POINTS:
+            raise InputError(
+                f"submap {submap.id} has {len(submap.points):,} points, more than the "
+                f"{MOST_POINTS:,} allowed; set max_points to that or fewer"
+            )
+        submap = few_of(submap, MOST_POINTS)
     kept = kept_rows(submap, params.max_points)
     points, noise_std = submap.points[kept], point_noise(submap, params).std[kept]
     mean = float(points[:, 2].mean())
@@ -320,6 +333,25 @@ def kept_rows(submap: Submap, max_points: int | None) -> Int[NDArray[np.intp], "
         return np.arange(num)
     chosen = np.random.default_rng(0).choice(num, max_points, replace=False)
     return np.sort(chosen)
+
+
+def few_of(submap: Submap, most: int) -> Submap:
+    """Thin a submap to the points that `kept_rows` keeps; a smaller one is returned as it is."""
+    if len(submap.points) <= most:
+        return submap
+    kept = kept_rows(submap, most)
+
+    def some(of_points: Float[Array, "n"] | None) -> Float[Array, "k"] | None:
+        return None if of_points is None else of_points[kept]
+
+    return replace(
+        submap,
+        points=submap.points[kept],
+        fingerprint=f"{submap.fingerprint}-{most}",
+        colors=None,
+        noise_std=some(submap.noise_std),
+        ranges=some(submap.ranges),
+    )
 
 
 def kept_points(submap: Submap, max_points: int | None) -> Float[Array, "n 3"]:

@@ -4,13 +4,16 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from typing_extensions import Doc
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.types import Features, Matches
+
+MOST_DISTANCES = 16_000_000
+"""Largest number of distances that are held at once; 64 MB."""
 
 Descriptors = NDArray[np.float32] | NDArray[np.uint8]
 
@@ -55,18 +58,55 @@ def match_features(
     if len(query) == 0 or len(database) == 0:
         pairs, distances = np.zeros((0, 2), np.intp), np.zeros(0)
     else:
-        squared = _squared_distances(query.descriptors, database.descriptors)
-        nearest = squared.argmin(axis=1)
+        nearest, best, second, back = _nearest(
+            query.descriptors, database.descriptors, second_too=params.ratio < 1
+        )
         rows = np.arange(len(query))
         kept = np.ones(len(query), bool)
         if params.mutual:
-            kept &= squared.argmin(axis=0)[nearest] == rows
+            kept &= back[nearest] == rows
         if params.ratio < 1 and len(database) > 1:
-            best, second = np.sqrt(np.partition(squared, 1, axis=1)[:, :2]).T
-            kept &= best <= params.ratio * second
+            kept &= np.sqrt(best) <= params.ratio * np.sqrt(second)
         pairs = np.column_stack([rows, nearest])[kept]
-        distances = np.sqrt(squared[pairs[:, 0], pairs[:, 1]]).astype(np.float64)
+        distances = np.sqrt(best[kept]).astype(np.float64)
     return Matches(pairs, distances, query.positions[pairs[:, 0]], database.positions[pairs[:, 1]])
+
+
+def _nearest(
+    query: Descriptors, database: Descriptors, *, second_too: bool
+) -> tuple[
+    Int[NDArray[np.intp], "q"],
+    Float[NDArray[np.float32], "q"],
+    Float[NDArray[np.float32], "q"],
+    Int[NDArray[np.intp], "d"],
+]:
+    """Find nearest neighbours, some of the query's keypoints at a time.
+
+    Args:
+        query: Descriptors of the query.
+        database: Descriptors of the database.
+        second_too: Whether the second nearest are wanted.
+
+    Returns:
+        For each of the query's keypoints the nearest of the database, its squared distance and
+        that of the second nearest; and for each of the database's the nearest of the query.
+    """
+    nearest, back = np.empty(len(query), np.intp), np.zeros(len(database), np.intp)
+    best, second = np.full((2, len(query)), np.inf, np.float32)
+    least = np.full(len(database), np.inf, np.float32)
+    together = max(1, MOST_DISTANCES // len(database))
+    for start in range(0, len(query), together):
+        some = slice(start, start + together)
+        squared = _squared_distances(query[some], database)
+        nearest[some] = squared.argmin(axis=1)
+        closest = squared.argmin(axis=0)
+        of_closest = squared[closest, np.arange(len(database))]
+        nearer = of_closest < least
+        back[nearer], least[nearer] = start + closest[nearer], of_closest[nearer]
+        best[some] = squared[np.arange(len(squared)), nearest[some]]
+        if second_too and len(database) > 1:
+            second[some] = np.partition(squared, 1, axis=1)[:, 1]
+    return nearest, best, second, back
 
 
 def _squared_distances(

@@ -20,7 +20,6 @@ from gpgrad_core.se2 import SE2, Pose
 MAX_GRID_CELLS = 25_000_000
 """Largest number of cells of a submap's map; four float64 fields of this size take 0.8 GB."""
 
-
 MAX_COORDINATE = 1e9
 """Of a point [m]. Map projections stay below 1e8; damaged files have coordinates of 1e30."""
 
@@ -266,11 +265,13 @@ class Grid:
         columns, rows = (int(count) + 1 for count in steps)
         if rows * columns > max_cells:
             width, height = high - low
-            fitting = np.sqrt(width * height / max_cells)
+            # The resolution r at which (width / r + 2) (height / r + 2) is the largest number.
+            edge, most = float(width + height), max_cells - 4
+            fitting = (edge + np.sqrt(edge**2 + most * width * height)) / most
             raise InputError(
                 f"{name} spans {width:,.0f} m x {height:,.0f} m: {rows * columns:,} cells at "
                 f"{resolution:g} m, more than the {max_cells:,} allowed; raise the resolution "
-                f"to {np.ceil(fitting * 100) / 100:g} m or more, or map less ground at once"
+                f"to {np.ceil(fitting * 1000) / 1000:.4g} m or more, or map less ground at once"
             )
         return cls((float(origin[0]), float(origin[1])), resolution, (rows, columns))
 

@@ -6,15 +6,28 @@ from typing import Annotated, Literal
 import numpy as np
 from typing_extensions import Doc
 
+from gpgrad_core.errors import InputError
 from gpgrad_core.features.detection import Detection
 from gpgrad_core.features.opencv import detect_with_opencv
 from gpgrad_core.features.slope_field import detect_slope_field
 from gpgrad_core.features.surf import detect_surf
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
-from gpgrad_core.types import MAX_STD_RATIO, Features, GradientMap
+from gpgrad_core.types import MAX_STD_RATIO, Features, GradientMap, Grid
 
 DetectorName = Literal["akaze", "kaze", "sift", "orb", "surf", "slope"]
+
+BYTES_A_CELL: dict[DetectorName, int] = {
+    "slope": 40,
+    "akaze": 95,
+    "kaze": 530,
+    "sift": 235,
+    "orb": 20,
+    "surf": 150,
+}
+"""Memory that a detector takes for a cell of the map (measured on 1 to 4 million cells)."""
+MOST_BYTES = 1e9
+"""Largest memory that a detector may take."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +89,9 @@ def extract_features(gradient_map: GradientMap, params: FeatureParams | None = N
 
     Returns:
         The keypoints, with positions and scales in metres.
+
+    Raises:
+        InputError: If the detector would take too much memory.
     """
     params = params or FeatureParams()
     return select_trusted(detect_features(gradient_map, params.detector), params)
@@ -90,7 +106,11 @@ def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Featur
     Args:
         gradient_map: The map.
         params: The detector.
+
+    Raises:
+        InputError: If the detector would take too much memory.
     """
+    check_detector(gradient_map.grid, params)
     found = _detect(gradient_map, params)
     grid = gradient_map.grid
     last = np.array(grid.shape[::-1]) - 1
@@ -102,6 +122,26 @@ def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Featur
         std_ratios=np.minimum(gradient_map.std[row, column] / gradient_map.detail_std, 1.0),
         descriptors=found.descriptors,
     )
+
+
+def check_detector(grid: Grid, params: DetectorParams) -> None:
+    """Check that a detector can search a map of this size.
+
+    Args:
+        grid: The map's grid.
+        params: The detector.
+
+    Raises:
+        InputError: If it would take more memory than allowed; the message says what to change.
+    """
+    needed = grid.num_cells * BYTES_A_CELL[params.name]
+    if needed > MOST_BYTES:
+        coarser = np.ceil(1000 * grid.resolution * np.sqrt(needed / MOST_BYTES)) / 1000
+        raise InputError(
+            f"the detector {params.name} would need {needed / 1e9:.1f} GB for a map of "
+            f"{grid.shape[0]:,} x {grid.shape[1]:,} cells, more than the {MOST_BYTES / 1e9:g} GB "
+            f"allowed; raise the resolution to {coarser:g} m or more, or use the detector slope"
+        )
 
 
 def select_trusted(features: Features, params: FeatureParams) -> Features:

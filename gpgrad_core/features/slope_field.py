@@ -41,6 +41,8 @@ LEAST_RESPONSE = 1e-4
 CELLS = 5
 """Smallest number of cells of the working grid along a scale of comparison. More cells take more
 time and do not change the result."""
+CELLS_AT_ONCE = 1_000_000
+"""Number of cells that keypoints are searched in at once."""
 
 Layer = Float[NDArray[np.float32], "rows columns"]
 Slopes = Float[NDArray[np.float32], "rows columns 3"]  # weighted slope (x, y), and the weight
@@ -89,14 +91,23 @@ def _weighted_slopes(gradient_map: GradientMap, stride: int) -> Slopes:
     The weight is the share of the detail's variance that the points have removed: 1 where the
     elevation is known, 0 far from all points and beyond the image.
     """
-    weight = 1 - np.clip(gradient_map.variance / gradient_map.detail_std**2, 0.0, 1.0)
-    weighted = np.dstack([gradient_map.slope * weight[..., None], weight]).astype(np.float32)
-    rows, columns = weight.shape
-    padded = cv2.copyMakeBorder(
-        weighted, 0, -rows % stride, 0, -columns % stride, cv2.BORDER_CONSTANT
-    )
-    size = (padded.shape[1] // stride, padded.shape[0] // stride)
-    return np.asarray(cv2.resize(padded, size, interpolation=cv2.INTER_AREA), np.float32)
+    rows, columns = gradient_map.grid.shape
+    whole = gradient_map.detail_std**2
+    weighted = np.zeros((rows + -rows % stride, columns + -columns % stride, 3), np.float32)
+    for band in _bands(gradient_map.grid.shape):
+        weight = 1 - np.clip(gradient_map.variance[band] / whole, 0.0, 1.0)
+        weighted[band, :columns, :2] = gradient_map.slope[band] * weight[..., None]
+        weighted[band, :columns, 2] = weight
+    if stride == 1:
+        return weighted
+    size = (weighted.shape[1] // stride, weighted.shape[0] // stride)
+    return np.asarray(cv2.resize(weighted, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _bands(shape: tuple[int, ...]) -> list[slice]:
+    """Divide the rows of an image into bands, so that no step needs memory for all of it."""
+    height = max(1, CELLS_AT_ONCE // shape[1])
+    return [slice(row, min(row + height, shape[0])) for row in range(0, shape[0], height)]
 
 
 def _smooth(slopes: Slopes, sigma: float) -> Slopes:
@@ -111,23 +122,39 @@ def _find_keypoints(smoothed: Slopes, sigma: float) -> _Keypoints:
 
     The response is sigma √|det|. It is a slope, so keypoints of all scales can be ranked by it.
     """
-    weight = np.maximum(smoothed[..., 2:], LEAST_WEIGHT)
-    slope = (smoothed[..., :2] / weight).astype(np.float32)
-    xx, xy = _derivatives(slope[..., 0])
-    yx, yy = _derivatives(slope[..., 1])
-    least = LEAST_RESPONSE * float(np.abs(slope).max(initial=0.0))
-    # The two mixed derivatives differ where the weights differ.
-    determinant = xx * yy - ((xy + yx) / 2) ** 2
-    cells: list[Points] = []
-    responses: list[NDArray[np.float64]] = []
-    for sign in (1, -1):  # hills and pits, then saddles
-        strength = np.sqrt(np.maximum(sign * determinant, 0))
-        row, column = np.nonzero(_peaks(strength) & (sigma * strength > least))
-        offset = [_peak_offset(strength, row, column, axis) for axis in (1, 0)]
-        cells.append(np.column_stack([column, row]) + np.column_stack(offset).astype(np.float32))
-        responses.append(sigma * strength[row, column].astype(np.float64))
+    bands = _bands(smoothed.shape)
+    steepest = max(float(np.abs(_slope(smoothed[band])).max(initial=0.0)) for band in bands)
+    found: dict[int, list[tuple[Points, NDArray[np.float64]]]] = {1: [], -1: []}
+    for band in bands:
+        # A peak depends on two rows on either side.
+        first = max(band.start - 2, 0)
+        slope = _slope(smoothed[first : band.stop + 2])
+        xx, xy = _derivatives(slope[..., 0])
+        yx, yy = _derivatives(slope[..., 1])
+        # The two mixed derivatives differ where the weights differ.
+        determinant = xx * yy - ((xy + yx) / 2) ** 2
+        for sign in (1, -1):  # hills and pits, then saddles
+            strength = np.sqrt(np.maximum(sign * determinant, 0))
+            peaks = _peaks(strength) & (sigma * strength > LEAST_RESPONSE * steepest)
+            row, column = np.nonzero(peaks[band.start - first : band.stop - first])
+            row += band.start - first
+            offset = [_peak_offset(strength, row, column, axis) for axis in (1, 0)]
+            where = np.column_stack([column, row + first])
+            found[sign].append(
+                (
+                    where + np.column_stack(offset).astype(np.float32),
+                    sigma * strength[row, column].astype(np.float64),
+                )
+            )
+    cells, responses = zip(*found[1], *found[-1], strict=True)
     where = np.concatenate(cells).astype(np.float32)
     return _Keypoints(where, np.full(len(where), sigma), np.concatenate(responses))
+
+
+def _slope(smoothed: Slopes) -> Float[NDArray[np.float32], "rows columns 2"]:
+    """Divide weighted slopes by their weights."""
+    weight = np.maximum(smoothed[..., 2:], LEAST_WEIGHT)
+    return (smoothed[..., :2] / weight).astype(np.float32)
 
 
 def _derivatives(layer: Layer) -> tuple[Layer, Layer]:

@@ -1,6 +1,8 @@
 """The kernel as a sum of bumps on a fine lattice, which makes products with it cheap."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +18,11 @@ RIPPLE = 1e-3
 exact to this, in units of the noise."""
 CUT = 1e-4
 """Height at which bumps are cut off, times the information: far below the ripple."""
+FIELD_CUT = 1e-8
+"""The same for the bumps of the field, whose cut would show as steps: far below that again."""
+BLOCK = 3.0
+"""Side of a block of cells, in reaches of a bump; smaller blocks would see mostly the same bumps,
+and a narrow cloud is one block."""
 MARGIN = 3.5
 """How far the lattice reaches beyond the points [length-scales]."""
 
@@ -29,36 +36,57 @@ class MeanField:
         x: Columns of the lattice.
         y: Rows of the lattice.
         weights: Weight of each node (rows, columns).
+        reach: Distance beyond which a node's bump is left out [length-scales].
     """
 
     length_scale: float
     x: Axis
     y: Axis
     weights: Float[Array, "rows columns"]
+    reach: float
 
-    def sample(
-        self, x: Float[Array, "columns"], y: Float[Array, "rows"]
-    ) -> tuple[
-        Float[Array, "rows columns"], Float[Array, "rows columns"], Float[Array, "rows columns"]
-    ]:
-        """Compute height and slopes at every pair of coordinates, Eqs. (2), (4) and (5).
+    def add_to(
+        self,
+        x: Float[Array, "columns"],
+        y: Float[Array, "rows"],
+        height: Float[Array, "rows columns"],
+        slope: Float[Array, "rows columns 2"],
+    ) -> None:
+        """Add height and slopes at every pair of coordinates, Eqs. (2), (4) and (5), in place.
 
-        The bumps are separable, so each field is a product of three matrices.
+        The bumps are separable, so each field is a product of three matrices. A wide grid is
+        divided into blocks, and each block is reached by the nodes near it alone.
 
         Args:
-            x: Coordinates of the columns [m].
-            y: Coordinates of the rows [m].
-
-        Returns:
-            The height [m], and the slopes along x and along y [m/m], each (rows, columns).
+            x: Coordinates of the columns, ascending [m].
+            y: Coordinates of the rows, ascending [m].
+            height: Added to [m].
+            slope: Added to, along x and along y [m/m].
         """
-        along_x = gaussian(x, self.x, self.length_scale)
-        along_y = gaussian(y, self.y, self.length_scale)
-        half = self.weights @ along_x.T
-        height = along_y @ half
-        slope_x = (along_y @ self.weights) @ gaussian_slope(x, self.x, self.length_scale).T
-        slope_y = gaussian_slope(y, self.y, self.length_scale) @ half
-        return height, slope_x, slope_y
+        for columns, nodes_x in self._blocks(x, self.x):
+            along_x = gaussian(x[columns], self.x.part(nodes_x), self.length_scale)
+            by_x = gaussian_slope(x[columns], self.x.part(nodes_x), self.length_scale)
+            for rows, nodes_y in self._blocks(y, self.y):
+                weights = self.weights[nodes_y, nodes_x]
+                if not weights.any():  # no point is near
+                    continue
+                along_y = gaussian(y[rows], self.y.part(nodes_y), self.length_scale)
+                by_y = gaussian_slope(y[rows], self.y.part(nodes_y), self.length_scale)
+                half = weights @ along_x.T
+                height[rows, columns] += along_y @ half
+                slope[rows, columns, 0] += (along_y @ weights) @ by_x.T
+                slope[rows, columns, 1] += by_y @ half
+
+    def _blocks(self, at: Float[Array, "cells"], axis: Axis) -> Iterator[tuple[slice, slice]]:
+        """Divide coordinates into blocks; yield each with the nodes that reach it."""
+        reach = self.reach * self.length_scale
+        span = float(at[-1] - at[0]) if len(at) else 0.0
+        count = max(1, int(span / (BLOCK * reach)))
+        edges = np.searchsorted(at, at[0] + span / count * np.arange(1, count)) if len(at) else []
+        for first, last in pairwise([0, *(int(edge) for edge in edges), len(at)]):
+            if first < last:
+                low, high = float(at[first]) - reach, float(at[last - 1]) + reach
+                yield slice(first, last), axis.within(low, high)
 
 
 class FineKernel:
@@ -81,6 +109,7 @@ class FineKernel:
         self._length_scale = length
         self._scale = kernel.signal_std**2 * 2 * (spacing / length) ** 2 / np.pi
         reach = gaussian_reach(information, CUT)
+        self._field_reach = gaussian_reach(information, FIELD_CUT)
         self._splat = Splat(cloud.xy, self._x, self._y, length, reach)
 
     def times(self, values: Float[Array, "n"]) -> Float[Array, "n"]:
@@ -90,4 +119,4 @@ class FineKernel:
     def field(self, weights: Float[Array, "n"]) -> MeanField:
         """Make ``K(x, X) weights`` as a function of x."""
         nodes = self._scale * self._splat.to_nodes(weights)
-        return MeanField(self._length_scale, self._x, self._y, nodes)
+        return MeanField(self._length_scale, self._x, self._y, nodes, self._field_reach)

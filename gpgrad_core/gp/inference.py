@@ -1,12 +1,15 @@
 """Fits the GP with the exact method that is faster for the cloud."""
 
+import math
 from typing import Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
+from gpgrad_core.errors import InputError
 from gpgrad_core.gp import lattice, tiles
 from gpgrad_core.gp.accuracy import EXACT, Accuracy
+from gpgrad_core.gp.cost import Cost
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import LatticePosterior, fit_lattice
 from gpgrad_core.gp.spacing import check_solvable, information
@@ -66,8 +69,71 @@ def _faster(
     noise_std: float | Float[Array, "n"],
     accuracy: Accuracy,
 ) -> Literal["lattice", "tiles"]:
+    """Choose the solver that is estimated to be faster; refuse what would cost too much."""
     xy, noise_variance = points[:, :2], np.broadcast_to(np.square(noise_std), len(points))
+    costs = _costs(xy, kernel, noise_variance, accuracy)
+    solver = min(costs, key=lambda one: costs[one].seconds)
+    if costs[solver].excess > 1:
+        solver = min(costs, key=lambda one: costs[one].excess)
+    if costs[solver].excess > 1:
+        width, height = xy.max(axis=0) - xy.min(axis=0)
+        raise InputError(
+            f"the GP of {len(xy):,} points on {width:,.3g} m x {height:,.3g} m with length-scale "
+            f"{kernel.length_scale:.4g} m would take {costs[solver]}: "
+            f"{_cure(xy, kernel, noise_variance, accuracy)}"
+        )
+    return solver
+
+
+def _costs(
+    xy: Float[Array, "n 2"],
+    kernel: SquaredExponential,
+    noise_variance: Float[Array, "n"],
+    accuracy: Accuracy,
+) -> dict[Literal["lattice", "tiles"], Cost]:
     bits = information(xy, noise_variance, kernel)
     check_solvable(xy, kernel, bits)
-    by_lattice = lattice.estimate_seconds(xy, kernel, bits, accuracy)
-    return "tiles" if tiles.estimate_seconds(xy, kernel, accuracy) < by_lattice else "lattice"
+    return {
+        "tiles": tiles.estimate_cost(xy, kernel, bits, accuracy),
+        "lattice": lattice.estimate_cost(xy, kernel, bits, accuracy),
+    }
+
+
+def _cure(
+    xy: Float[Array, "n 2"],
+    kernel: SquaredExponential,
+    noise_variance: Float[Array, "n"],
+    accuracy: Accuracy,
+) -> str:
+    """Say what to change: the number of points, or the length-scale if that is enough."""
+
+    def affordable(some: slice, length_scale: float) -> bool:
+        changed = SquaredExponential(kernel.signal_std, length_scale)
+        try:
+            costs = _costs(xy[some], changed, noise_variance[some], accuracy)
+        except InputError:
+            return False
+        return min(cost.excess for cost in costs.values()) <= 1
+
+    cures: list[str] = []
+    longer = [round_up(kernel.length_scale * 1.3**k) for k in range(1, 10)]
+    enough = next((one for one in longer if affordable(slice(None), one)), None)
+    if enough is not None:
+        cures.append(f"raise the length-scale to {enough:g} m or more")
+    fewer = [2**k for k in range(1, 12) if 3 * 2**k <= len(xy)]
+    every = next(
+        (one for one in fewer if affordable(slice(None, None, one), kernel.length_scale)), None
+    )
+    if every is not None:
+        cures.append(f"set max_points to {len(xy) // every:,} or fewer")
+    return ", or ".join([*cures, "map less ground at once"])
+
+
+def round_up(value: float) -> float:
+    """Round up to two digits.
+
+    >>> round_up(0.1234)
+    0.13
+    """
+    digits = 1 - math.floor(math.log10(value))
+    return round(math.ceil(value * 10**digits - 1e-9) / 10**digits, max(digits, 0))

@@ -20,6 +20,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.gp.accuracy import EXACT, Accuracy
 from gpgrad_core.gp.block_tridiagonal import NotPositiveDefiniteError
 from gpgrad_core.gp.cloud import Cloud
+from gpgrad_core.gp.cost import Cost
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import TerrainFields, clip_variance
@@ -36,6 +37,8 @@ MOST_PANEL_BYTES = 1 << 29
 """Largest size of the factors that are kept while the mean of a panel is solved for."""
 FIXED_COST = 20.0**3
 """Cost of a strip that does not depend on its width; its other cost is its columns cubed."""
+BYTES_A_POINT = 1300
+"""Memory of a point in the factors of its Gaussians."""
 MAX_STEPS = 50
 MAX_STRIPS = 1024
 SECONDS_A_PRODUCT, SECONDS_A_BLOCK, SECONDS_A_POINT, SECONDS = 6.2e-11, 9e-4, 2.0e-5, 0.011
@@ -82,7 +85,7 @@ class LatticePosterior:
     Attributes:
         kernel: Covariance of the terrain.
         mean: Height that was subtracted before the fit [m].
-        panels: Panels from low to high x.
+        panels: Panels from low to high x; where there is none, the prior holds.
     """
 
     kernel: SquaredExponential
@@ -100,10 +103,8 @@ class LatticePosterior:
 
         def mean(panel: Panel) -> None:
             own = _columns(grid, panel)
-            height, slope_x, slope_y = panel.mean.sample(grid.x[own], grid.y)
-            fields.elevation[:, own] += height
-            fields.slope[:, own, 0] = slope_x
-            fields.slope[:, own, 1] = slope_y
+            into = fields.elevation[:, own], fields.slope[:, own]
+            panel.mean.add_to(grid.x[own], grid.y, *into)
 
         def variance(strip: Strip) -> None:
             own = _columns(grid, strip)
@@ -169,17 +170,19 @@ def fit_lattice(
     with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
         for group in groups:
             fitter = _PanelFitter(kernel, bits, spacing, accuracy, report, executor)
-            panels.append(fitter.fit(cloud, group))
+            panel = fitter.fit(cloud, group)
+            if panel is not None:
+                panels.append(panel)
     return LatticePosterior(kernel, offset, tuple(panels))
 
 
-def estimate_seconds(
+def estimate_cost(
     xy: Float[Array, "n 2"],
     kernel: SquaredExponential,
     information: float,
     accuracy: Accuracy = EXACT,
-) -> float:
-    """Estimate the time of a fit [s], to compare it with that of another solver.
+) -> Cost:
+    """Estimate what a fit and its samples cost.
 
     Args:
         xy: Positions of the points (n, 2) [m].
@@ -192,16 +195,23 @@ def estimate_seconds(
     band, margins = band_of(information, spacing / length), 2 * MARGIN * length
     halo = accuracy.lattice_halo * length
     (left, _), (right, _) = low, high = xy.min(axis=0), xy.max(axis=0)
-    blocks = (high - low + margins)[1] / spacing / band
-    inner = np.clip(_strip_edges(xy, length, spacing, halo), left, right)
+    rows = (high - low + margins)[1] / spacing
+    blocks = rows / band
+    edges = _strip_edges(xy, length, spacing, halo)
+    inner = np.clip(edges, left, right)
     seen = np.minimum(inner[1:] + halo, right) - np.maximum(inner[:-1] - halo, left)
-    products = blocks * np.sum(((seen + margins) / spacing * band) ** 3)
-    return float(
+    columns = (seen + margins) / spacing
+    seconds = (
         SECONDS
-        + SECONDS_A_PRODUCT * products
+        + SECONDS_A_PRODUCT * blocks * np.sum((columns * band) ** 3)
         + SECONDS_A_BLOCK * blocks * len(seen)
         + SECONDS_A_POINT * len(xy)
     )
+    factors = _bytes_a_strip(high - low, len(seen), length, spacing, halo, information) * len(seen)
+    # Three images of half the spacing for each strip.
+    images = 12 * rows * columns.sum() * 8
+    num_bytes = min(factors, MOST_PANEL_BYTES) + images + BYTES_A_POINT * len(xy)
+    return Cost(float(seconds), float(num_bytes))
 
 
 class _SharedProgress:
@@ -245,11 +255,14 @@ class _PanelFitter:
     report: _SharedProgress
     executor: Executor
 
-    def fit(self, cloud: Cloud, edges: Float[Array, "edges"]) -> Panel:
-        """Fit the strips between the edges, then the mean over all of them."""
+    def fit(self, cloud: Cloud, edges: Float[Array, "edges"]) -> Panel | None:
+        """Fit the strips between the edges, then the mean over all; None if they see no point."""
         halo = PANEL_HALO * self.kernel.length_scale
         x = cloud.xy[:, 0]
         seen = cloud.select((x >= edges[0] - halo) & (x < edges[-1] + halo))
+        if len(seen) == 0:
+            self.report.advance(len(edges) - 1.0)
+            return None
         # The outermost strips also write the points beyond the panel's edges.
         inner = edges[1:-1]
         owner = np.searchsorted(inner, seen.xy[:, 0], side="right")
@@ -376,12 +389,24 @@ def _panels(
     information: float,
 ) -> list[Float[Array, "edges_of_panel"]]:
     """Group the strips into panels so that the factors of a panel fit into the memory."""
-    sides = xy.max(axis=0) - xy.min(axis=0)
     num_strips = len(edges) - 1
-    columns = (sides[0] / num_strips + 2 * (halo + MARGIN * length_scale)) / spacing
-    rows = sides[1] / spacing
-    a_strip = 2 * rows * columns**2 * band_of(information, spacing / length_scale) * 4
+    sides = xy.max(axis=0) - xy.min(axis=0)
+    a_strip = _bytes_a_strip(sides, num_strips, length_scale, spacing, halo, information)
     together = max(1, int(MOST_PANEL_BYTES / a_strip))
     num_panels = -(-num_strips // together)
     cuts = np.linspace(0, num_strips, num_panels + 1).round().astype(int)
     return [edges[a : b + 1] for a, b in pairwise(cuts)]
+
+
+def _bytes_a_strip(
+    sides: Float[Array, "2"],
+    num_strips: int,
+    length_scale: float,
+    spacing: float,
+    halo: float,
+    information: float,
+) -> float:
+    """Estimate the size of the factor of one strip [bytes]."""
+    columns = (sides[0] / num_strips + 2 * (halo + MARGIN * length_scale)) / spacing
+    rows = (sides[1] + 2 * MARGIN * length_scale) / spacing
+    return float(2 * rows * columns**2 * band_of(information, spacing / length_scale) * 4)

@@ -16,6 +16,7 @@ from scipy.ndimage import correlate1d
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.gp.accuracy import EXACT, Accuracy
 from gpgrad_core.gp.cloud import Cloud
+from gpgrad_core.gp.cost import Cost
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import TerrainFields, clip_variance
@@ -40,6 +41,18 @@ LARGEST_LEAF = 24
 products, at ten times its speed (measured from 8 to 64)."""
 BATCH = 32
 """Number of tiles that are inverted or sampled at once; progress is reported after each batch."""
+MOST_PRODUCTS = 2_000_000
+"""Largest number of covariances of cells and points that are held at once; 16 MB."""
+NODES = {4: 32, 8: 40}
+"""Number of Chebyshev nodes along a side of a tile, by the bytes of a number. The variance is a sum
+of Gaussians as wide as a length-scale, so over a tile the polynomial through so many nodes is off
+by 1e-9 and 1e-13 of the prior variance."""
+MOST_SMOOTH = 6.0
+"""Largest side of a tile for which that holds [length-scales]."""
+WORTH = 1.2
+"""A tile is interpolated if it has this many times as many cells as nodes."""
+BYTES_A_POINT = 3500
+"""Memory of a point in the factors of its Gaussians, and in the tiles that see it."""
 SECONDS_A_PRODUCT, SECONDS_A_TILE, SECONDS_A_POINT, SECONDS = 2.7e-10, 5.8e-5, 1.2e-5, 0.034
 """Seconds of a fit and its samples on two cores of 2.8 GHz: for the cube of the points that a tile
 sees, for a tile, for a point, and constant (fitted to 90 clouds and length-scales, within 35 %)."""
@@ -79,8 +92,7 @@ class TilePosterior:
     def sample(self, grid: Grid) -> TerrainFields:
         """Infer elevation [m], its variance and slope [m/m] at every cell, Eqs. (2)-(5)."""
         fields = TerrainFields.prior(grid, self.kernel, self.mean)
-        height, fields.slope[..., 0], fields.slope[..., 1] = self.field.sample(grid.x, grid.y)
-        np.add(fields.elevation, height, out=fields.elevation)
+        self.field.add_to(grid.x, grid.y, fields.elevation, fields.slope)
         self._reduce(fields.variance, grid, sloping=(False, False))
         clip_variance(fields.variance, self.kernel.signal_std**2)
         return fields
@@ -109,7 +121,14 @@ class TilePosterior:
         def reduction(batch: _Batch) -> Float[Floats, "b height width"]:
             x = grid.x[_cells(columns, batch.tiles[:, 0])]
             y = grid.y[_cells(rows, batch.tiles[:, 1])]
-            return self._reduction(batch, x, y, sloping)
+            nodes = NODES[batch.inverse.dtype.itemsize]
+            widest = max(float(np.ptp(at, axis=1).max()) for at in (x, y))
+            # The outermost tiles may have cells far beyond the points.
+            smooth = widest <= MOST_SMOOTH * self.kernel.length_scale
+            if x.shape[1] * y.shape[1] <= WORTH * nodes**2 or not smooth:
+                return self._reduction(batch, x, y, sloping)
+            (at_x, by_x), (at_y, by_y) = (_interpolation(at, nodes) for at in (x, y))
+            return by_y @ self._reduction(batch, at_x, at_y, sloping) @ by_x.transpose(0, 2, 1)
 
         with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
             for batch, reduced in zip(
@@ -141,11 +160,23 @@ class TilePosterior:
         along_y *= np.where(batch.padding, 0.0, self.kernel.signal_std**2)[:, None, :].astype(
             batch.inverse.dtype
         )
-        covariance = along_y[:, :, None, :] * along_x[:, None, :, :]
-        shape = covariance.shape
-        covariance = covariance.reshape(shape[0], -1, shape[3])
-        reduced = np.einsum("bcp,bcp->bc", covariance @ batch.inverse, covariance)
-        return reduced.reshape(shape[:3])
+        reduced = np.empty((len(at), y.shape[1], x.shape[1]), batch.inverse.dtype)
+        # Some tiles, or some rows of one tile, at a time: all at once would take gigabytes.
+        row = x.shape[1] * at.shape[1]
+        height = max(1, min(y.shape[1], MOST_PRODUCTS // row))
+        together = max(1, MOST_PRODUCTS // (row * height))
+        for first in range(0, len(at), together):
+            tiles = slice(first, first + together)
+            for start in range(0, y.shape[1], height):
+                rows = slice(start, start + height)
+                covariance = along_y[tiles, rows, None, :] * along_x[tiles, None, :, :]
+                shape = covariance.shape
+                covariance = covariance.reshape(shape[0], -1, shape[3])
+                product = covariance @ batch.inverse[tiles]
+                reduced[tiles, rows] = np.einsum("bcp,bcp->bc", product, covariance).reshape(
+                    shape[:3]
+                )
+        return reduced
 
 
 def fit_tiles(
@@ -201,14 +232,18 @@ def fit_tiles(
     return TilePosterior(kernel, offset, field, cloud.xy, tiling, tuple(batches))
 
 
-def estimate_seconds(
-    xy: Float[Array, "n 2"], kernel: SquaredExponential, accuracy: Accuracy = EXACT
-) -> float:
-    """Estimate the time of a fit [s], to compare it with that of another solver.
+def estimate_cost(
+    xy: Float[Array, "n 2"],
+    kernel: SquaredExponential,
+    information: float,
+    accuracy: Accuracy = EXACT,
+) -> Cost:
+    """Estimate what a fit and its samples cost.
 
     Args:
         xy: Positions of the points (n, 2) [m].
         kernel: Covariance of the terrain.
+        information: Largest precision that data bring to one bump; see `spacing`.
         accuracy: How exact the solution has to be.
     """
     cells = np.floor((xy - xy.min(axis=0)) / (TILE * kernel.length_scale)).astype(np.int64)
@@ -221,12 +256,16 @@ def estimate_seconds(
     for axis in (0, 1):
         image = correlate1d(image, [share, 1.0, share], axis=axis, mode="constant")
     seen = image.flat[tiles]
-    return float(
+    seconds = (
         SECONDS
         + SECONDS_A_PRODUCT * np.sum(seen**3)
         + SECONDS_A_TILE * len(seen)
         + SECONDS_A_POINT * len(xy)
     )
+    digits = 4 if information <= MOST_INFORMATION_IN_SINGLE else 8
+    # While they are inverted, a batch of them on each thread takes several times its size.
+    inverses = digits * np.sum(seen**2) + 8 * 10 * BATCH * seen.max() ** 2
+    return Cost(float(seconds), float(inverses + BYTES_A_POINT * len(xy)))
 
 
 @dataclass(frozen=True)
@@ -330,6 +369,25 @@ def _cells(edges: Int[Indices, "e"], tiles: Int[Indices, "b"]) -> Int[Indices, "
     """List the indices of each tile's cells along one axis, padded by repeating the last."""
     most = max(1, int(np.diff(edges)[tiles].max()))
     return np.minimum(edges[tiles][:, None] + np.arange(most), max(int(edges[-1]) - 1, 0))
+
+
+def _interpolation(
+    at: Float[Array, "b cells"], count: int
+) -> tuple[Float[Array, "b count"], Float[Array, "b cells count"]]:
+    """Lay Chebyshev nodes over each row of coordinates.
+
+    Returns:
+        The nodes, and the matrices that interpolate from values there to the coordinates.
+    """
+    low, high = at.min(axis=1, keepdims=True), at.max(axis=1, keepdims=True)
+    half, middle = np.maximum((high - low) / 2, 1e-12), (low + high) / 2
+    angles = np.pi * (np.arange(count) + 0.5) / count
+    order = np.arange(count)
+    # Values at the nodes to coefficients of Chebyshev's polynomials, and these to the values.
+    coefficients = np.cos(order[:, None] * angles) * 2 / count
+    coefficients[0] /= 2
+    place = np.arccos(np.clip((at - middle) / half, -1.0, 1.0))
+    return middle + half * np.cos(angles), np.cos(place[..., None] * order) @ coefficients
 
 
 def _sweep(

@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpgrad_core.fitting import Hyperparameter, fit_parameters, representative
-from gpgrad_core.gradient_map import MapParams, TerrainParams, ordinary_noise
+from gpgrad_core.fitting import MOST_POINTS, Hyperparameter, fit_parameters, representative
+from gpgrad_core.gradient_map import MapParams, TerrainParams, few_of, ordinary_noise
+from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.pipeline.params import PipelineParams
+from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.scale import FEWEST_ACROSS, finest_of_kernel, resolved_scale
@@ -65,7 +67,7 @@ def resolve_parameters(
     if not given or asked.scale is None:
         fitted = memo(_fitted, tuple(submaps), free, (), progress=part(progress, 0.0, 0.6))
         if asked.scale is None:
-            of_map = replace(of_map, scale=_rounded(_scale(submaps, fitted), "scale"))
+            of_map = replace(of_map, scale=_of_map(_scale(submaps, fitted), "scale"))
         if not given:
             of_map = _with(of_map, fitted, given)
     if given and (asked.length_scale is None or asked.noise_std is None):
@@ -76,7 +78,7 @@ def resolve_parameters(
     progress(1.0)
     radius = params.registration.radius(of_map.scale)
     if params.registration.inlier_radius is None:
-        radius = float(f"{radius:.{DIGITS}g}")
+        radius = _rounded(radius, bounds_of(RegistrationParams)["inlier_radius"])
     registration = replace(params.registration, inlier_radius=radius)
     return replace(params, map=of_map, registration=registration)
 
@@ -133,16 +135,20 @@ def _with(of_map: MapParams, fitted: TerrainParams, given: tuple[Hyperparameter,
     for name in ("length_scale", "signal_std"):
         value = getattr(fitted, name)
         if name not in given and value is not None:
-            changes[name] = _rounded(value, name)
+            changes[name] = _of_map(value, name)
     if "noise" not in given:
         for name in ("noise_std", "noise_growth", "noise_factor"):
-            changes[name] = _rounded(getattr(fitted, name), name)
+            changes[name] = _of_map(getattr(fitted, name), name)
     return replace(of_map, **changes)
 
 
-def _rounded(value: float, name: str) -> float:
+def _of_map(value: float, name: str) -> float:
+    """Round a parameter of the map to a few digits, within its bounds."""
+    return _rounded(value, bounds_of(MapParams)[name])
+
+
+def _rounded(value: float, bounds: Bounds) -> float:
     """Round to a few digits, within the bounds."""
-    bounds = bounds_of(MapParams)[name]
     return min(max(float(f"{value:.{DIGITS}g}"), bounds.low), bounds.high)
 
 
@@ -151,8 +157,9 @@ def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
     found: list[float] = []
     for submap in (submaps[k] for k in representative(len(submaps))):
         width, height = np.ptp(submap.points[:, :2], axis=0).tolist()
-        area, noise = width * height, ordinary_noise(submap, submap, fitted)
-        count = len(noise) if fitted.max_points is None else min(len(noise), fitted.max_points)
+        some, total = few_of(submap, MOST_POINTS), len(submap.points)
+        area, noise = width * height, ordinary_noise(some, some, fitted)
+        count = total if fitted.max_points is None else min(total, fitted.max_points)
         density = float(np.mean(noise**2)) * area / count
         signal_std, length_scale = fitted.signal_std or 0.0, fitted.length_scale
         resolved = resolved_scale(density, signal_std / length_scale, area)

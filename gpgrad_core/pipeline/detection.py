@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import TypeAlias
 
-from gpgrad_core.features import detect_features, select_trusted
+from gpgrad_core.features import check_detector, detect_features, select_trusted
 from gpgrad_core.gp.inference import Posterior
 from gpgrad_core.gradient_map import fit_terrain, map_grid, sample_map
 from gpgrad_core.loop_closure import classify
@@ -89,7 +89,8 @@ def infer_map(
 def infer_features(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> Features:
-    """Make a submap's keypoints."""
+    """Make a submap's keypoints; a detector that cannot is refused before the map is made."""
+    check_detector(map_grid(submap, params.map.resolution), params.features.detector)
     return extract_kept(infer_map(submap, params, memo, progress), params, memo)
 
 
@@ -113,6 +114,7 @@ def _infer_side(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> _Side:
     """Run the stages of one submap."""
+    check_detector(map_grid(submap, params.map.resolution), params.features.detector)
     gradient_map = infer_map(submap, params, memo, progress)
     posterior = memo(fit_terrain, submap, params.map.terrain)
     detected = memo(detect_features, gradient_map, params.features.detector)
@@ -237,7 +239,10 @@ class MapDetector(StagedDetector):
     drawn_from: Callable[[GradientMap], GradientMap] | None = None
 
     def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
-        """Make the map."""
+        """Make the map, unless its detector cannot search it."""
+        if self.make_map is infer_map:
+            grid = map_grid(submap, self.params.map.resolution)
+            check_detector(grid, self.params.features.detector)
         return self.make_map(submap, self.params, self.memo, progress)
 
     def extract(self, made: GradientMap, progress: Progress = silent) -> ExtractedSubmap:

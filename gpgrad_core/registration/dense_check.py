@@ -1,12 +1,14 @@
 """Compares two maps under one motion: overlap area, correlation of the slopes, the paper's h."""
 
 from dataclasses import dataclass
+from math import ceil
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
 from gpgrad_core.arrays import NDArray
+from gpgrad_core.registration.relief import MOST_SIDE
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import MAX_STD_RATIO, Array, GradientMap, Grid
 
@@ -33,14 +35,15 @@ class ThinMap:
 
 
 def thin_out(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> ThinMap:
-    """Keep about `CHECKED_CELLS` of a map's cells.
+    """Keep about `CHECKED_CELLS` of a map's cells, or fewer of a very long map.
 
     Args:
         gradient_map: The map.
         max_std_ratio: Threshold of the variance mask.
     """
     grid = gradient_map.grid
-    stride = max(1, round(np.sqrt(grid.num_cells / CHECKED_CELLS)))
+    sparse = round(np.sqrt(grid.num_cells / CHECKED_CELLS))
+    stride = max(1, sparse, ceil(max(grid.shape) / MOST_SIDE))
     thin = (slice(None, None, stride), slice(None, None, stride))
     fields = gradient_map.slope[thin], gradient_map.variance[thin]
     # As one image of four channels, it is sampled once per motion.

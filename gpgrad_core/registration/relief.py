@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import sqrt
+from math import ceil, sqrt
 from typing import TypeAlias
 
 import cv2
@@ -17,6 +17,9 @@ Image: TypeAlias = NDArray[np.float32]
 
 FINE_CELL, CELL = 0.25, 0.75
 """Sides of cells [scales of comparison]: while smoothing, and after it."""
+MOST_CELLS, MOST_SIDE = 1_000_000, 16_000
+"""Largest number of cells of a thinned map, and along one side. A scale that follows from the
+points leaves a twentieth of that; OpenCV samples images of at most 32766 a side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +141,12 @@ def blur(
 
 
 def thin_grid(grid: Grid, cell: float) -> Grid:
-    """Keep every n-th row and column, so that cells become about as large as wanted [m]."""
-    stride = max(1, round(cell / grid.resolution))
+    """Keep every n-th row and column, so that cells become about as large as wanted [m].
+
+    They become larger than wanted where a map would be left with too many of them.
+    """
+    least = max(grid.num_cells / MOST_CELLS, 1.0) ** 0.5
+    stride = max(round(cell / grid.resolution), ceil(least), ceil(max(grid.shape) / MOST_SIDE))
     rows, columns = (-(-side // stride) for side in grid.shape)
     return Grid(grid.origin, stride * grid.resolution, (rows, columns))
 

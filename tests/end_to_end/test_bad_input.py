@@ -59,7 +59,7 @@ BROKEN = {
     collinear: "one line",
     truncated: "60",
     headless: "header",
-    ten_kilometres: "more than the 25,000,000 allowed; raise the resolution",
+    ten_kilometres: "more than the 12,000,000 allowed; raise the resolution",
 }
 
 
