@@ -26,7 +26,7 @@ class Build:
     ]
     out: Annotated[
         Path,
-        Doc("Dataset folder to make. It must not exist yet."),
+        Doc("Dataset folder to make. It must not exist yet, or must be empty."),
         tyro.conf.arg(metavar="FOLDER"),
     ]
     poses: Annotated[

@@ -51,7 +51,7 @@ class Evaluate:
     ]
     out: Annotated[
         Path,
-        Doc("Folder to write report.md, report.json and figures to."),
+        Doc("Folder to write report.md, report.json and figures to. Other files in it stay."),
         tyro.conf.arg(metavar="FOLDER"),
     ]
     method: Annotated[

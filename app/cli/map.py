@@ -37,9 +37,9 @@ class Map:
     def run(self) -> None:
         """Infer and write."""
         check_output(self.out, MAP_ENDINGS)
-        check_apart([self.out], [self.cloud, self.params])
         if self.cloud.is_dir():
             raise InputError(f"{self.cloud}: is a folder; name one cloud")
+        check_apart([self.out], [self.cloud, self.params])
         dataset = load(self.cloud)
         base = base_params(dataset, self.params)
         params = self.map.over(base.map)

@@ -59,7 +59,10 @@ class Slam:
     ]
     out: Annotated[
         Path,
-        Doc("Folder to write the poses, the graph, figures, the cloud and the map to."),
+        Doc(
+            "Folder to write the poses, the graph, figures, the cloud and the map to. Other files "
+            "in it stay."
+        ),
         tyro.conf.arg(metavar="FOLDER"),
     ]
     closures: Annotated[

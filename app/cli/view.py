@@ -44,8 +44,8 @@ class View:
     token: Annotated[
         str | None,
         Doc(
-            "Whoever opens the viewer must bring this token. The printed link ends with it. A "
-            "--host that other machines can reach gets a new one at each start."
+            "Whoever opens the viewer must bring this token. The printed link ends with it. At an "
+            "address that other machines can reach, each start makes a new one."
         ),
         tyro.conf.arg(metavar="TEXT", help_behavior_hint="(default: made where it is needed)"),
     ] = None

@@ -10,7 +10,7 @@ from pathlib import Path
 from gpgrad_core.datasets.clouds import READERS
 from gpgrad_core.datasets.folder import ABOUT_FILE, ODOMETRY_FILES, TRUTH_FILE
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.whole import Lock
+from gpgrad_core.run.whole import ProcessLock
 
 OWN_FILES = (ABOUT_FILE, TRUTH_FILE, *ODOMETRY_FILES)
 OWN_FOLDERS = ("submaps", "images")
@@ -112,7 +112,7 @@ def replacing(path: Path | str) -> Generator[Path]:
     lock = None
     try:
         unfinished.touch()
-        lock = Lock(unfinished)
+        lock = ProcessLock(unfinished)
         yield unfinished
         unfinished.replace(path)
     finally:
@@ -129,7 +129,7 @@ def _remove_left(path: Path) -> None:
     for left in path.parent.iterdir():
         if name.fullmatch(left.name):
             with suppress(OSError):
-                lock = Lock(left)
+                lock = ProcessLock(left)
                 if lock.held:
                     left.unlink()
                 lock.release()

@@ -2,7 +2,9 @@
 
 import multiprocessing
 import os
+import shutil
 import signal
+import tempfile
 import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import (
@@ -14,11 +16,15 @@ from concurrent.futures import (
     wait,
 )
 from concurrent.futures.process import BrokenProcessPool
+from functools import cache
 from multiprocessing.connection import wait as wait_for_any
+from multiprocessing.util import Finalize, get_temp_dir
+from pathlib import Path
 from threading import Event, Lock
 from typing import TypeAlias, TypeVar
 
 from gpgrad_core.run.progress import Cancelled, Progress, part, silent
+from gpgrad_core.run.whole import ProcessLock, claim
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -27,6 +33,9 @@ Work: TypeAlias = Callable[[J, Progress], R]
 
 LOOK_EVERY = 0.05
 """Seconds between two reports while workers are busy."""
+SOCKETS = "gpgrad-w-"
+LONGEST_FOLDER = 50
+"""Longest name of a folder for the socket: macOS allows 103 bytes for its whole name."""
 WORTH_PROCESSES = 40
 """From this number of pairs on, the comparison takes longer than processes take to start."""
 
@@ -45,10 +54,33 @@ def workers(count: int, num_jobs: int) -> Executor:
     if num_jobs < WORTH_PROCESSES:
         return ThreadPoolExecutor(count, thread_name_prefix="worker")
     methods = multiprocessing.get_all_start_methods()
-    context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
-    if hasattr(context, "set_forkserver_preload"):
+    if "forkserver" in methods:
+        _keep_sockets_apart()
+        context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["gpgrad_core.methods"])  # loaded once, for all of them
+    else:
+        context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(count, context, initializer=_follow_the_parent)
+
+
+@cache
+def _keep_sockets_apart() -> ProcessLock:
+    """Let multiprocessing keep its socket where the next run finds it if this one is killed.
+
+    It makes a temporary folder of its own, once for the process, wherever `tempfile` says.
+    """
+    usual = tempfile.gettempdir()
+    place = "/tmp" if len(usual) > LONGEST_FOLDER else usual
+    folder = tempfile.mkdtemp(prefix=SOCKETS, dir=place)
+    lock = claim(Path(folder), SOCKETS)
+    before, tempfile.tempdir = tempfile.tempdir, folder
+    try:
+        get_temp_dir()
+    finally:
+        tempfile.tempdir = before
+    # At the end of the process, after multiprocessing has removed its own, of priority -100.
+    Finalize(None, shutil.rmtree, (folder, True), exitpriority=-101)
+    return lock
 
 
 def _follow_the_parent() -> None:

@@ -24,7 +24,7 @@ JUST_MADE = 2.0
 lock it."""
 
 
-class Lock:
+class ProcessLock:
     """A lock on an existing file or folder against other processes; it ends with its process.
 
     Windows cannot lock folders: there every lock is granted.
@@ -71,7 +71,7 @@ def alone(folder: Path, name: Path | None = None) -> Generator[None]:
         OSError: If it cannot be made.
     """
     folder.mkdir(exist_ok=True)
-    lock = Lock(folder)
+    lock = ProcessLock(folder)
     if not lock.held:
         raise InputError(
             f"{name or folder}: another process is working on it; wait until it has finished"
@@ -209,13 +209,26 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
             directory: Where to make it; None takes the system's folder for temporary files.
         """
         super().__init__(prefix=prefix, dir=directory, ignore_cleanup_errors=True)
-        self._lock = Lock(Path(self.name))
-        if importlib.util.find_spec("fcntl") is not None:
-            _remove_left(Path(self.name), prefix)
+        self._lock = claim(Path(self.name), prefix)
+
+
+def claim(own: Path, prefix: str) -> ProcessLock:
+    """Lock a temporary folder, and remove the folders beside it whose processes were killed.
+
+    Args:
+        own: The folder, which was just made.
+        prefix: How the names of such folders begin.
+
+    Returns:
+        The lock, to be kept as long as the folder.
+    """
+    lock = ProcessLock(own)
+    if importlib.util.find_spec("fcntl") is not None:
+        _remove_left(own, prefix)
+    return lock
 
 
 def _remove_left(own: Path, prefix: str) -> None:
-    """Remove the folders beside our own whose processes have ended."""
     owner = own.stat().st_uid
     for folder in own.parent.glob(f"{prefix}*"):
         with contextlib.suppress(OSError):
@@ -224,7 +237,7 @@ def _remove_left(own: Path, prefix: str) -> None:
                 continue
             if time.time() - about.st_mtime < JUST_MADE:
                 continue
-            lock = Lock(folder)
+            lock = ProcessLock(folder)
             if lock.held:
                 shutil.rmtree(folder, ignore_errors=True)
             lock.release()

@@ -6,9 +6,10 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 from unittest.mock import patch
 
 import pytest
@@ -50,19 +51,43 @@ def environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUTF8": "1", "COLUMNS": "100"}
 
 
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """Let processes that are started in the block hear Ctrl-C.
+
+    A shell starts programs in the background with SIGINT ignored, and they hand that on.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def start(*arguments: str | Path, **options: Any) -> "subprocess.Popen[str]":
+    """Start ``gpgrad``, with options of `subprocess.Popen`; nobody hears it unless they say so."""
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with interruptible():
+        return subprocess.Popen(
+            [sys.executable, "-m", "app", *map(str, arguments)],
+            text=True,
+            encoding="utf-8",
+            cwd=ROOT,
+            **{"env": environment()} | quiet | options,
+        )
+
+
 def run_gpgrad(*arguments: str | Path) -> Finished:
     """Run ``gpgrad`` to its end."""
-    finished = subprocess.run(
-        [sys.executable, "-m", "app", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        timeout=180,
-        check=False,
-        env=environment(),
-        cwd=ROOT,
-    )
-    return Finished(finished.returncode, finished.stdout, finished.stderr)
+    with start(*arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        try:
+            out, err = process.communicate(timeout=180)
+        finally:
+            process.kill()
+    return Finished(process.returncode, out, err)
 
 
 def run_here(*arguments: str | Path) -> Finished:
@@ -91,13 +116,7 @@ def run_on_terminal(*arguments: str | Path, interrupt_at: bytes | None = None) -
     pty = pytest.importorskip("pty", reason="this system has no pseudo-terminals")
     ours, theirs = pty.openpty()
     termios.tcsetwinsize(ours, (24, 80))  # a new one is 0 wide: no room for a bar
-    with subprocess.Popen(
-        [sys.executable, "-m", "app", *map(str, arguments)],
-        stdout=subprocess.DEVNULL,
-        stderr=theirs,
-        env=environment(),
-        cwd=ROOT,
-    ) as process:
+    with start(*arguments, stderr=theirs) as process:
         os.close(theirs)
         seen, interrupted = b"", False
         try:

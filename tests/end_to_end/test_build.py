@@ -3,8 +3,6 @@
 import json
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -15,7 +13,7 @@ from app.cli import run
 from tests.core.scans.drive import make_drive, write_drive
 from tests.core.scans.test_build import contents
 from tests.end_to_end.conftest import patch
-from tests.end_to_end.process import ROOT, environment
+from tests.end_to_end.process import start
 
 LONG = make_drive(num_scans=120, points_a_scan=1500)
 FLAGS = ("--max-length", "3", "--max-range", "4")
@@ -31,13 +29,7 @@ def kill(after: int, recording: Path, out: Path) -> None:
     """Build, and kill the process once so many submaps are noted down."""
     journal = out.with_name(f"{out.name}.partial") / "build.jsonl"
     for _ in range(5):
-        process = subprocess.Popen(
-            [sys.executable, "-m", "app", "build", str(recording), "--out", str(out), *FLAGS],
-            stderr=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            env=environment(),
-            cwd=ROOT,
-        )
+        process = start("build", recording, "--out", out, *FLAGS)
         while process.poll() is None and count_lines(journal) <= after:
             time.sleep(0.002)
         process.send_signal(signal.SIGKILL)

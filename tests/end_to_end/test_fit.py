@@ -39,4 +39,7 @@ def test_what_is_found_is_told_and_serves_other_verbs(
 
 
 def test_a_seed_below_zero(gpgrad: Run, ground: Path) -> None:
-    assert gpgrad("fit", ground, "--seed", "-1").refusal == "--seed must be 0 or more, got -1"
+    assert (
+        gpgrad("fit", ground, "--seed", "-1").refusal
+        == "--seed must be from 0 to 4294967295, got -1"
+    )

@@ -3,26 +3,22 @@
 import re
 import signal
 import subprocess
-import sys
 import urllib.error
 import urllib.request
 from pathlib import Path
 
 import pytest
 
-from tests.end_to_end.process import ROOT, Run, environment
+from tests.end_to_end.process import Run, start
 
 
 @pytest.mark.parametrize("built_in", [False, True])
 def test_the_page_is_served_until_interrupted(traverse: Path, built_in: bool) -> None:
     dataset = [] if built_in else [str(traverse)]
-    with subprocess.Popen(
-        [sys.executable, "-m", "app", "view", *dataset, "--port", "0", "--no-open"],
+    with start(
+        *("view", *dataset, "--port", "0", "--no-open"),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        text=True,
-        env=environment(),
-        cwd=ROOT,
     ) as process:
         try:
             assert process.stdout is not None
@@ -43,13 +39,10 @@ def test_the_page_is_served_until_interrupted(traverse: Path, built_in: bool) ->
 
 
 def test_on_a_network_the_token_is_printed_and_asked_for() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-m", "app", "view", "--host", "0.0.0.0", "--port", "0", "--no-open"],
+    with start(
+        *("view", "--host", "0.0.0.0", "--port", "0", "--no-open"),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        text=True,
-        env=environment(),
-        cwd=ROOT,
     ) as process:
         try:
             assert process.stdout is not None

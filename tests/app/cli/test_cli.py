@@ -37,7 +37,8 @@ class FakeViewer:
     sessions: str = "shared"
     saved: object = None
     permissions: object = None
-    url: str = "http://127.0.0.1:8080"
+    admission: object = None
+    link: str = "http://127.0.0.1:8080"
     closed: bool = False
 
     def run_forever(self) -> None:

@@ -87,7 +87,7 @@ def test_the_demo_is_no_path_of_this_machine() -> None:
         ("view = 3", "here: view must be a table"),
         ("[camera]\nposition = [1, 2]\nlook_at = [0, 0, 0]", "camera.position must be three"),
         ("[camera]\nposition = [1, 2, nan]\nlook_at = [0, 0, 0]", "camera.position must be three"),
-        ("what is this", "here: is not a TOML file"),
+        ("what is this", "here: is not TOML"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(text: str, said: str) -> None:

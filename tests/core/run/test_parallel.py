@@ -4,7 +4,9 @@ import pickle
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
 
 import pytest
 
@@ -95,6 +97,21 @@ def test_a_job_that_fails_ends_the_others(threads: ThreadPoolExecutor) -> None:
     with pytest.raises(ValueError, match="job 1"):
         run_jobs(work, range(50), threads)
     assert endless.stopped == endless.begun
+
+
+class Dead(Executor):
+    """Processes that have died."""
+
+    def submit(self, *_: Any, **__: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_exception(BrokenProcessPool("abruptly"))
+        return future
+
+
+def test_a_process_that_died_is_an_error_of_the_system() -> None:
+    """So the command line says in one line that, for example, the memory did not suffice."""
+    with pytest.raises(OSError, match="a worker process has died: it was killed, or the memory"):
+        run_jobs(doubled, range(3), Dead())
 
 
 def test_the_hook_of_a_job_is_silent_in_another_process() -> None:

@@ -52,7 +52,11 @@ def test_a_session_goes_out_and_comes_back(
     assert recorder.restored[0].params == needing(7)
     assert recorder.restored[0].camera is not None
     assert recorder.restored[0].camera.position == (1.0, -2.0, 3.5)
-    for broken, words in ((b"\xff", "UTF-8"), (b"#" * 200_000, "too large"), (b"x = 1", "unknown")):
+    for broken, words in (
+        (b"\xff", "UTF-8"),
+        (b"#" * 200_000, "larger than"),
+        (b"x = 1", "unknown"),
+    ):
         saving._restore(name, broken)
         assert words in said(saving)
     assert len(recorder.restored) == 1
