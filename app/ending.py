@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Generator
 from types import FrameType
+from typing import Any
 
 INTERRUPTED = 130
 
@@ -33,23 +34,42 @@ def termination_raised() -> Generator[None]:
     """Raise `Terminated` where SIGTERM or SIGHUP arrives, until the block ends.
 
     A signal that is ignored stays ignored, as ``nohup`` wants it. Outside of the main thread,
-    where Python allows no handlers, nothing changes.
+    where Python allows no handlers, nothing changes. Ctrl-C raises as always, and is noted for
+    `stopped_by`.
     """
-    numbers = [getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")]  # not all on Windows
-    handled: list[int] = []
+    usual = (signal.SIG_DFL, signal.default_int_handler)
+    numbers = [getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP")]
+    before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        handled = [n for n in numbers if n is not None and signal.getsignal(n) is signal.SIG_DFL]
+        known = {n: signal.getsignal(n) for n in numbers if n is not None}  # not all on Windows
+        before = {n: handler for n, handler in known.items() if handler in usual}
+    if before:
+        _heard.clear()
     try:
-        for number in handled:
+        for number in before:
             signal.signal(number, _raise)
         yield
     finally:
-        for number in handled:
-            signal.signal(number, signal.SIG_DFL)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+_heard: list[KeyboardInterrupt] = []
 
 
 def _raise(number: int, _: FrameType | None) -> None:
-    raise Terminated(number)
+    stopped = KeyboardInterrupt() if number == signal.SIGINT else Terminated(number)
+    _heard.append(stopped)
+    raise stopped
+
+
+def stopped_by() -> KeyboardInterrupt | None:
+    """Give what the program was told to end by, if it was.
+
+    Some libraries of compiled code turn it into an error of their own, if it comes while they are
+    loaded.
+    """
+    return _heard[0] if _heard else None
 
 
 def leave(code: int) -> None:

@@ -4,7 +4,7 @@ import contextlib
 import sys
 from collections.abc import Callable, Generator
 
-from app.ending import code_of, reason_of, termination_raised
+from app.ending import code_of, reason_of, stopped_by, termination_raised
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, silent
 
@@ -25,17 +25,26 @@ def exit_code(work: Callable[[], None]) -> int:
     try:
         with termination_raised():
             work()
-    except InputError as error:
-        warn(one_line(str(error)))
-        return FAILED
-    except OSError as error:
-        what = error.strerror or str(error)
-        warn(one_line(f"{error.filename}: {what}" if error.filename else what))
-        return FAILED
     except KeyboardInterrupt as stopped:
-        warn(reason_of(stopped))
-        return code_of(stopped)
+        return _tell_end(stopped)
+    except Exception as error:
+        stopped = stopped_by()
+        if stopped is not None:
+            return _tell_end(stopped)
+        if isinstance(error, InputError):
+            warn(one_line(str(error)))
+        elif isinstance(error, OSError):
+            what = error.strerror or str(error)
+            warn(one_line(f"{error.filename}: {what}" if error.filename else what))
+        else:
+            raise
+        return FAILED
     return 0
+
+
+def _tell_end(stopped: KeyboardInterrupt) -> int:
+    warn(reason_of(stopped))
+    return code_of(stopped)
 
 
 def say(line: str) -> None:

@@ -58,9 +58,42 @@ def workers(count: int, num_jobs: int) -> Executor:
         _keep_sockets_apart()
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["gpgrad_core.methods"])  # loaded once, for all of them
+        _undisturbed(_start_server)
     else:
         context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(count, context, initializer=_follow_the_parent)
+
+
+def _start_server() -> None:
+    """Start the process that starts the workers, deaf to Ctrl-C from its first moment.
+
+    A process inherits the signals that the thread which starts it blocks. The tracker comes first,
+    because it unblocks them here once it has been started.
+    """
+    from multiprocessing import forkserver, resource_tracker  # noqa: PLC0415 - not on Windows
+
+    resource_tracker.ensure_running()
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    forkserver.ensure_running()
+
+
+def _undisturbed(work: Callable[[], None], stop: Event | None = None) -> None:
+    """Do some work in a thread of its own, which no signal interrupts, and wait for it.
+
+    Python handles signals in the main thread. Within the start of a process, they would leave one
+    that nobody knows of.
+
+    Args:
+        work: What to do.
+        stop: Set if the wait is interrupted; the work must then end soon.
+    """
+    with ThreadPoolExecutor(1, thread_name_prefix="start") as thread:
+        try:
+            thread.submit(work).result()
+        except BaseException:
+            if stop is not None:
+                stop.set()
+            raise
 
 
 @cache
@@ -127,8 +160,14 @@ def run_jobs(
         return [work(job, part(progress, *_share(k, len(jobs)))) for k, job in enumerate(jobs)]
     tally = _Tally(len(jobs))
     futures: list[Future[R]] = []
+
+    def begin() -> None:
+        for k, job in enumerate(jobs):
+            if not tally.stop.is_set():
+                futures.append(executor.submit(work, job, tally.of(k)))
+
     try:
-        futures.extend(executor.submit(work, job, tally.of(k)) for k, job in enumerate(jobs))
+        _undisturbed(begin, tally.stop)
         pending: set[Future[R]] = set(futures)
         while pending:
             done, pending = wait(pending, LOOK_EVERY, FIRST_COMPLETED)

@@ -149,6 +149,25 @@ def test_a_signal_while_all_is_loaded_is_a_line_too() -> None:
     assert b"Terminated: terminated" in finished.stderr  # raised, where main() catches it
 
 
+@linux
+def test_a_library_that_turns_the_signal_into_its_own_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Open3D does, while it is loaded: it cannot be loaded, it said."""
+
+    def load(*_: object) -> None:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt:
+            raise ImportError("initialization failed") from None
+
+    monkeypatch.setattr("app.cli.simulate.simulate_dataset", load)
+    for _ in range(2):
+        assert run(["simulate", str(tmp_path / "data")]) == 143
+        assert capsys.readouterr().err == "gpgrad: terminated\n"
+    assert run(["simulate", str(tmp_path), "--num-submaps", "x"]) == 2  # the signal is forgotten
+
+
 # All or nothing.
 
 
