@@ -16,7 +16,8 @@ from gpgrad_core.gp import cost
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gradient_map import MOST_CELLS, MapParams, infer_gradient_map
-from gpgrad_core.pipeline import PipelineParams, resolve_parameters
+from gpgrad_core.pipeline import PipelineParams, register_pair, resolve_parameters
+from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Grid, Submap
 from tests.core.clouds import KINDS, draw_params, draw_submaps, run_pipeline
 
@@ -137,6 +138,15 @@ def test_a_detector_that_needs_gigabytes_is_refused_and_slope_is_not() -> None:
     with pytest.raises(InputError, match=r"detector kaze would need 5\.9 GB .* use the detector"):
         check_detector(grid, DetectorParams("kaze"))
     check_detector(grid, DetectorParams("slope"))
+
+
+def test_a_pair_is_refused_before_the_work_on_its_first_map() -> None:
+    def never(fraction: float) -> None:
+        raise AssertionError(fraction)
+
+    params = PipelineParams(map=FIXED)
+    with pytest.raises(InputError, match="more than the 12,000,000 allowed"):
+        register_pair(submap(BLOB), submap(uniform(50, 200, 200)), params, Memo(), never)
 
 
 def test_a_fit_draws_from_large_clouds() -> None:
