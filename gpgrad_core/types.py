@@ -271,7 +271,7 @@ class Grid:
             raise InputError(
                 f"{name} spans {width:,.0f} m x {height:,.0f} m: {rows * columns:,} cells at "
                 f"{resolution:g} m, more than the {max_cells:,} allowed; raise the resolution "
-                f"to {np.ceil(fitting * 1000) / 1000:.4g} m or more, or map less ground at once"
+                f"to {np.ceil(fitting * 1000) / 1000:g} m or more, or map less ground at once"
             )
         return cls((float(origin[0]), float(origin[1])), resolution, (rows, columns))
 

@@ -1,6 +1,15 @@
 """How exact the solution of a fit has to be; both fast solvers use the same limits."""
 
 from dataclasses import dataclass
+from math import log10
+
+INFORMATION_LEFT = 1e4
+"""Up to this information the residual need not be smaller."""
+INFORMATION_RIPPLED = 1e6
+"""Up to this information the ripple need not be smaller."""
+INFORMATION_NEAR, WIDER_A_DECADE, MOST_WIDER = 1e3, 0.7, 2.0
+"""How much farther a tile sees with each tenfold of the information above the first, and at the
+most [length-scales]. The standard deviation is then within 1.5 %; without, it was 11 % off."""
 
 
 @dataclass(frozen=True)
@@ -15,18 +24,49 @@ class Accuracy:
             over 300 random clouds with different noise for each point, it is at most 0.004, for
             one more step at most (tests/quality/test_accuracy.py).
         ripple: Limit on the ripple of the kernel that the lattice for the variance stands for,
-            times the information of the data. At 0.03 the standard deviation is within 2 % (half
-            of that was measured).
+            times the information of the data. The error of the standard deviation is a third
+            to two thirds of it, so it is within 2 %.
         lattice_halo: Width of the neighbouring points that a strip of the lattice sees, for the
-            variance [length-scales].
-        tile_halo: The same for a tile. At 3 the standard deviation is within 1 % where it is
-            trusted, and within 2 % elsewhere.
+            variance [length-scales]; see `lattice_halo_of`.
+        tile_halo: The same for a tile; see `tile_halo_of`. At 3 the standard deviation is within
+            1 % where it is trusted, and within 2 % elsewhere.
     """
 
     residual: float = 0.003
-    ripple: float = 0.03
+    ripple: float = 0.022
     lattice_halo: float = 4.0
     tile_halo: float = 3.0
+
+    def lattice_halo_of(self, information: float) -> float:
+        """Tell how far a strip sees [length-scales], by `spacing.information`.
+
+        Where the points know much, what lies farther away matters to what is left of the variance.
+        """
+        return self.lattice_halo + 0.5 * _wider(information)
+
+    def tile_halo_of(self, information: float) -> float:
+        """Tell how far a tile sees [length-scales], in the same way."""
+        return self.tile_halo + _wider(information)
+
+    def ripple_of(self, information: float) -> float:
+        """Tell the limit on the ripple; a fifth of it where points close together know much."""
+        return self.ripple if information <= INFORMATION_RIPPLED else self.ripple / 5
+
+    def residual_of(self, information: float) -> float:
+        """Tell the residual at which to stop.
+
+        Where the points know much, they also say something of places far from them, and their
+        own errors grow on the way there.
+
+        Args:
+            information: See `spacing.information`.
+        """
+        return self.residual * min(1.0, (INFORMATION_LEFT / information) ** 0.5)
+
+
+def _wider(information: float) -> float:
+    more = WIDER_A_DECADE * log10(max(information / INFORMATION_NEAR, 1.0))
+    return min(more, MOST_WIDER)
 
 
 EXACT = Accuracy()

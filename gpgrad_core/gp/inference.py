@@ -19,6 +19,9 @@ from gpgrad_core.types import Array
 
 Solver = Literal["auto", "lattice", "tiles"]
 
+MOST_INFORMATION_OF_LATTICE = 1e7
+"""Beyond this information tiles are taken if they can be: they lose no digits."""
+
 Posterior: TypeAlias = LatticePosterior | TilePosterior
 """A fitted GP. It has its `kernel`, and samples elevation, variance and slope on any grid."""
 
@@ -73,6 +76,8 @@ def _faster(
     xy, noise_variance = points[:, :2], np.broadcast_to(np.square(noise_std), len(points))
     costs = _costs(xy, kernel, noise_variance, accuracy)
     solver = min(costs, key=lambda one: costs[one].seconds)
+    if information(xy, noise_variance, kernel) > MOST_INFORMATION_OF_LATTICE:
+        solver = "tiles"
     if costs[solver].excess > 1:
         solver = min(costs, key=lambda one: costs[one].excess)
     if costs[solver].excess > 1:

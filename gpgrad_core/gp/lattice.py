@@ -25,7 +25,13 @@ from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import TerrainFields, clip_variance
 from gpgrad_core.gp.spacing import check_solvable, information, lattice_spacing
-from gpgrad_core.gp.weight_space import MARGIN, VarianceReduction, WeightSpace, band_of
+from gpgrad_core.gp.weight_space import (
+    MOST_INFORMATION_IN_SINGLE,
+    VarianceReduction,
+    WeightSpace,
+    band_of,
+    margin_of,
+)
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 from gpgrad_core.run.threads import num_workers, single_threaded_blas
 from gpgrad_core.types import Grid
@@ -161,9 +167,9 @@ def fit_lattice(
     cloud = Cloud.of(points, noise_std, offset)
     bits = information(cloud.xy, cloud.noise_variance, kernel)
     check_solvable(cloud.xy, kernel, bits)
-    spacing = lattice_spacing(kernel.length_scale, bits, accuracy.ripple)
-    halo = accuracy.lattice_halo * kernel.length_scale
-    edges = _strip_edges(cloud.xy, kernel.length_scale, spacing, halo)
+    spacing = lattice_spacing(kernel.length_scale, bits, accuracy.ripple_of(bits))
+    halo = accuracy.lattice_halo_of(bits) * kernel.length_scale
+    edges = _strip_edges(cloud.xy, kernel.length_scale, spacing, halo, margin_of(bits))
     groups = _panels(cloud.xy, edges, kernel.length_scale, spacing, halo, bits)
     report = _SharedProgress(progress, len(edges) - 1)
     panels: list[Panel] = []
@@ -191,13 +197,13 @@ def estimate_cost(
         accuracy: How exact the solution has to be.
     """
     length = kernel.length_scale
-    spacing = lattice_spacing(length, information, accuracy.ripple)
-    band, margins = band_of(information, spacing / length), 2 * MARGIN * length
-    halo = accuracy.lattice_halo * length
+    spacing = lattice_spacing(length, information, accuracy.ripple_of(information))
+    band, margins = band_of(information, spacing / length), 2 * margin_of(information) * length
+    halo = accuracy.lattice_halo_of(information) * length
     (left, _), (right, _) = low, high = xy.min(axis=0), xy.max(axis=0)
     rows = (high - low + margins)[1] / spacing
     blocks = rows / band
-    edges = _strip_edges(xy, length, spacing, halo)
+    edges = _strip_edges(xy, length, spacing, halo, margin_of(information))
     inner = np.clip(edges, left, right)
     seen = np.minimum(inner[1:] + halo, right) - np.maximum(inner[:-1] - halo, left)
     columns = (seen + margins) / spacing
@@ -285,7 +291,8 @@ class _PanelFitter:
         stretch: tuple[float, float],
     ) -> tuple[_Preconditioner | None, Strip | None]:
         low, high = stretch
-        x, halo = cloud.xy[:, 0], self.accuracy.lattice_halo * self.kernel.length_scale
+        reach = self.accuracy.lattice_halo_of(self.information)
+        x, halo = cloud.xy[:, 0], reach * self.kernel.length_scale
         near = (owner == k) | ((x >= low - halo) & (x < high + halo))
         if not near.any():
             self.report.advance(1.0)
@@ -322,6 +329,7 @@ class _PanelFitter:
         if not residual.any():  # perfectly flat ground: there is nothing to solve
             return weights
         inverse_noise = 1 / cloud.noise_variance
+        limit = self.accuracy.residual_of(self.information)
         steps: list[tuple[Array, Array]] = []  # directions, and their images, which are orthonormal
         for _ in range(MAX_STEPS):
             step = self._precondition(residual, parts)
@@ -339,7 +347,7 @@ class _PanelFitter:
             length = (inverse_noise * image) @ residual
             weights += length * step
             residual -= length * image
-            if cloud.residual_rms(residual) <= self.accuracy.residual:
+            if cloud.residual_rms(residual) <= limit:
                 return weights
         raise InputError(
             f"the GP did not converge in {MAX_STEPS} steps with so little noise: raise noise_std "
@@ -360,7 +368,7 @@ class _PanelFitter:
 
 
 def _strip_edges(
-    xy: Float[Array, "n 2"], length_scale: float, spacing: float, halo: float
+    xy: Float[Array, "n 2"], length_scale: float, spacing: float, halo: float, margin: float
 ) -> Float[Array, "edges"]:
     """Choose the edges of the strips so that fitting all of them takes the least time.
 
@@ -372,7 +380,7 @@ def _strip_edges(
     counts = np.arange(1, 1 + min(MAX_STRIPS, int(width / halo) + 1))
     # As on two cores, on any machine: the result must not depend on the number of cores.
     rounds = np.ceil(counts / 2)
-    shared = halo * np.minimum(counts - 1, 2) + 2 * MARGIN * length_scale
+    shared = halo * np.minimum(counts - 1, 2) + 2 * margin * length_scale
     columns = (width / counts + shared) / spacing
     cost = rounds * (columns**3 + FIXED_COST)
     edges = np.linspace(low, high, int(counts[np.argmin(cost)]) + 1)
@@ -407,6 +415,7 @@ def _bytes_a_strip(
     information: float,
 ) -> float:
     """Estimate the size of the factor of one strip [bytes]."""
-    columns = (sides[0] / num_strips + 2 * (halo + MARGIN * length_scale)) / spacing
-    rows = (sides[1] + 2 * MARGIN * length_scale) / spacing
-    return float(2 * rows * columns**2 * band_of(information, spacing / length_scale) * 4)
+    columns = (sides[0] / num_strips + 2 * (halo + margin_of(information) * length_scale)) / spacing
+    rows = (sides[1] + 2 * margin_of(information) * length_scale) / spacing
+    digits = 4 if information <= MOST_INFORMATION_IN_SINGLE else 8
+    return float(2 * rows * columns**2 * band_of(information, spacing / length_scale) * digits)

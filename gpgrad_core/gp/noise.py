@@ -177,8 +177,9 @@ class _Cells:
         return z - along_x[self.owner] * x - along_y[self.owner] * y, known
 
 
-MOST_CELLS = 4_000_000
-"""Largest number of cells; on a larger area the cells grow."""
+MOST_CELLS = 1_000_000
+"""Largest number of cells; on a larger area the cells grow. A wide and sparse cloud would else cost
+by its box: with four times as many, a second each time."""
 LEAST_POINTS = 5
 """Smallest number of points to which a plane is fitted."""
 

@@ -165,12 +165,15 @@ def _chunk_size(points_xy: Float[Array, "n 2"], spacings: tuple[float, float], r
         spacings: Spacings of the lattice along x and y [m].
         reach: Distance beyond which a Gaussian may be left out [m].
     """
+    alone = float(np.prod([2 * reach / spacing + 1 for spacing in spacings]))
     best, least = POINTS_PER_CHUNK, np.inf
     for size in SMALLER_CHUNKS:
-        starts = range(0, len(points_xy), size)
+        starts = np.arange(0, len(points_xy), size)
         sides = np.maximum.reduceat(points_xy, starts) - np.minimum.reduceat(points_xy, starts)
         nodes = np.prod((sides + 2 * reach) / spacings + 1, axis=1).sum()
         cost = float(2 * nodes * size * SECONDS_A_PRODUCT + len(starts) * SECONDS_A_CHUNK)
         if cost < least / 2:  # a little less is not worth more chunks
             best, least = size, cost
+        if least < 4 * alone * len(points_xy) * SECONDS_A_PRODUCT:  # twice that of single points
+            break
     return best

@@ -86,11 +86,20 @@ def infer_map(
     return memo(sample_map, submap, posterior, params.map.resolution, params.map.scale)
 
 
+def check_affordable(submap: Submap, params: PipelineParams) -> None:
+    """Check that a submap's map is not too large, and that the detector can search it.
+
+    Raises:
+        InputError: If not; the message says what to change.
+    """
+    check_detector(map_grid(submap, params.map.resolution), params.features.detector)
+
+
 def infer_features(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> Features:
-    """Make a submap's keypoints; a detector that cannot is refused before the map is made."""
-    check_detector(map_grid(submap, params.map.resolution), params.features.detector)
+    """Make a submap's keypoints."""
+    check_affordable(submap, params)
     return extract_kept(infer_map(submap, params, memo, progress), params, memo)
 
 
@@ -114,7 +123,6 @@ def _infer_side(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> _Side:
     """Run the stages of one submap."""
-    check_detector(map_grid(submap, params.map.resolution), params.features.detector)
     gradient_map = infer_map(submap, params, memo, progress)
     posterior = memo(fit_terrain, submap, params.map.terrain)
     detected = memo(detect_features, gradient_map, params.features.detector)
@@ -175,6 +183,8 @@ def register_pair(
     Raises:
         InputError: If a submap's map cannot be made.
     """
+    for submap in (query, database):
+        check_affordable(submap, params)  # refused before the long work on either
     terrain = params.map.terrain
     if helper is not None and not any(
         memo.holds(fit_terrain, submap, terrain) for submap in (query, database)
@@ -241,8 +251,7 @@ class MapDetector(StagedDetector):
     def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
         """Make the map, unless its detector cannot search it."""
         if self.make_map is infer_map:
-            grid = map_grid(submap, self.params.map.resolution)
-            check_detector(grid, self.params.features.detector)
+            check_affordable(submap, self.params)
         return self.make_map(submap, self.params, self.memo, progress)
 
     def extract(self, made: GradientMap, progress: Progress = silent) -> ExtractedSubmap:
@@ -299,6 +308,8 @@ def detect_loop_closures(
     used: PipelineParams | None = None
     seconds: dict[str, float] = {}
     if detector is None:
+        for submap in submaps:
+            check_affordable(submap, params)
         memo, start = memo or Memo(), perf_counter()
         if submaps and not is_resolved(params):
             params = resolve_parameters(submaps, params, memo, part(progress, 0.0, FIT_SHARE))
