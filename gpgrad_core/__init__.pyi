@@ -56,6 +56,7 @@ from .slam import (
     write_graph,
 )
 from .types import (
+    Agreement,
     Dataset,
     Features,
     GradientMap,
@@ -71,6 +72,7 @@ __version__: str
 
 __all__ = [
     "SE2",
+    "Agreement",
     "BuildParams",
     "BuildReport",
     "ClosureParams",

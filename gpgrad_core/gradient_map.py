@@ -61,7 +61,10 @@ NoiseFactorParam: TypeAlias = Annotated[
 MaxPointsParam: TypeAlias = Annotated[
     int | None,
     Bounds(3, 10_000_000, 1, "points", slider=(500, 30_000)),
-    Doc("Largest number of points; a larger cloud is thinned at random. None: all (paper: 5000)."),
+    Doc(
+        "Largest number of points; a larger cloud is thinned at random. Automatic: all "
+        "(the paper takes 5000)."
+    ),
 ]
 SIGNAL_STD = Bounds(0.001, 1000.0, 0.01, "m", slider=(0.05, 2.0))
 
@@ -90,7 +93,7 @@ class TerrainParams:
     signal_std: Annotated[
         float | None,
         SIGNAL_STD,
-        Doc("Standard deviation of the terrain's height; None: that of the submap's points."),
+        Doc("Standard deviation of the terrain's height; automatic: that of the submap's points."),
     ] = None
     max_points: MaxPointsParam = None
 
@@ -113,7 +116,7 @@ class MapParams:
         LENGTH_SCALE,
         Doc(
             "Distance over which the terrain's height changes little; larger is smoother. "
-            "None: fitted to the dataset."
+            "Automatic: fitted to the dataset."
         ),
     ] = None
     noise_std: Annotated[
@@ -121,7 +124,7 @@ class MapParams:
         NOISE_STD,
         Doc(
             "Standard deviation of one point's height; larger follows single points less. "
-            "None: fitted to the dataset."
+            "Automatic: fitted to the dataset."
         ),
     ] = None
     noise_model: NoiseModelParam = "constant"
@@ -131,8 +134,8 @@ class MapParams:
         float | None,
         SIGNAL_STD,
         Doc(
-            "Standard deviation of the terrain's height. None: fitted to the dataset, or that of "
-            "the submap's points if nothing is fitted."
+            "Standard deviation of the terrain's height. Automatic: fitted to the dataset, or that "
+            "of the submap's points if nothing is fitted."
         ),
     ] = None
     max_points: MaxPointsParam = None
@@ -146,7 +149,7 @@ class MapParams:
         Bounds(0.01, 100.0, 0.01, "m", slider=(0.05, 2.0)),
         Doc(
             "Scale of comparison: the finest detail that keypoints, variance mask and registration "
-            "use. None: the finest detail that the points resolve."
+            "use. Automatic: the finest detail that the points resolve."
         ),
     ] = None
 

@@ -106,21 +106,24 @@ def _why(registration: Registration) -> str:
     if found.difference > IMPOSSIBLE * found.possible:
         return (
             f": over {area:.0f} m² of common ground the heights differ by "
-            f"{_length(found.difference)}, and their uncertainty explains only "
-            f"{_length(found.possible)}"
+            f"{describe_length(found.difference)}, and their uncertainty explains only "
+            f"{describe_length(found.possible)}"
         )
     if area < SMALL_OVERLAP * 2 * np.pi * scale**2:
         return f": the maps share only {area:.2g} m² of ground, too little to decide"
     if found.relief < SMOOTH * found.possible:
         return (
-            f": the ground is too smooth to decide: its relief is {_length(found.relief)}, and the "
-            f"maps' uncertainty is {_length(found.possible)}"
+            ": the ground is too smooth to decide: its relief is "
+            f"{describe_length(found.relief)}, and the maps' uncertainty is "
+            f"{describe_length(found.possible)}"
         )
     return (
-        f": over {area:.0f} m² of common ground the heights agree to {_length(found.difference)}, "
-        f"but with {registration.num_inliers} inliers unrelated ground can agree as well"
+        f": over {area:.0f} m² of common ground the heights agree to "
+        f"{describe_length(found.difference)}, but with {registration.num_inliers} inliers "
+        "unrelated ground can agree as well"
     )
 
 
-def _length(metres: float) -> str:
+def describe_length(metres: float) -> str:
+    """Write a small length [m] in millimetres or centimetres."""
     return f"{1e3 * metres:.2g} mm" if metres < 0.01 else f"{100 * metres:.2g} cm"

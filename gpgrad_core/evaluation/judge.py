@@ -17,6 +17,7 @@ from gpgrad_core.evaluation.pose_error import (
     PoseErrors,
     PoseErrorSummary,
     break_down,
+    classify_motions,
     pose_errors,
     summarise_errors,
 )
@@ -254,11 +255,11 @@ def evaluate(
 def _accepted(ranking: Ranking, errors: PoseErrors, pairs: TruePairs, neighbours: int) -> Accepted:
     """Count the accepted pairs by what they would do to a pose graph."""
     accepted = ranking.accepted & (pairs.steps > neighbours)
-    touching = pairs.surface_overlap > 0
+    classes = classify_motions(errors, pairs.surface_overlap)
     return Accepted(
-        right=int(np.sum(accepted & touching & errors.near)),
-        wrong_motion=int(np.sum(accepted & touching & ~errors.near)),
-        no_overlap=int(np.sum(accepted & ~touching)),
+        right=int(np.sum(accepted & classes.right)),
+        wrong_motion=int(np.sum(accepted & classes.wrong_motion)),
+        no_overlap=int(np.sum(accepted & classes.no_overlap)),
     )
 
 

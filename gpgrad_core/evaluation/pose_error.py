@@ -104,6 +104,32 @@ def pose_errors(
     return PoseErrors(offset, turn, max_offset, max_turn)
 
 
+@dataclass(frozen=True, eq=False)
+class MotionClasses:
+    """What a pair would do to a pose graph if it were accepted; each pair is in one class.
+
+    Attributes:
+        right: Which pairs have surfaces that touch, and the right motion (p,).
+        wrong_motion: Which pairs have surfaces that touch, but a wrong motion (p,).
+        no_overlap: Which pairs have surfaces that do not touch (p,).
+    """
+
+    right: Bool[Mask, "p"]
+    wrong_motion: Bool[Mask, "p"]
+    no_overlap: Bool[Mask, "p"]
+
+
+def classify_motions(errors: PoseErrors, surface_overlap: Float[Array, "p"]) -> MotionClasses:
+    """Sort pairs by their motion and their true overlap.
+
+    Args:
+        errors: Errors of the motions.
+        surface_overlap: True overlap of the surfaces, from 0 to 1 (p,).
+    """
+    touching = surface_overlap > 0
+    return MotionClasses(touching & errors.near, touching & ~errors.near, ~touching)
+
+
 def summarise_errors(errors: PoseErrors, chosen: Bool[Mask, "p"]) -> PoseErrorSummary:
     """Summarise the errors of the chosen pairs; a pair without a motion has an infinite error."""
     count = int(np.sum(chosen))

@@ -24,7 +24,7 @@ class RegistrationParams:
         Bounds(0.01, 10.0, 0.01, "m", slider=(0.05, 1.0)),
         Doc(
             "An association is an inlier if the motion brings its keypoints within this distance "
-            "of each other. None: 1.25 times the scale of comparison."
+            "of each other. Automatic: 1.25 times the scale of comparison."
         ),
     ] = None
     trials: Annotated[

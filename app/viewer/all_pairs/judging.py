@@ -4,17 +4,18 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from app.viewer.state import ViewState
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
+from gpgrad_core.evaluation.pose_error import MotionClasses, classify_motions, pose_errors
 from gpgrad_core.evaluation.precision_recall import (
     PrecisionRecall,
     average_precision,
     precision_recall,
 )
-from gpgrad_core.evaluation.ranking import rank_pairs
+from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
 from gpgrad_core.loop_closure import ClosureParams, classify
 from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
@@ -79,8 +80,9 @@ class JudgedPairs:
         compared: The pairs that were judged.
         closures: Every pair with its verdict, as `DetectionResult` orders them.
         check: The comparison with the truth, where that is known.
-        outcomes: Of each closure: `RIGHT` or `WRONG` if it was accepted and the truth decides,
-            `MISSED` if it was wrongly refused, and else `ACCEPTED` or `REFUSED`.
+        outcomes: Of each closure: `RIGHT`, `WRONG_MOTION` or `NO_OVERLAP` if it was accepted and
+            the truth is known, `MISSED` if it was wrongly refused, and else `ACCEPTED` or
+            `REFUSED`.
     """
 
     compared: ComparedPairs
@@ -115,7 +117,7 @@ class JudgedPairs:
 
 
 ACCEPTED, REFUSED = "accepted", "refused"
-RIGHT, WRONG, MISSED = "right", "wrong", "missed"
+RIGHT, WRONG_MOTION, NO_OVERLAP, MISSED = "right", "wrong motion", "no overlap", "missed"
 
 
 def compare_pairs(
@@ -162,20 +164,16 @@ def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> Jud
     if compared.truth is None:
         plain = tuple(ACCEPTED if closure.accepted else REFUSED for closure in closures)
         return JudgedPairs(compared, closures, None, plain)
-    labels = rule.label(compared.truth)
-    check = _check(compared, compared.truth, closures, thresholds, rule, labels)
-    return JudgedPairs(compared, closures, check, _outcomes(compared.truth, closures, labels))
-
-
-def _check(
-    compared: ComparedPairs,
-    truth: TruePairs,
-    closures: tuple[LoopClosure, ...],
-    thresholds: ClosureParams,
-    rule: Rule,
-    labels: Labels,
-) -> TruthCheck:
+    truth = compared.truth
+    labels = rule.label(truth)
     ranking = rank_pairs(DetectionResult(closures, {}), compared.dataset, truth, "all pairs")
+    errors = pose_errors(ranking.T_database_query, truth.T_database_query)
+    classes = classify_motions(errors, truth.surface_overlap)
+    check = _check(ranking, thresholds, rule, labels)
+    return JudgedPairs(compared, closures, check, _outcomes(truth, closures, labels, classes))
+
+
+def _check(ranking: Ranking, thresholds: ClosureParams, rule: Rule, labels: Labels) -> TruthCheck:
     # A pair with too few inliers is not accepted at any score: then the curve runs through the
     # point at which the thresholds stand.
     could_pass = (ranking.num_inliers >= thresholds.min_inliers) & np.array(
@@ -201,7 +199,10 @@ def _check(
 
 
 def _outcomes(
-    truth: TruePairs, closures: tuple[LoopClosure, ...], labels: Labels
+    truth: TruePairs,
+    closures: tuple[LoopClosure, ...],
+    labels: Labels,
+    classes: MotionClasses,
 ) -> tuple[str, ...]:
     rows = {
         frozenset((truth.ids[query], truth.ids[database])): row
@@ -210,18 +211,12 @@ def _outcomes(
     found: list[str] = []
     for closure in closures:
         row = rows.get(frozenset((closure.query_id, closure.database_id)))
-        found.append(_outcome(closure.accepted, row, labels.judged, labels.positive))
+        if row is None:
+            found.append(ACCEPTED if closure.accepted else REFUSED)
+        elif not closure.accepted:
+            found.append(MISSED if labels.judged[row] and labels.positive[row] else REFUSED)
+        elif classes.right[row]:
+            found.append(RIGHT)
+        else:
+            found.append(WRONG_MOTION if classes.wrong_motion[row] else NO_OVERLAP)
     return tuple(found)
-
-
-def _outcome(
-    accepted: bool,
-    row: int | None,
-    judged: Bool[NDArray[np.bool_], "p"],
-    positive: Bool[NDArray[np.bool_], "p"],
-) -> str:
-    if row is None or not judged[row]:
-        return ACCEPTED if accepted else REFUSED
-    if accepted:
-        return RIGHT if positive[row] else WRONG
-    return MISSED if positive[row] else REFUSED

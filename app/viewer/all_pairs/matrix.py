@@ -7,12 +7,14 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from app.viewer.all_pairs.judging import MISSED, WRONG, JudgedPairs
+from app.viewer.all_pairs.judging import MISSED, NO_OVERLAP, WRONG_MOTION, JudgedPairs
 from app.viewer.draw.colors import colorize
 from app.viewer.state import ColorMap
 from gpgrad_core.arrays import Array, NDArray
 
-RIGHT_COLOR, WRONG_COLOR, MISSED_COLOR, SHOWN_COLOR = "#2fbf4f", "#ff3b30", "#ff9f0a", "#ff00ff"
+RIGHT_COLOR, SHOWN_COLOR = "#2fbf4f", "#ff00ff"
+OUTCOME_COLORS = {WRONG_MOTION: "#ff3b30", NO_OVERLAP: "#ffffff", MISSED: "#ff9f0a"}
+"""Of the rings of pairs on which verdict and truth disagree."""
 TOP_SHARE = 0.995
 """Scores above those of this share of the pairs have the last colour: a few are far above."""
 
@@ -33,7 +35,7 @@ def affinity_svg(judged: JudgedPairs, shown: tuple[str, str] | None = None) -> s
     marks: list[str] = []
     for closure, outcome in zip(judged.closures, judged.outcomes, strict=True):
         row, column = places[closure.query_id], places[closure.database_id]
-        color = {WRONG: WRONG_COLOR, MISSED: MISSED_COLOR}.get(outcome)
+        color = OUTCOME_COLORS.get(outcome)
         if closure.accepted:
             color = color or RIGHT_COLOR
         if color is not None:

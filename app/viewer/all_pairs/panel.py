@@ -96,8 +96,8 @@ class AllPairsPanel:
             (ALL,),
             initial_value=ALL,
             visible=False,
-            hint="Narrows the list below. Right and wrong pairs are accepted, and truly the same "
-            "place or not. Missed pairs are the same place, but refused.",
+            hint="Narrows the list below. Right pairs are accepted, and their motion is right. "
+            "Missed pairs are the same place, but refused.",
         )
         self._pairs = PairList(
             host,

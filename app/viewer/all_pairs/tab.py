@@ -7,7 +7,10 @@ import numpy as np
 
 from app.viewer.all_pairs.curve import curve_svg
 from app.viewer.all_pairs.judging import (
+    NO_OVERLAP,
+    RIGHT,
     RULES,
+    WRONG_MOTION,
     ComparedPairs,
     JudgedPairs,
     TruthCheck,
@@ -20,6 +23,7 @@ from app.viewer.feature import Desk, Feature
 from app.viewer.runner import Runner
 from app.viewer.state import ViewState
 from app.viewer.work import Work, message_of
+from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
 from gpgrad_core.run.progress import Progress
 
 
@@ -140,8 +144,10 @@ def findings(judged: JudgedPairs, state: ViewState) -> Findings:
         key=lambda pair: -pair[0].registration.score,
     )
     shown = state.query_id, state.database_id
+    by_motion = "" if judged.check is None else f": {_by_motion(judged)}"
     return Findings(
-        summary=f"{count} {closures} in {len(judged.closures):,} pairs · {seconds:.1f} s",
+        summary=f"{count} {closures} in {len(judged.closures):,} pairs{by_motion} · "
+        f"{seconds:.1f} s",
         outdated=""
         if compared.is_of(state)
         else "The parameters have changed since: run again to update.",
@@ -157,6 +163,18 @@ def findings(judged: JudgedPairs, state: ViewState) -> Findings:
     )
 
 
+def _by_motion(judged: JudgedPairs) -> str:
+    """Count the accepted pairs by what the truth says of them."""
+    return ", ".join(
+        f"{judged.outcomes.count(outcome)} {name}"
+        for outcome, name in (
+            (RIGHT, "right"),
+            (WRONG_MOTION, "with a wrong motion"),
+            (NO_OVERLAP, "without overlap"),
+        )
+    )
+
+
 def _matrix_caption(judged: JudgedPairs) -> str:
     below = (
         "Rows are queries, columns are the database. Below the diagonal is the score, from dark "
@@ -168,8 +186,9 @@ def _matrix_caption(judged: JudgedPairs) -> str:
     measure = "of the boxes" if judged.check.rule.measure == "box" else "of the surfaces"
     return (
         f"{below} Above it is the true overlap {measure}, from dark (0) to light (1). "
-        "Green rings mark right pairs, red ones wrong, orange ones missed; magenta marks the pair "
-        "shown."
+        "Rings mark accepted pairs: green ones have the right motion, within "
+        f"{MAX_OFFSET:g} m and {MAX_TURN:g}°, red ones a wrong motion, and white ones no common "
+        "ground. Orange rings mark missed pairs; magenta marks the pair shown."
     )
 
 

@@ -6,7 +6,9 @@ from math import degrees
 from app.viewer.host import Host
 from app.viewer.state import ViewState
 from app.viewer.widgets.html import BAD_GROUND, BUSY_GROUND, GOOD_GROUND, badge, table
+from gpgrad_core.loop_closure import describe_length
 from gpgrad_core.pipeline import PairResult
+from gpgrad_core.types import Registration
 
 
 class VerdictCard:
@@ -51,6 +53,7 @@ def verdict_html(state: ViewState, result: PairResult) -> str:
             ("overlap", f"{registration.overlap_area:.1f} m²"),
             ("correlation", f"{registration.correlation:.2f}"),
         ]
+        rows += _comparison(registration)
     else:
         rows.append(("motion", "none found"))
     headline = (
@@ -66,6 +69,16 @@ def verdict_html(state: ViewState, result: PairResult) -> str:
         f'<div style="font-size:.85em;margin:.4em 0 .3em"><b>{escape(pair)}</b><br>'
         f"{escape(closure.reason)}</div>{table(tuple(rows))}"
     )
+
+
+def _comparison(registration: Registration) -> list[tuple[str, str]]:
+    """List at which scale the maps were compared, and how well they agree there."""
+    agreement, scale = registration.agreement, registration.scale
+    if agreement is None or scale is None:
+        return []
+    difference = describe_length(agreement.difference)
+    possible = describe_length(agreement.possible)
+    return [("heights differ", f"{difference} at {scale:.2f} m ({possible} possible)")]
 
 
 def frame(content: str) -> str:

@@ -6,10 +6,11 @@ import pytest
 from app.viewer.all_pairs.judging import (
     ACCEPTED,
     MISSED,
+    NO_OVERLAP,
     REFUSED,
     RIGHT,
     RULES,
-    WRONG,
+    WRONG_MOTION,
     ComparedPairs,
     compare_pairs,
     judge,
@@ -21,7 +22,7 @@ from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled
-from tests.app.synthetic import PAIR_SCORES, make_compared, make_dataset
+from tests.app.synthetic import MISPLACED, PAIR_SCORES, make_compared, make_dataset
 
 BOX = next(iter(RULES.values()))
 COMPARED = make_compared()
@@ -48,8 +49,8 @@ def test_thresholds_turn_verdicts_without_registering_anew() -> None:
 def test_outcomes_by_the_truth() -> None:
     found = outcomes(0.5)
     assert found["003", "000"] == RIGHT
-    assert found["002", "000"] == WRONG  # accepted, and truly far away
-    assert found["001", "000"] == ACCEPTED  # neighbours are not judged
+    assert found["002", "000"] == NO_OVERLAP  # accepted, and truly far away
+    assert found[MISPLACED] == WRONG_MOTION
     assert outcomes(5.5)["003", "000"] == MISSED
     assert outcomes(5.5)["002", "000"] == REFUSED
 
