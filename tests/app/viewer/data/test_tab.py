@@ -135,7 +135,7 @@ def test_a_zipped_dataset_is_uploaded(
     assert Path(opened[0].source).is_relative_to(tmp_path / "uploads")
     assert recent_datasets(tmp_path / "config") == ()  # it will be gone
     user_sets(find(server, "Open"), "Load demo")
-    assert opening.wait_idle(20)
+    assert opening.wait_idle(60)
     assert not Path(opened[0].source).exists()  # it is no longer open
     upload(server, opening, "broken.zip", b"PK\x03\x04")
     assert "broken.zip: is not a complete zip archive" in said(opening)
