@@ -125,10 +125,13 @@ class Trial:
             try:
                 assert viewer.stdout is not None
                 begun = time.monotonic()
-                said = viewer.stdout.readline()
-                address = re.search(r"http://\S+", said)
+                said = ""  # what was fitted comes before the address
+                address = None
+                while address is None and (line := viewer.stdout.readline()):
+                    said += line
+                    address = re.search(r"http://\S+", line)
                 if address is None:
-                    raise RuntimeError(said + viewer.stdout.read())
+                    raise RuntimeError(said)
                 with urllib.request.urlopen(address[0], timeout=START_SECONDS) as page:
                     page.read()
                 return f"page served after {time.monotonic() - begun:.0f} s"
