@@ -19,8 +19,10 @@ from gpgrad_core.types import Array
 
 Solver = Literal["auto", "lattice", "tiles"]
 
-MOST_INFORMATION_OF_LATTICE = 1e7
-"""Beyond this information tiles are taken if they can be: they lose no digits."""
+MOST_INFORMATION_OF_LATTICE = 1e9
+"""Beyond this information the lattice loses digits; tiles do not."""
+BETTER_BY_TILES, WORTH_SECONDS = 1e8, 5.0
+"""From this information on tiles are taken if they are estimated to take no longer than that."""
 
 Posterior: TypeAlias = LatticePosterior | TilePosterior
 """A fitted GP. It has its `kernel`, and samples elevation, variance and slope on any grid."""
@@ -72,11 +74,12 @@ def _faster(
     noise_std: float | Float[Array, "n"],
     accuracy: Accuracy,
 ) -> Literal["lattice", "tiles"]:
-    """Choose the solver that is estimated to be faster; refuse what would cost too much."""
+    """Choose the solver that is exact enough and faster; refuse what would cost too much."""
     xy, noise_variance = points[:, :2], np.broadcast_to(np.square(noise_std), len(points))
     costs = _costs(xy, kernel, noise_variance, accuracy)
     solver = min(costs, key=lambda one: costs[one].seconds)
-    if information(xy, noise_variance, kernel) > MOST_INFORMATION_OF_LATTICE:
+    exact = information(xy, noise_variance, kernel) > BETTER_BY_TILES
+    if exact and costs["tiles"].seconds <= WORTH_SECONDS:
         solver = "tiles"
     if costs[solver].excess > 1:
         solver = min(costs, key=lambda one: costs[one].excess)
@@ -98,10 +101,12 @@ def _costs(
 ) -> dict[Literal["lattice", "tiles"], Cost]:
     bits = information(xy, noise_variance, kernel)
     check_solvable(xy, kernel, bits)
-    return {
-        "tiles": tiles.estimate_cost(xy, kernel, bits, accuracy),
-        "lattice": lattice.estimate_cost(xy, kernel, bits, accuracy),
+    costs: dict[Literal["lattice", "tiles"], Cost] = {
+        "tiles": tiles.estimate_cost(xy, kernel, bits, accuracy)
     }
+    if bits <= MOST_INFORMATION_OF_LATTICE:
+        costs["lattice"] = lattice.estimate_cost(xy, kernel, bits, accuracy)
+    return costs
 
 
 def _cure(

@@ -283,7 +283,7 @@ def estimate_cost(
     )
     digits = 4 if information <= MOST_INFORMATION_IN_SINGLE else 8
     # While they are inverted, a batch of them on each thread takes several times its size.
-    inverses = digits * np.sum(seen**2) + 8 * 10 * BATCH * seen.max() ** 2
+    inverses = digits * np.sum(seen**2) + 8 * 6 * min(BATCH, len(seen)) * seen.max() ** 2
     return Cost(float(seconds), float(inverses + BYTES_A_POINT * len(xy)))
 
 
