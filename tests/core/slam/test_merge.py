@@ -138,7 +138,7 @@ def test_what_cannot_be_merged_is_refused(gathered: Gathered, tmp_path: Path) ->
         gather([], {}, TERRAIN, tmp_path, count=0, voxel=0.1)
     wide = replace(gathered, high=gathered.low + 1e5)
     with pytest.raises(
-        InputError, match=r"merged map.* cells at 0.1 m, more than .*raise the resolution to 5\.001 m"
+        InputError, match=r"merged map.* at 0.1 m, more than .*raise the resolution to 5\.001 m"
     ):
         merge_maps(wide, TERRAIN, PARAMS, tmp_path)
 
