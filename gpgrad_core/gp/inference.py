@@ -76,10 +76,9 @@ def _faster(
 ) -> Literal["lattice", "tiles"]:
     """Choose the solver that is exact enough and faster; refuse what would cost too much."""
     xy, noise_variance = points[:, :2], np.broadcast_to(np.square(noise_std), len(points))
-    costs = _costs(xy, kernel, noise_variance, accuracy)
+    bits, costs = _costs(xy, kernel, noise_variance, accuracy)
     solver = min(costs, key=lambda one: costs[one].seconds)
-    exact = information(xy, noise_variance, kernel) > BETTER_BY_TILES
-    if exact and costs["tiles"].seconds <= WORTH_SECONDS:
+    if bits > BETTER_BY_TILES and costs["tiles"].seconds <= WORTH_SECONDS:
         solver = "tiles"
     if costs[solver].excess > 1:
         solver = min(costs, key=lambda one: costs[one].excess)
@@ -98,7 +97,8 @@ def _costs(
     kernel: SquaredExponential,
     noise_variance: Float[Array, "n"],
     accuracy: Accuracy,
-) -> dict[Literal["lattice", "tiles"], Cost]:
+) -> tuple[float, dict[Literal["lattice", "tiles"], Cost]]:
+    """Compute the information, and estimate what each solver costs that loses no digits."""
     bits = information(xy, noise_variance, kernel)
     check_solvable(xy, kernel, bits)
     costs: dict[Literal["lattice", "tiles"], Cost] = {
@@ -106,7 +106,7 @@ def _costs(
     }
     if bits <= MOST_INFORMATION_OF_LATTICE:
         costs["lattice"] = lattice.estimate_cost(xy, kernel, bits, accuracy)
-    return costs
+    return bits, costs
 
 
 def _cure(
@@ -120,7 +120,7 @@ def _cure(
     def affordable(some: slice, length_scale: float) -> bool:
         changed = SquaredExponential(kernel.signal_std, length_scale)
         try:
-            costs = _costs(xy[some], changed, noise_variance[some], accuracy)
+            _, costs = _costs(xy[some], changed, noise_variance[some], accuracy)
         except InputError:
             return False
         return min(cost.excess for cost in costs.values()) <= 1
