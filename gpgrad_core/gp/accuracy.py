@@ -5,9 +5,11 @@ from math import log10
 
 INFORMATION_LEFT = 1e4
 """Up to this information the residual need not be smaller."""
+SIGNAL_SEEN = 2.0
+"""From this ratio of signal to noise on the residual need not be smaller."""
 INFORMATION_RIPPLED = 1e6
 """Up to this information the ripple need not be smaller."""
-INFORMATION_NEAR, WIDER_A_DECADE, MOST_WIDER = 1e3, 0.7, 2.0
+INFORMATION_NEAR, WIDER_A_DECADE, MOST_WIDER = 1e3, 0.7, 4.0
 """How much farther a tile sees with each tenfold of the information above the first, and at the
 most [length-scales]. The standard deviation is then within 1.5 %; without, it was 11 % off."""
 
@@ -52,16 +54,18 @@ class Accuracy:
         """Tell the limit on the ripple; a fifth of it where points close together know much."""
         return self.ripple if information <= INFORMATION_RIPPLED else self.ripple / 5
 
-    def residual_of(self, information: float) -> float:
+    def residual_of(self, information: float, signal_to_noise: float) -> float:
         """Tell the residual at which to stop.
 
         Where the points know much, they also say something of places far from them, and their
-        own errors grow on the way there.
+        own errors grow on the way there. Where the noise hides the terrain, slopes are small.
 
         Args:
             information: See `spacing.information`.
+            signal_to_noise: Standard deviation of the terrain, in those of a usual point.
         """
-        return self.residual * min(1.0, (INFORMATION_LEFT / information) ** 0.5)
+        known = (INFORMATION_LEFT / information) ** 0.5
+        return self.residual * min(1.0, known, signal_to_noise / SIGNAL_SEEN)
 
 
 def _wider(information: float) -> float:

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
+from gpgrad_core.gp.spacing import group
 
 
 def bin_points(
@@ -24,11 +25,12 @@ def bin_points(
         The means (b, 3) [m], and the standard deviation of each mean's height (b,) [m].
     """
     cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / cell).astype(np.int64)
-    flat = cells[:, 1] * (cells[:, 0].max() + 1) + cells[:, 0]
-    _, owner = np.unique(flat, return_inverse=True)
+    owner = group(cells[:, ::-1])
     precision = np.broadcast_to(noise_std, len(points)) ** -2.0
     total = np.bincount(owner, precision)
-    means = [np.bincount(owner, precision * points[:, k]) / total for k in range(3)]
+    occupied = total > 0
+    total = total[occupied]
+    means = [np.bincount(owner, precision * points[:, k])[occupied] / total for k in range(3)]
     return np.column_stack(means), 1 / np.sqrt(total)
 
 

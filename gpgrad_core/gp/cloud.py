@@ -48,6 +48,10 @@ class Cloud:
         """Return the chosen points."""
         return Cloud(self.xy[chosen], self.heights[chosen], self.noise_variance[chosen])
 
+    def signal_to_noise(self, signal_std: float) -> float:
+        """Compute the terrain's standard deviation [m] in those of the middle point."""
+        return signal_std / float(np.sqrt(np.median(self.noise_variance)))
+
     def residual_rms(self, residual: Float[Array, "n"]) -> float:
         """Compute the rms of a residual of the heights [m], in units of the noise."""
         return float(np.sqrt(np.mean(residual**2 / self.noise_variance)))

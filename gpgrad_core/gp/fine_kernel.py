@@ -20,7 +20,7 @@ CUT = 1e-4
 """Height at which bumps are cut off, times the information: far below the ripple."""
 FIELD_CUT = 1e-8
 """The same for the bumps of the field, whose cut would show as steps: far below that again."""
-BLOCK = 3.0
+BLOCK = 8.0
 """Side of a block of cells, in reaches of a bump; smaller blocks would see mostly the same bumps,
 and a narrow cloud is one block."""
 MARGIN = 3.5
@@ -63,15 +63,22 @@ class MeanField:
             height: Added to [m].
             slope: Added to, along x and along y [m/m].
         """
+        bands = [
+            (
+                rows,
+                nodes,
+                gaussian(y[rows], self.y.part(nodes), self.length_scale),
+                gaussian_slope(y[rows], self.y.part(nodes), self.length_scale),
+            )
+            for rows, nodes in self._blocks(y, self.y)
+        ]
         for columns, nodes_x in self._blocks(x, self.x):
             along_x = gaussian(x[columns], self.x.part(nodes_x), self.length_scale)
             by_x = gaussian_slope(x[columns], self.x.part(nodes_x), self.length_scale)
-            for rows, nodes_y in self._blocks(y, self.y):
+            for rows, nodes_y, along_y, by_y in bands:
                 weights = self.weights[nodes_y, nodes_x]
                 if not weights.any():  # no point is near
                     continue
-                along_y = gaussian(y[rows], self.y.part(nodes_y), self.length_scale)
-                by_y = gaussian_slope(y[rows], self.y.part(nodes_y), self.length_scale)
                 half = weights @ along_x.T
                 height[rows, columns] += along_y @ half
                 slope[rows, columns, 0] += (along_y @ weights) @ by_x.T

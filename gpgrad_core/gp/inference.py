@@ -19,8 +19,10 @@ from gpgrad_core.types import Array
 
 Solver = Literal["auto", "lattice", "tiles"]
 
-MOST_INFORMATION_OF_LATTICE = 1e7
-"""Beyond this information tiles are taken if they can be: they lose no digits."""
+MOST_INFORMATION_OF_LATTICE = 1e9
+"""Beyond this information the lattice loses digits; tiles do not."""
+BETTER_BY_TILES, WORTH_SECONDS = 1e8, 5.0
+"""From this information on tiles are taken if they are estimated to take no longer than that."""
 
 Posterior: TypeAlias = LatticePosterior | TilePosterior
 """A fitted GP. It has its `kernel`, and samples elevation, variance and slope on any grid."""
@@ -72,11 +74,11 @@ def _faster(
     noise_std: float | Float[Array, "n"],
     accuracy: Accuracy,
 ) -> Literal["lattice", "tiles"]:
-    """Choose the solver that is estimated to be faster; refuse what would cost too much."""
+    """Choose the solver that is exact enough and faster; refuse what would cost too much."""
     xy, noise_variance = points[:, :2], np.broadcast_to(np.square(noise_std), len(points))
-    costs = _costs(xy, kernel, noise_variance, accuracy)
+    bits, costs = _costs(xy, kernel, noise_variance, accuracy)
     solver = min(costs, key=lambda one: costs[one].seconds)
-    if information(xy, noise_variance, kernel) > MOST_INFORMATION_OF_LATTICE:
+    if bits > BETTER_BY_TILES and costs["tiles"].seconds <= WORTH_SECONDS:
         solver = "tiles"
     if costs[solver].excess > 1:
         solver = min(costs, key=lambda one: costs[one].excess)
@@ -95,13 +97,16 @@ def _costs(
     kernel: SquaredExponential,
     noise_variance: Float[Array, "n"],
     accuracy: Accuracy,
-) -> dict[Literal["lattice", "tiles"], Cost]:
+) -> tuple[float, dict[Literal["lattice", "tiles"], Cost]]:
+    """Compute the information, and estimate what each solver costs that loses no digits."""
     bits = information(xy, noise_variance, kernel)
     check_solvable(xy, kernel, bits)
-    return {
-        "tiles": tiles.estimate_cost(xy, kernel, bits, accuracy),
-        "lattice": lattice.estimate_cost(xy, kernel, bits, accuracy),
+    costs: dict[Literal["lattice", "tiles"], Cost] = {
+        "tiles": tiles.estimate_cost(xy, kernel, bits, accuracy)
     }
+    if bits <= MOST_INFORMATION_OF_LATTICE:
+        costs["lattice"] = lattice.estimate_cost(xy, kernel, bits, accuracy)
+    return bits, costs
 
 
 def _cure(
@@ -115,7 +120,7 @@ def _cure(
     def affordable(some: slice, length_scale: float) -> bool:
         changed = SquaredExponential(kernel.signal_std, length_scale)
         try:
-            costs = _costs(xy[some], changed, noise_variance[some], accuracy)
+            _, costs = _costs(xy[some], changed, noise_variance[some], accuracy)
         except InputError:
             return False
         return min(cost.excess for cost in costs.values()) <= 1

@@ -329,7 +329,9 @@ class _PanelFitter:
         if not residual.any():  # perfectly flat ground: there is nothing to solve
             return weights
         inverse_noise = 1 / cloud.noise_variance
-        limit = self.accuracy.residual_of(self.information)
+        limit = self.accuracy.residual_of(
+            self.information, cloud.signal_to_noise(self.kernel.signal_std)
+        )
         steps: list[tuple[Array, Array]] = []  # directions, and their images, which are orthonormal
         for _ in range(MAX_STEPS):
             step = self._precondition(residual, parts)

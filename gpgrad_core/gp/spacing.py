@@ -1,9 +1,9 @@
 """Chooses how fine a lattice must be to represent the kernel, and refuses what is too fine."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from gpgrad_core.arrays import Array
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.kernel import SquaredExponential
 
@@ -12,6 +12,8 @@ SPACINGS = (0.4, 0.8)
 MOST_INFORMATION = 1e10
 """Largest information that is allowed. Beyond it, rounding errors are no longer far below the
 noise."""
+MOST_EMPTY = 4
+"""Largest number of cells that are summed over, in points."""
 MOST_NODES = 16_000_000
 """Largest number of nodes of the finest lattice; an array of as many numbers takes 128 MB."""
 
@@ -29,9 +31,19 @@ def information(
         kernel: Covariance of the terrain.
     """
     cells = np.floor((xy - xy.min(axis=0)) / kernel.length_scale).astype(np.int64)
-    _, owner = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True)
-    densest = np.bincount(owner, weights=1 / noise_variance).max()
+    densest = np.bincount(group(cells), weights=1 / noise_variance).max()
     return max(float(kernel.signal_std**2 * densest * np.pi / 2), 1.0)
+
+
+def group(cells: Int[NDArray[np.int64], "n 2"]) -> Int[NDArray[np.int64], "n"]:
+    """Number the cells (column, row) of points so that sums over them need little memory.
+
+    The numbers ascend by column, then row. Some may belong to no point.
+    """
+    flat = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    if flat.max() < MOST_EMPTY * len(flat):  # sorting takes ten times as long
+        return flat
+    return np.unique(flat, return_inverse=True)[1]
 
 
 def lattice_spacing(length_scale: float, information: float, ripple: float) -> float:

@@ -12,11 +12,14 @@ from gpgrad_core.arrays import Array, NDArray
 Real: TypeAlias = NDArray[np.floating]
 Digits: TypeAlias = type[np.float32] | type[np.float64]
 
+_Chunks: TypeAlias = tuple[int, Float[Array, "chunks 2"], Float[Array, "chunks 2"]]
+"""Number of points in a chunk; the lowest and highest x and y that each chunk reaches [m]."""
+
 POINTS_PER_CHUNK = 512
 """Number of points in a chunk. With smaller chunks two threads bring nothing (measured from 256 to
 2048)."""
-SMALLER_CHUNKS = (POINTS_PER_CHUNK, 128, 32, 8, 2)
-"""Numbers of points in a chunk that are considered."""
+SMALLER_CHUNKS = (128, 32, 8, 2)
+"""Numbers of points in a chunk that are considered for sparse clouds."""
 SECONDS_A_PRODUCT, SECONDS_A_CHUNK = 1e-10, 3e-5
 """Seconds of a product of a node and a point, and of a chunk."""
 LEAST_EXPONENTS: dict[Digits, float] = {np.float32: -36.0, np.float64: -200.0}
@@ -125,15 +128,11 @@ class Splat:
         self._num_points = len(points_xy)
         self._digits = digits
         self._chunks: list[tuple[slice, tuple[slice, slice], Real, Real]] = []
-        size = _chunk_size(points_xy, (x.spacing, y.spacing), reach * width)
-        starts = range(0, len(points_xy), size)
-        # For all chunks at once, because one by one it takes as long as the Gaussians.
-        low = np.minimum.reduceat(points_xy, starts, axis=0) - reach * width
-        high = np.maximum.reduceat(points_xy, starts, axis=0) + reach * width
-        for start, (left, lowest), (right, highest) in zip(
-            starts, low.tolist(), high.tolist(), strict=True
+        size, low, high = _chunks(points_xy, (x.spacing, y.spacing), reach * width)
+        for k, ((left, lowest), (right, highest)) in enumerate(
+            zip(low.tolist(), high.tolist(), strict=True)
         ):
-            points = slice(start, start + size)
+            points = slice(k * size, (k + 1) * size)
             at_x, at_y = points_xy[points].T
             rows, columns = y.within(lowest, highest), x.within(left, right)
             along_y = gaussian(at_y, y.part(rows), width, digits)
@@ -157,23 +156,38 @@ class Splat:
         return sums
 
 
-def _chunk_size(points_xy: Float[Array, "n 2"], spacings: tuple[float, float], reach: float) -> int:
+def _chunks(points_xy: Float[Array, "n 2"], spacings: tuple[float, float], reach: float) -> _Chunks:
     """Choose the number of points in a chunk: fewer where points are so sparse that it is faster.
 
     Args:
         points_xy: Positions (n, 2) [m].
         spacings: Spacings of the lattice along x and y [m].
         reach: Distance beyond which a Gaussian may be left out [m].
+
+    Returns:
+        The number, and the lowest and highest x and y that each chunk reaches [m].
     """
     alone = float(np.prod([2 * reach / spacing + 1 for spacing in spacings]))
-    best, least = POINTS_PER_CHUNK, np.inf
+    floor = 2 * alone * len(points_xy) * SECONDS_A_PRODUCT
+
+    def cost(chunk: _Chunks) -> float:
+        size, low, high = chunk
+        nodes = float(np.prod((high - low) / spacings + 1, axis=1).sum())
+        return 2 * nodes * size * SECONDS_A_PRODUCT + len(low) * SECONDS_A_CHUNK
+
+    chosen = _boxes(points_xy, POINTS_PER_CHUNK, reach)
     for size in SMALLER_CHUNKS:
-        starts = np.arange(0, len(points_xy), size)
-        sides = np.maximum.reduceat(points_xy, starts) - np.minimum.reduceat(points_xy, starts)
-        nodes = np.prod((sides + 2 * reach) / spacings + 1, axis=1).sum()
-        cost = float(2 * nodes * size * SECONDS_A_PRODUCT + len(starts) * SECONDS_A_CHUNK)
-        if cost < least / 2:  # a little less is not worth more chunks
-            best, least = size, cost
-        if least < 4 * alone * len(points_xy) * SECONDS_A_PRODUCT:  # twice that of single points
+        if cost(chosen) < 3 * floor:  # smaller ones hardly reach half of it
             break
-    return best
+        smaller = _boxes(points_xy, size, reach)
+        if cost(smaller) < cost(chosen) / 2:  # a little less is not worth more chunks
+            chosen = smaller
+    return chosen
+
+
+def _boxes(points_xy: Float[Array, "n 2"], size: int, reach: float) -> _Chunks:
+    """Find the box that each chunk of so many points reaches."""
+    starts = np.arange(0, len(points_xy), size)
+    # For all chunks at once, because one by one it takes as long as the Gaussians.
+    low = np.minimum.reduceat(points_xy, starts, axis=0) - reach
+    return size, low, np.maximum.reduceat(points_xy, starts, axis=0) + reach

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy.polynomial.chebyshev import chebvander
 from scipy.linalg.lapack import dtrtri
 from scipy.ndimage import correlate1d
 
@@ -243,7 +244,8 @@ def fit_tiles(
         for batch in executor.map(invert, chunks):
             batches.append(batch)
             progress(0.8 * len(batches) / len(chunks))
-        weights = _sweep(cloud, fine, batches, accuracy.residual_of(bits))
+        limit = accuracy.residual_of(bits, cloud.signal_to_noise(kernel.signal_std))
+        weights = _sweep(cloud, fine, batches, limit)
         if weights is None:
             return None
         field = fine.field(weights)
@@ -271,9 +273,11 @@ def estimate_cost(
     image = np.zeros((int(cells[:, 1].max()) + 1, columns))
     image.flat[tiles] = counts
     # A halo takes its share of the neighbours' points.
-    share = min(accuracy.tile_halo_of(information) / TILE, 1.0)
+    halo = accuracy.tile_halo_of(information) / TILE
+    near, next_but_one = min(halo, 1.0), max(halo - 1.0, 0.0)
     for axis in (0, 1):
-        image = correlate1d(image, [share, 1.0, share], axis=axis, mode="constant")
+        weights = [next_but_one, near, 1.0, near, next_but_one]
+        image = correlate1d(image, weights, axis=axis, mode="constant")
     seen = image.flat[tiles]
     seconds = (
         SECONDS
@@ -283,7 +287,7 @@ def estimate_cost(
     )
     digits = 4 if information <= MOST_INFORMATION_IN_SINGLE else 8
     # While they are inverted, a batch of them on each thread takes several times its size.
-    inverses = digits * np.sum(seen**2) + 8 * 10 * BATCH * seen.max() ** 2
+    inverses = digits * np.sum(seen**2) + 8 * 6 * min(BATCH, len(seen)) * seen.max() ** 2
     return Cost(float(seconds), float(inverses + BYTES_A_POINT * len(xy)))
 
 
@@ -420,8 +424,8 @@ def _interpolation(
     # Values at the nodes to coefficients of Chebyshev's polynomials, and these to the values.
     coefficients = np.cos(order[:, None] * angles) * 2 / count
     coefficients[0] /= 2
-    place = np.arccos(np.clip((at - middle) / half, -1.0, 1.0))
-    return middle + half * np.cos(angles), np.cos(place[..., None] * order) @ coefficients
+    polynomials = chebvander((at - middle) / half, count - 1)
+    return middle + half * np.cos(angles), polynomials @ coefficients
 
 
 def _sweep(

@@ -78,8 +78,10 @@ def run_apart(kind: str, seed: int, most_points: int) -> Outcome:
     try:
         verdict, said, seconds, peak = mine.recv()
     except EOFError:
-        verdict, said, seconds, peak = "over", "ended at the limit", float(ENDED_AFTER), 0
+        verdict, said, seconds, peak = "over", "ended", float(ENDED_AFTER), 0
     child.join()
+    if said == "ended":
+        said = f"ended with exit code {child.exitcode}"
     if verdict == "result" and (seconds > MOST_SECONDS or peak > MOST_BYTES):
         verdict = "over"
     return Outcome(kind, seed, verdict, seconds, peak, said)
