@@ -73,6 +73,7 @@ class ProtocolPage:
             subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
             max_size=None,
             compression=None,
+            open_timeout=60,  # the machine may be busy
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
