@@ -28,8 +28,8 @@ MEMO_SHARE = 0.5
 """Of the budget for the memo's arrays: its bound between two measurements."""
 RELIEVED = 0.92
 """Relief goes down to this share of the budget, so that it is not needed again at once."""
-HELPER_SHARE = 0.15
-"""The helper is replaced when it holds so much of the budget more than when it began."""
+HELPER_SHARE = 0.35
+"""A helper that holds more of the budget is replaced; it begins with 150 MB."""
 MEASURE_EVERY = 1.0
 """Seconds between two measurements."""
 LONGEST_PAUSE = 16.0
@@ -112,7 +112,6 @@ class MemoryKeeper:
         """
         self.budget = budget
         self._memo, self._helper, self._on_full = memo, helper, on_full
-        self._fresh: tuple[int, int] | None = None  # number of the helper's process, bytes
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="memory", daemon=True)
         self._thread.start()
@@ -130,8 +129,7 @@ class MemoryKeeper:
         """Give memory back until the budget is kept, as far as possible; measures after [bytes]."""
         target = RELIEVED * self.budget
         self._give_back()
-        if self.measure() > target and self._helper_holds_too_much():
-            assert self._helper is not None
+        if self._helper is not None and self._of_helper() > HELPER_SHARE * self.budget:
             self._helper.restart()
         while (held := self.measure()) > target and self._memo.num_bytes:
             self._memo.drop_to(max(0, round(self._memo.num_bytes - (held - target))))
@@ -162,17 +160,7 @@ class MemoryKeeper:
         give_back()
 
     def _of_helper(self) -> int:
-        if self._helper is None:
-            return 0
-        process = self._helper.process_id
-        held = resident(process)
-        if self._fresh is None or self._fresh[0] != process or held < self._fresh[1]:
-            self._fresh = process, held
-        return held
-
-    def _helper_holds_too_much(self) -> bool:
-        held = self._of_helper()
-        return self._fresh is not None and held - self._fresh[1] > HELPER_SHARE * self.budget
+        return 0 if self._helper is None else resident(self._helper.process_id)
 
 
 def _limits() -> list[int]:
