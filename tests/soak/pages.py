@@ -3,7 +3,6 @@
 import random
 import threading
 import time
-import uuid
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -71,13 +70,6 @@ class SoakPage(ProtocolPage):
         if self.can(label):
             options = self.find(label)["props"]["options"]
             self.set(label, rng.choice(options))
-
-    def upload(self, label: str, name: str, content: bytes) -> None:
-        """Send a file in one part."""
-        ids = {"source_component_uuid": self.find(label)["uuid"], "transfer_uuid": uuid.uuid4().hex}
-        about = {"filename": name, "mime_type": "", "part_count": 1, "size_bytes": len(content)}
-        self.send({"type": "FileTransferStartUpload", **ids, **about})
-        self.send({"type": "FileTransferPart", **ids, "part_index": 0, "content": content})
 
     def ping(self) -> float:
         """Measure how long the viewer takes to answer [s]."""
