@@ -211,6 +211,11 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
         super().__init__(prefix=prefix, dir=directory, ignore_cleanup_errors=True)
         self._lock = claim(Path(self.name), prefix)
 
+    def cleanup(self) -> None:
+        """Remove the folder, and let go of its lock, which is an open file."""
+        super().cleanup()
+        self._lock.release()
+
 
 def claim(own: Path, prefix: str) -> ProcessLock:
     """Lock a temporary folder, and remove the folders beside it whose processes were killed.

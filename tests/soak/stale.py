@@ -44,7 +44,8 @@ def ask_and_compare(pages: Sequence[SoakPage], rng: random.Random) -> list[str]:
         shown = {label: page.find(label)["value"] for label in asked}
         if shown != asked:
             found.append(f"page {number} has {shown}, asked was {asked}")
-    saved = parse_session(first.save_session(), "saved")
+    text = first.save_session()
+    saved = parse_session(text, "saved")
     paths = {label: path for path, label in MAIN_PARAMETERS.items()}
     held = {label: get_path(saved.params, paths[label]) for label in asked}
     if held != asked:
@@ -54,7 +55,10 @@ def ask_and_compare(pages: Sequence[SoakPage], rng: random.Random) -> list[str]:
         drawn = _drawn(page)
         different = [name for name in fresh if fresh[name] != drawn.get(name)]
         if different:
-            found.append(f"page {number} shows another {', '.join(different)}")
+            found.append(
+                f"page {number} shows another {', '.join(different)}: {drawn.get('verdict')} "
+                f"instead of {fresh['verdict']}, for {text.decode()}"
+            )
     return found
 
 
@@ -64,11 +68,17 @@ def _settle(pages: Sequence[SoakPage]) -> bool:
     while time.monotonic() < end:
         before = [page.num_bytes for page in pages]
         time.sleep(QUIET)
-        if before == [page.num_bytes for page in pages] and all(
-            "Up to date" in _status(page) for page in pages
-        ):
+        if before == [page.num_bytes for page in pages] and all(_rests(page) for page in pages):
             return True
     return False
+
+
+def _rests(page: ProtocolPage) -> bool:
+    """Say whether the picture is made, and no bar shows that other work goes on."""
+    return "Up to date" in _status(page) and not any(
+        one["type"] == "GuiProgressBarMessage" and one["props"]["visible"]
+        for one in list(page.widgets.values())
+    )
 
 
 def _status(page: ProtocolPage) -> str:

@@ -2,6 +2,7 @@
 
 import os
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -178,6 +179,19 @@ def test_temporary_folders_of_killed_processes_are_removed(tmp_path: Path) -> No
                 *(Path(first).name, Path(second).name),
             }
     assert names(tmp_path) == ["gpgrad-x-2", "other-1"]
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="counts open files in /proc")
+def test_of_a_temporary_folder_no_open_file_stays(tmp_path: Path) -> None:
+    def held() -> list[str]:
+        with suppress(OSError):
+            return [str(one.readlink()) for one in Path("/proc/self/fd").iterdir()]
+        return held()  # one was closed meanwhile
+
+    for _ in range(2):
+        with TemporaryFolder("gpgrad-x-", tmp_path) as folder:
+            assert folder in held()
+    assert not [name for name in held() if str(tmp_path) in name]
 
 
 def test_a_mounted_folder_is_filled_not_replaced(
