@@ -10,11 +10,14 @@ from typing_extensions import Doc
 
 from app.cli.inputs import (
     ALL_PARAMS,
+    USERS_CACHE,
     AllParams,
+    Cache,
     DatasetPath,
     ParamsFile,
     base_params,
     load,
+    open_store,
     settled,
 )
 from app.cli.outputs import Overwrite
@@ -54,6 +57,7 @@ class Detect:
         tyro.conf.arg(metavar="QUERY DATABASE", help_behavior_hint="(default: all pairs)"),
     ] = None
     overwrite: Overwrite = False
+    cache: Cache = USERS_CACHE
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
@@ -64,6 +68,7 @@ class Detect:
         if self.g2o:
             check_output(self.g2o, (".g2o",), overwrite=self.overwrite)
         check_apart([self.out, self.g2o], [self.dataset, self.params])
+        store = open_store(self.cache)
         dataset = load(self.dataset)
         asked, whole = self.pipeline.over(base_params(dataset, self.params)), dataset.submaps
         if self.pair:
@@ -71,7 +76,7 @@ class Detect:
         if self.g2o:
             odometry_poses(dataset)  # refuses a dataset without odometry before the work
         if method.fitted:  # to the whole dataset, so that a single pair gets the same verdict
-            asked = settled(asked, whole, dataset.name)
+            asked = settled(asked, whole, dataset.name, store)
         params = method.adapt(asked)
         num_pairs = math.comb(len(dataset.submaps), 2)
         with progress_bar("pairs") as progress, workers(num_workers(), num_pairs) as executor:

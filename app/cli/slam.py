@@ -10,7 +10,16 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given
-from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, settled
+from app.cli.inputs import (
+    ALL_PARAMS,
+    USERS_CACHE,
+    AllParams,
+    Cache,
+    ParamsFile,
+    base_params,
+    open_store,
+    settled,
+)
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import outline_dataset
@@ -87,6 +96,7 @@ class Slam:
     )
     merged: Annotated[Given[MergeParams], Doc("The merged cloud and map.")] = Given(MergeParams)
     overwrite: Overwrite = False
+    cache: Cache = USERS_CACHE
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
@@ -95,6 +105,7 @@ class Slam:
         check_directory(self.out)
         if self.search_radius is not None and not self.search_radius > 0:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
+        store = open_store(self.cache)
         joined = join_datasets([outline_dataset(path) for path in self.datasets])
         self._check_out(joined)
         dataset = joined.outline.dataset
@@ -106,7 +117,7 @@ class Slam:
         params = self.pipeline.over(base_params(dataset, self.params))
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
         some = [joined.load(k)[0] for k in representative(len(dataset.submaps))]
-        params = settled(params, some, dataset.name)
+        params = settled(params, some, dataset.name, store)
         with whole_folder(self.out, earlier=self._names(joined)) as folder:
             self._check_out(joined)  # another process may just have ended
             closures = given

@@ -10,7 +10,17 @@ import tyro
 from platformdirs import user_config_path
 from typing_extensions import Doc
 
-from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load, settled
+from app.cli.inputs import (
+    ALL_PARAMS,
+    USERS_CACHE,
+    AllParams,
+    Cache,
+    ParamsFile,
+    base_params,
+    load,
+    open_store,
+    settled,
+)
 from app.cli.terminal import say, warn
 from app.viewer.door.admission import Admission, as_origin, check_token, is_loopback
 from app.viewer.permissions import Permissions
@@ -85,6 +95,7 @@ class View:
         Doc("Folder of the presets and of the list of recent datasets."),
         tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: the user's own)"),
     ] = None
+    cache: Cache = USERS_CACHE
     max_upload: Annotated[int, Doc("Size of the largest file that a page may upload, in MB.")] = 200
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
@@ -99,13 +110,14 @@ class View:
             raise InputError(f"--max-upload must be 1 MB or more, got {self.max_upload}")
         saved = None if self.state is None else read_session(self.state)
         source = self.dataset or (saved and saved.dataset) or demo_path()
+        store = open_store(self.cache)
         dataset = load(source)
         base = base_params(dataset, None if saved else self.params)
         start = base
         if saved is not None:
             saved.check(dataset)
             start = read_parameters(self.params, saved.params) if self.params else saved.params
-        params = settled(self.pipeline.over(start), dataset.submaps, dataset.name)
+        params = settled(self.pipeline.over(start), dataset.submaps, dataset.name, store)
         viewer = Viewer(
             dataset,
             params if saved is None else base,
@@ -120,6 +132,7 @@ class View:
                 max_upload=1_000_000 * self.max_upload,
             ),
             admission=admission,
+            store=store,
         )
         try:
             say(f"{dataset.name} is at {viewer.link} (Ctrl-C ends)")

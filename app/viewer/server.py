@@ -22,6 +22,7 @@ from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, resolve_parameters
 from gpgrad_core.run.helper import start_helper
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.store import Store
 from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.types import Dataset
 
@@ -49,6 +50,7 @@ class Viewer:
         permissions: Permissions = READ_ALL,
         admission: Admission | None = None,
         limits: Limits | None = None,
+        store: Store | None = None,
     ) -> None:
         """Start serving; returns at once.
 
@@ -68,16 +70,17 @@ class Viewer:
             admission: Who may come in; None lets in the viewer's own pages only, with a token where
                 other machines can reach the host.
             limits: How much pages may ask.
+            store: Keeps the fits of datasets for later runs.
 
         Raises:
             InputError: If the dataset prefers parameters that there are not.
         """
         start = params if params is not None else preferred_parameters(dataset, PipelineParams())
-        start = resolve_parameters(dataset.submaps, start)
+        self._memo = Memo(MEMO_BYTES, store)
+        start = resolve_parameters(dataset.submaps, start, self._memo)
         self._opened = Opened(dataset, start, source, saved)
         self._uploads = TemporaryFolder("gpgrad-uploads-")
         self._permissions = replace(permissions, uploads=Path(self._uploads.name))
-        self._memo = Memo(MEMO_BYTES)
         self._capacity = Capacity(helper=start_helper())
         self._lock = threading.Lock()
         self._closed = threading.Event()
