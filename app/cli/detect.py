@@ -19,13 +19,14 @@ from app.cli.inputs import (
     load,
     open_store,
     settled,
+    tell_damaged,
 )
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import check_apart, check_output, report_closures, write_closures
-from gpgrad_core.pipeline import detect_loop_closures
+from gpgrad_core.pipeline import detect_loop_closures, keeping
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
@@ -83,10 +84,11 @@ class Detect:
             result = detect_loop_closures(
                 dataset,
                 params,
-                detector=method.detector(params, Memo()),
+                detector=keeping(method.detector(params, Memo()), store),
                 executor=executor,
                 progress=progress,
             )
+        tell_damaged(store)
         report = report_closures(dataset, result, params, method=method.name)
         write_closures(self.out, report)
         if self.g2o:

@@ -19,6 +19,7 @@ from app.cli.inputs import (
     base_params,
     load,
     open_store,
+    tell_damaged,
 )
 from app.cli.outputs import Overwrite
 from app.cli.terminal import progress_bar, say, warn
@@ -114,6 +115,7 @@ class Evaluate:
                 found = run_methods(
                     dataset, methods, params, executor=executor, store=store, progress=progress
                 )
+            tell_damaged(store)
             evaluation = evaluate(
                 dataset,
                 found | rivals,

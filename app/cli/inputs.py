@@ -8,7 +8,7 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given
-from app.cli.terminal import progress_bar, say, warn
+from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import load_dataset
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, describe_choice, is_resolved, resolve_parameters
@@ -71,6 +71,12 @@ def open_store(cache: str) -> Store | None:
     if cache == NO_CACHE:
         return None
     return Store() if cache == USERS_CACHE else Store(Path(cache))
+
+
+def tell_damaged(store: Store | None) -> None:
+    """Report the kept results that were damaged."""
+    if store is not None and (damaged := store.take_damaged()):
+        warn(f"{store.folder}: {count(damaged, 'kept result')} damaged, and made anew")
 
 
 def settled(

@@ -19,6 +19,7 @@ from app.cli.inputs import (
     base_params,
     open_store,
     settled,
+    tell_damaged,
 )
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
@@ -35,6 +36,7 @@ from gpgrad_core.outputs import (
 )
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.run.progress import part
+from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.slam import (
@@ -122,7 +124,8 @@ class Slam:
             self._check_out(joined)  # another process may just have ended
             closures = given
             if closures is None:
-                closures = self._detect(joined, params, graph, solver, folder)
+                closures = self._detect(joined, params, graph, solver, folder, store)
+            tell_damaged(store)
             solution = solve_datasets(joined, closures, graph, solver)
             with progress_bar("judge") as progress:
                 errors = measure_errors(solution, progress)
@@ -155,6 +158,7 @@ class Slam:
         graph: GraphParams,
         solver: SolverParams,
         folder: Path,
+        store: Store | None,
     ) -> tuple[LoopClosure, ...]:
         """Find the closures submap by submap, and keep them beside the results."""
         total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
@@ -162,7 +166,12 @@ class Slam:
             progress_bar("closures") as progress,
             ThreadPoolExecutor(num_workers()) as executor,
             LoopCloser(
-                params, graph, solver, search_radius=self.search_radius, executor=executor
+                params,
+                graph,
+                solver,
+                search_radius=self.search_radius,
+                executor=executor,
+                store=store,
             ) as closer,
         ):
             for k in range(total):

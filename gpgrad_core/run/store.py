@@ -40,7 +40,8 @@ LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless")
 SCHEMA = """
 create table if not exists kept (
     key text primary key, used real not null, bytes integer not null, packed blob
-) without rowid
+) without rowid;
+create table if not exists damaged (key text)
 """
 
 
@@ -55,7 +56,7 @@ class Store:
     An entry belongs to the code and the library versions that made it: after an update the results
     are made anew. When the store is full, the entries that were not used for the longest time are
     dropped. Several processes and threads can share a folder. An entry that is damaged is made
-    anew and counted.
+    anew and counted, for `take_damaged`.
 
     No library does this: those that keep results on disk read them back as pickles, which run what
     a stranger wrote into them.
@@ -75,7 +76,6 @@ class Store:
         """
         self.folder = default_folder() if folder is None else folder
         self.max_bytes = max_bytes
-        self.num_damaged = 0
         self._added: int | None = None  # bytes since there was room for sure
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(f"{self.folder}: is a file; name a folder for the kept results")
@@ -116,15 +116,28 @@ class Store:
         try:
             return unpack(packed)
         except Damaged:
-            self.num_damaged += 1
             self._drop(key)
             return None
 
-    def put(self, key: str, result: object) -> None:
-        """Keep a result; nothing happens if the disk is full or the folder cannot be written."""
+    def holds(self, key: str) -> bool:
+        """Tell whether a result is kept; it may still turn out to be damaged."""
+        try:
+            with self._index() as index:
+                query = "select packed is null from kept where key = ?"
+                row = index.execute(query, (key,)).fetchone()
+            return row is not None and (not row[0] or self._file(key).exists())
+        except (OSError, sqlite3.Error):
+            return False
+
+    def put(self, key: str, result: object) -> bool:
+        """Keep a result.
+
+        Returns:
+            Whether it is kept now: not if the disk is full or the folder cannot be written.
+        """
         packed = pack(result)
         inline = len(packed) <= INLINE
-        with contextlib.suppress(OSError, sqlite3.Error):
+        try:
             self.folder.mkdir(parents=True, exist_ok=True)
             with self._index() as index:
                 index.execute(
@@ -139,6 +152,17 @@ class Store:
             # entry would never be dropped.
             if not inline:
                 self._write(self._file(key), packed)
+        except (OSError, sqlite3.Error):
+            return False
+        return True
+
+    def take_damaged(self) -> int:
+        """Count the entries that any process has found damaged, and forget that number."""
+        try:
+            with self._index() as index:
+                return index.execute("delete from damaged").rowcount
+        except (OSError, sqlite3.Error):
+            return 0
 
     def _write(self, file: Path, packed: bytes) -> None:
         """Write a file under another name first, so that others never read half of it."""
@@ -180,6 +204,7 @@ class Store:
         with contextlib.suppress(OSError, sqlite3.Error):
             with self._index() as index:
                 index.execute("delete from kept where key = ?", (key,))
+                index.execute("insert into damaged values (?)", (key,))
             self._file(key).unlink(missing_ok=True)
 
     def _file(self, key: str) -> Path:
@@ -193,14 +218,15 @@ class Store:
             raise FileNotFoundError(self.folder)
         try:
             connection = sqlite3.connect(file, timeout=WAIT)
-            connection.execute(SCHEMA)
+            connection.executescript(SCHEMA)
         except sqlite3.OperationalError:  # locked, read-only or full: not damaged
             raise
         except sqlite3.DatabaseError:
-            self.num_damaged += 1
             file.unlink(missing_ok=True)
             connection = sqlite3.connect(file, timeout=WAIT)
-            connection.execute(SCHEMA)
+            connection.executescript(SCHEMA)
+            connection.execute("insert into damaged values (?)", (INDEX,))
+            connection.commit()
         with contextlib.closing(connection), connection:
             connection.execute("pragma synchronous = off")  # what a power cut damages is made anew
             yield connection

@@ -105,7 +105,8 @@ def test_a_damaged_entry_is_made_anew_and_counted(store: Store, size: int) -> No
             index.execute("update kept set packed = ?", (b"not an archive",))
         index.close()
     assert store(make, "a")[0] == 2
-    assert store.num_damaged == 1
+    assert Store(store.folder).take_damaged() == 1
+    assert store.take_damaged() == 0
     assert store(make, "a")[0] == 2
     assert make.count == 2
 
@@ -127,7 +128,7 @@ def test_an_index_that_is_no_database_is_made_anew(store: Store) -> None:
     store(make, "a")
     store(make, "a")
     assert make.count == 2
-    assert store.num_damaged == 1
+    assert store.take_damaged() == 1
 
 
 def test_what_a_killed_process_left_is_removed(store: Store) -> None:
@@ -172,7 +173,7 @@ def _put_many(folder: Path, start: int) -> int:
     store = Store(folder)
     for k in range(40):
         store(Counted(LARGE if k % 5 == 0 else 10), start + k)
-    return store.num_damaged
+    return store.take_damaged()
 
 
 def test_processes_share_a_folder(tmp_path: Path) -> None:
