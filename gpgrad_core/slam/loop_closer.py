@@ -168,11 +168,7 @@ class LoopCloser:
             raise InputError(f"submap {submap.id} has no odometry pose, which a pose graph needs")
         if submap.id in self._poses:
             raise InputError(f"submap {submap.id} was already added; ids must differ")
-        if self._detector is None:
-            memo = Memo(MEMO_BYTES, self._store)
-            self._params = resolve_parameters([submap], self._params, memo)
-            self._detector = keeping(MapDetector(self._params, memo), self._store)
-        detector = self._detector
+        detector = self._detector_for(submap)
         number = self._traverses[-1] + starts_traverse if self._traverses else 0
         predicted = self._predicted(submap.pose_odometry, starts_traverse=starts_traverse)
         made = side_by_side(detector.infer, [submap], None, part(progress, 0.0, 0.4))[0]
@@ -200,6 +196,14 @@ class LoopCloser:
         if solve and any(closure.accepted for closure in closures):
             self._poses = dict(self.result.poses)
         return Step(closures, dict(self._poses))
+
+    def _detector_for(self, submap: Submap) -> StagedDetector:
+        """Return the detector; the first submap determines its automatic parameters."""
+        if self._detector is None:
+            memo = Memo(MEMO_BYTES, self._store)
+            self._params = resolve_parameters([submap], self._params, memo)
+            self._detector = keeping(MapDetector(self._params, memo), self._store)
+        return self._detector
 
     def _predicted(self, odometry: Pose, *, starts_traverse: bool) -> Pose:
         """Predict the next pose by odometry from the last submap's."""

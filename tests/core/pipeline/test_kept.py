@@ -42,9 +42,8 @@ def seen(ground: Ground, x: float, seed: int) -> Submap:
 
 
 GROUND = Ground.random(3, shortest=0.7, std=0.2)
-DATASET = Dataset(
-    "here and there", tuple(seen(GROUND, x, k) for k, x in enumerate((0, 0.5, 30, 1)))
-)
+PLACES = (0.0, 0.5, 30.0, 1.0)
+DATASET = Dataset("a traverse", tuple(seen(GROUND, x, k) for k, x in enumerate(PLACES)))
 
 
 class Counting(MapDetector):
