@@ -10,7 +10,17 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given
-from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load
+from app.cli.inputs import (
+    ALL_PARAMS,
+    USERS_CACHE,
+    AllParams,
+    Cache,
+    ParamsFile,
+    base_params,
+    load,
+    open_store,
+    tell_damaged,
+)
 from app.cli.outputs import Overwrite
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.evaluation import (
@@ -78,6 +88,7 @@ class Evaluate:
     ] = False
     evaluation: Annotated[Given[EvaluationParams], tyro.conf.arg(name="")] = Given(EvaluationParams)
     overwrite: Overwrite = False
+    cache: Cache = USERS_CACHE
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
@@ -89,6 +100,7 @@ class Evaluate:
         methods = [find_method(name) for name in names]
         self._check_out(names)
         rivals = read_rivals(self.closures, taken=names)
+        store = open_store(self.cache)
         dataset = load(self.dataset)
         params = self.pipeline.over(base_params(dataset, self.params))
         if self.seed is not None:
@@ -100,7 +112,10 @@ class Evaluate:
         with whole_folder(self.out, earlier=REPORT) as folder:
             self._check_out(names)  # another process may just have ended
             with progress_bar("evaluate") as progress, workers(num_workers(), num_jobs) as executor:
-                found = run_methods(dataset, methods, params, executor=executor, progress=progress)
+                found = run_methods(
+                    dataset, methods, params, executor=executor, store=store, progress=progress
+                )
+            tell_damaged(store)
             evaluation = evaluate(
                 dataset,
                 found | rivals,

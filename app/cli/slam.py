@@ -10,7 +10,17 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given
-from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, settled
+from app.cli.inputs import (
+    ALL_PARAMS,
+    USERS_CACHE,
+    AllParams,
+    Cache,
+    ParamsFile,
+    base_params,
+    open_store,
+    settled,
+    tell_damaged,
+)
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import outline_dataset
@@ -26,6 +36,7 @@ from gpgrad_core.outputs import (
 )
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.run.progress import part
+from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.slam import (
@@ -87,6 +98,7 @@ class Slam:
     )
     merged: Annotated[Given[MergeParams], Doc("The merged cloud and map.")] = Given(MergeParams)
     overwrite: Overwrite = False
+    cache: Cache = USERS_CACHE
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
@@ -95,6 +107,7 @@ class Slam:
         check_directory(self.out)
         if self.search_radius is not None and not self.search_radius > 0:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
+        store = open_store(self.cache)
         joined = join_datasets([outline_dataset(path) for path in self.datasets])
         self._check_out(joined)
         dataset = joined.outline.dataset
@@ -106,12 +119,13 @@ class Slam:
         params = self.pipeline.over(base_params(dataset, self.params))
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
         some = [joined.load(k)[0] for k in representative(len(dataset.submaps))]
-        params = settled(params, some, dataset.name)
+        params = settled(params, some, dataset.name, store)
         with whole_folder(self.out, earlier=self._names(joined)) as folder:
             self._check_out(joined)  # another process may just have ended
             closures = given
             if closures is None:
-                closures = self._detect(joined, params, graph, solver, folder)
+                closures = self._detect(joined, params, graph, solver, folder, store)
+            tell_damaged(store)
             solution = solve_datasets(joined, closures, graph, solver)
             with progress_bar("judge") as progress:
                 errors = measure_errors(solution, progress)
@@ -144,6 +158,7 @@ class Slam:
         graph: GraphParams,
         solver: SolverParams,
         folder: Path,
+        store: Store | None,
     ) -> tuple[LoopClosure, ...]:
         """Find the closures submap by submap, and keep them beside the results."""
         total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
@@ -151,7 +166,12 @@ class Slam:
             progress_bar("closures") as progress,
             ThreadPoolExecutor(num_workers()) as executor,
             LoopCloser(
-                params, graph, solver, search_radius=self.search_radius, executor=executor
+                params,
+                graph,
+                solver,
+                search_radius=self.search_radius,
+                executor=executor,
+                store=store,
             ) as closer,
         ):
             for k in range(total):

@@ -11,7 +11,17 @@ import tyro
 from platformdirs import user_config_path
 from typing_extensions import Doc
 
-from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load, settled
+from app.cli.inputs import (
+    ALL_PARAMS,
+    USERS_CACHE,
+    AllParams,
+    Cache,
+    ParamsFile,
+    base_params,
+    load,
+    open_store,
+    settled,
+)
 from app.cli.terminal import say, warn
 from app.viewer.door.admission import Admission, as_origin, check_token, is_loopback
 from app.viewer.memory import read_size, shown
@@ -87,6 +97,7 @@ class View:
         Doc("Folder of the presets and of the list of recent datasets."),
         tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: the user's own)"),
     ] = None
+    cache: Cache = USERS_CACHE
     max_upload: Annotated[int, Doc("Size of the largest file that a page may upload, in MB.")] = 200
     memory: Annotated[
         str | None,
@@ -112,13 +123,14 @@ class View:
         memory = None if self.memory is None else read_size(self.memory)
         saved = None if self.state is None else read_session(self.state)
         source = self.dataset or (saved and saved.dataset) or demo_path()
+        store = open_store(self.cache)
         dataset = load(source)
         base = base_params(dataset, None if saved else self.params)
         start = base
         if saved is not None:
             saved.check(dataset)
             start = read_parameters(self.params, saved.params) if self.params else saved.params
-        params = settled(self.pipeline.over(start), dataset.submaps, dataset.name)
+        params = settled(self.pipeline.over(start), dataset.submaps, dataset.name, store)
         viewer = Viewer(
             dataset,
             params if saved is None else base,
@@ -135,6 +147,7 @@ class View:
             admission=admission,
             memory=memory,
             on_full=warn,
+            store=store,
         )
         # A page may leave while its picture is drawn: that is no news for the terminal.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)

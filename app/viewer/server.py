@@ -24,6 +24,7 @@ from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, resolve_parameters
 from gpgrad_core.run.helper import start_helper
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.store import Store
 from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.types import Dataset
 
@@ -51,6 +52,7 @@ class Viewer:
         limits: Limits | None = None,
         memory: int | None = None,
         on_full: Callable[[str], None] | None = None,
+        store: Store | None = None,
     ) -> None:
         """Start serving; returns at once.
 
@@ -73,17 +75,18 @@ class Viewer:
             memory: Budget for this process and its helper together [bytes]; None takes a share of
                 the machine's.
             on_full: Told once, in a sentence, when the budget cannot be kept.
+            store: Keeps the fits of datasets for later runs.
 
         Raises:
             InputError: If the dataset prefers parameters that there are not.
         """
         start = params if params is not None else preferred_parameters(dataset, PipelineParams())
-        start = resolve_parameters(dataset.submaps, start)
+        budget = default_budget() if memory is None else memory
+        self._memo = Memo(round(MEMO_SHARE * budget), store)
+        start = resolve_parameters(dataset.submaps, start, self._memo)
         self._opened = Opened(dataset, start, source, saved)
         self._uploads = TemporaryFolder("gpgrad-uploads-")
         self._permissions = replace(permissions, uploads=Path(self._uploads.name))
-        budget = default_budget() if memory is None else memory
-        self._memo = Memo(round(MEMO_SHARE * budget))
         self._capacity = Capacity(helper=start_helper())
         self._memory = MemoryKeeper(budget, self._memo, self._capacity.helper, on_full)
         self._lock = threading.Lock()

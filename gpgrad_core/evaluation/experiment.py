@@ -10,6 +10,7 @@ from gpgrad_core.outputs import ClosureReport, read_closures, report_closures
 from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run.store import Store
 from gpgrad_core.types import Dataset
 
 
@@ -19,6 +20,7 @@ def run_methods(
     params: PipelineParams | None = None,
     *,
     executor: Executor | None = None,
+    store: Store | None = None,
     progress: Progress = silent,
 ) -> dict[str, ClosureReport]:
     """Detect the loop closures of a dataset with each of several methods.
@@ -31,6 +33,7 @@ def run_methods(
         methods: The methods to run.
         params: Parameters, which each method adapts to its needs.
         executor: Threads or processes that share the work.
+        store: Keeps the fit for later runs.
         progress: Called from this thread with the fraction done; may raise Cancelled.
 
     Returns:
@@ -45,7 +48,7 @@ def run_methods(
         if names.count(name) > 1:
             raise InputError(f"method {name!r} is given twice; give it once")
     reports: dict[str, ClosureReport] = {}
-    fits = Memo()
+    fits = Memo(store=store)
     for k, method in enumerate(methods):
         adapted = method.settle(dataset.submaps, params, fits)
         result = detect_loop_closures(

@@ -63,7 +63,8 @@ class Served:
             self.process = subprocess.Popen(
                 [
                     *(sys.executable, "-m", "app", "view", "--no-open", "--port", "0"),
-                    *("--memory", memory, "--config", str(folder / name), *flags),
+                    *("--memory", memory, "--config", str(folder / name)),
+                    *("--cache", str(folder / f"{name} cache"), *flags),
                 ],
                 stdout=subprocess.PIPE,
                 stderr=log,

@@ -184,9 +184,11 @@ def test_temporary_folders_of_killed_processes_are_removed(tmp_path: Path) -> No
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="counts open files in /proc")
 def test_of_a_temporary_folder_no_open_file_stays(tmp_path: Path) -> None:
     def held() -> list[str]:
-        with suppress(OSError):
-            return [str(one.readlink()) for one in Path("/proc/self/fd").iterdir()]
-        return held()  # one was closed meanwhile
+        found: list[str] = []
+        for one in Path("/proc/self/fd").iterdir():
+            with suppress(OSError):  # the one that lists them
+                found.append(str(one.readlink()))
+        return found
 
     for _ in range(2):
         with TemporaryFolder("gpgrad-x-", tmp_path) as folder:
