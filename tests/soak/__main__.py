@@ -199,6 +199,11 @@ def compare(people: Sequence[Person], rng: random.Random, report: Report) -> Non
         there = [person.page for person in people if person.page is not None]
         found = ask_and_compare(there, rng)
         report.num_checks += 1
+        print(  # noqa: T201
+            f"{time.strftime('%H:%M:%S')} comparison {report.num_checks}: {len(found)} stale",
+            file=sys.stderr,
+            flush=True,
+        )
         report.stale += found
         for line in found:
             print(f"stale: {line}", file=sys.stderr, flush=True)  # noqa: T201
