@@ -131,12 +131,12 @@ def test_beyond_the_budget_the_oldest_results_go_and_their_memory_too(
     memo = Memo()
     before = resident(os.getpid())
     start(before + 100 * MB, memo, None)
-    for number in range(12):
+    for number in range(8):
         memo(ones, 20, number)
         time.sleep(0.02)
     wait(lambda: resident(os.getpid()) <= before + 105 * MB, "memory to be given back")
     assert 0 < memo.num_bytes <= 110 * MB
-    assert memo.holds(ones, 20, 11)
+    assert memo.holds(ones, 20, 7)
     assert not memo.holds(ones, 20, 0)
 
 

@@ -1,4 +1,6 @@
+import gc
 import socket
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 
@@ -108,12 +110,15 @@ def test_a_separate_session_ends_with_its_page(serve: Serve, visit: Visit) -> No
     viewer = serve("separate")
     first, second = visit(viewer), visit(viewer)
     (gone, _) = viewer.sessions
+    known = weakref.ref(gone)
     first.set("Length-scale", 0.5)
     first.close()  # in the middle
     second.wait(lambda: len(viewer.sessions) == 1, "the other session's end")
     second.wait(lambda: not gone.pair._runner._thread.is_alive(), "its worker's end")
     second.set("Minimum inliers", 20)
     second.wait(lambda: "No loop closure" in second.html(), "the verdict")
+    del gone
+    second.wait(lambda: gc.collect() >= 0 and known() is None, "nothing of it to stay")
 
 
 def test_on_a_network_the_link_has_a_token_and_values_are_checked(

@@ -1,0 +1,23 @@
+"""The soak in short: four minutes. By hand, with -s, on a machine that has nothing else to do.
+
+    pytest tests/quality/test_soak.py -n 0 -s
+
+An hour is `python -m tests.soak --minutes 60`.
+"""
+
+from tests.soak.__main__ import soak
+
+MINUTES = 4.0
+
+
+def test_a_viewer_in_use_neither_grows_nor_lags_behind() -> None:
+    report = soak(MINUTES, seed=1, memory="1GB", every=30.0)
+    print(f"\n{report.text()}")  # noqa: T201
+    assert report.stale == []
+    assert report.errors == []
+    assert report.num_checks >= 2
+    for viewer in report.viewers:
+        # The first minute fills the memory; an hour shows that it stays so.
+        assert viewer.around(1.0)["memory"] <= 1100.0
+        assert viewer.around(1.0)["threads"] <= 1.1 * viewer.around(0.5)["threads"] + 5
+        assert viewer.around(1.0)["descriptors"] <= viewer.around(0.5)["descriptors"] + 3
