@@ -125,19 +125,27 @@ def test_limits_of_control_groups_are_read(tmp_path: Any, monkeypatch: pytest.Mo
     assert memory._limits() == []
 
 
-def test_beyond_the_budget_the_oldest_results_go_and_their_memory_too(
-    start: Callable[..., MemoryKeeper],
-) -> None:
+def test_beyond_the_budget_the_oldest_results_go_and_their_memory_too() -> None:
     memo = Memo()
-    before = resident(os.getpid())
-    start(before + 100 * MB, memo, None)
+    keeper = MemoryKeeper(10**12, memo, None)
+    keeper.close()  # measured and relieved by hand, so that nothing is left to chance
+    keeper.relieve()
+    keeper.budget = keeper.measure() + 100 * MB
     for number in range(8):
         memo(ones, 20, number)
-        time.sleep(0.02)
-    wait(lambda: resident(os.getpid()) <= before + 105 * MB, "memory to be given back")
-    assert 0 < memo.num_bytes <= 110 * MB
+    assert keeper.measure() > keeper.budget
+    assert keeper.relieve() <= keeper.budget
+    assert keeper.measure() <= keeper.budget
+    assert 0 < memo.num_bytes < 160 * MB
     assert memo.holds(ones, 20, 7)
     assert not memo.holds(ones, 20, 0)
+
+
+def test_it_is_measured_all_the_time(start: Callable[..., MemoryKeeper]) -> None:
+    memo = Memo()
+    start(1 * MB, memo, None)
+    memo(ones, 5, 0)
+    wait(lambda: memo.num_bytes == 0, "the result to be dropped")
 
 
 def test_a_helper_that_hoards_is_replaced_and_the_memo_is_spared() -> None:
