@@ -14,7 +14,7 @@ from tests.end_to_end.process import Run, start
 
 @pytest.mark.parametrize("built_in", [False, True])
 def test_the_page_is_served_until_interrupted(traverse: Path, built_in: bool) -> None:
-    dataset = [] if built_in else [str(traverse)]
+    dataset = [] if built_in else [str(traverse), "--memory", "1.5GB"]
     with start(
         *("view", *dataset, "--port", "0", "--no-open"),
         stdout=subprocess.PIPE,
@@ -27,6 +27,9 @@ def test_the_page_is_served_until_interrupted(traverse: Path, built_in: bool) ->
             address = re.search(r"http://\S+", said)
             assert address, said
             assert built_in or said.startswith("small traverse is at http://127.0.0.1:")
+            memory = process.stdout.readline()
+            size = r"[\d.]+ [GM]B" if built_in else r"1\.5 GB"
+            assert re.fullmatch(rf"Memory: up to {size} \(--memory changes it\)\n", memory)
             with urllib.request.urlopen(address[0], timeout=30) as page:
                 assert page.status == 200
                 assert b"<html" in page.read().lower()

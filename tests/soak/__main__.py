@@ -16,7 +16,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -221,7 +221,7 @@ def draw(report: Report, path: Path) -> None:
     mpl.use("agg")
     from matplotlib import pyplot as plt  # noqa: PLC0415
 
-    figure, axes = plt.subplots(2, 1, figsize=(8, 5), sharex=True, layout="constrained")
+    figure, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
     for viewer in report.viewers:
         minutes = [one.seconds / 60 for one in viewer.samples]
         axes[0].plot(minutes, [one.memory for one in viewer.samples], label=viewer.name)
@@ -233,11 +233,10 @@ def draw(report: Report, path: Path) -> None:
     axes[1].set_xlabel("time [min]")
     for one in axes:
         one.set_ylim(bottom=0)
-        one.legend(loc="lower right", fontsize="small")
+        one.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
         one.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
-    with suppress(Exception):
-        plt.close(figure)
+    plt.close(figure)
 
 
 def main() -> None:

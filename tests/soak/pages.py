@@ -1,8 +1,10 @@
 """What people do on the pages of a viewer that is in use for long."""
 
+import io
 import random
 import threading
 import time
+import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -10,7 +12,9 @@ from typing import Any
 
 from websockets.exceptions import ConnectionClosed
 
+from gpgrad_core.datasets import write_dataset
 from tests.app.page import ProtocolPage
+from tests.app.synthetic import make_dataset
 
 RANGES = {
     "Length-scale": (0.2, 0.8),
@@ -66,7 +70,7 @@ class SoakPage(ProtocolPage):
             )
 
     def choose(self, label: str, rng: random.Random) -> None:
-        """Choose any option but a list's first word, which stands for none."""
+        """Choose any option, if there is a choice."""
         if self.can(label):
             options = self.find(label)["props"]["options"]
             self.set(label, rng.choice(options))
@@ -280,19 +284,13 @@ ACTS: dict[Callable[[Person, SoakPage, random.Random], None], float] = {
 
 def make_files(folder: Path) -> dict[str, bytes]:
     """Make what may be uploaded or opened: a small dataset, zipped and as it is, and a cloud."""
-    import io  # noqa: PLC0415
-    import zipfile  # noqa: PLC0415
-
-    from gpgrad_core.datasets import write_dataset  # noqa: PLC0415
-    from tests.app.synthetic import make_dataset  # noqa: PLC0415
-
     small = folder / "small"
     write_dataset(make_dataset(num_points=3000, name="small"), small)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for path in sorted(small.rglob("*.*")):
             archive.write(path, path.relative_to(folder))
-    cloud = next(path for path in sorted(small.rglob("*.ply")))
+    cloud = min(small.rglob("*.ply"))
     return {
         "dataset.zip": buffer.getvalue(),
         "cloud.ply": cloud.read_bytes(),
