@@ -17,7 +17,7 @@ import psutil
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.helper import Helper
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.memory import give_back
+from gpgrad_core.run.memory import give_back, trim
 
 LEAST = 600_000_000
 """Bytes; viewer and helper have 460 MB with the demo open before anything is remembered."""
@@ -133,7 +133,7 @@ class MemoryKeeper:
             self._helper.restart()
         while (held := self.measure()) > target and self._memo.num_bytes:
             self._memo.drop_to(max(0, round(self._memo.num_bytes - (held - target))))
-            give_back()
+            trim()
         return held
 
     def _watch(self) -> None:

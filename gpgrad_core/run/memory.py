@@ -11,19 +11,23 @@ from functools import cache
 
 
 def give_back() -> None:
-    """Free what only refers to itself, and let the C library keep nothing that is free.
-
-    Takes some hundredths of a second. Does the first half only where the C library cannot be told:
-    that of GNU can.
-    """
+    """Free what only refers to itself, and `trim`; takes a tenth of a second."""
     gc.collect()
-    trim = _trim()
-    if trim is not None:
-        trim(0)
+    trim()
+
+
+def trim() -> None:
+    """Let the C library keep nothing that is free; takes some milliseconds.
+
+    Does nothing where the C library cannot be told. That of GNU can.
+    """
+    told = _malloc_trim()
+    if told is not None:
+        told(0)
 
 
 @cache
-def _trim() -> Callable[[int], int] | None:
+def _malloc_trim() -> Callable[[int], int] | None:
     try:
         return ctypes.CDLL(None).malloc_trim
     except (OSError, TypeError, AttributeError):  # another system, or another C library

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from gpgrad_core.run.memory import _trim
+from gpgrad_core.run.memory import _malloc_trim
 
 # Freed blocks below one that is still held stay with the process, unless it gives them back.
 HOARD = """
@@ -20,7 +20,7 @@ print(before - psutil.Process().memory_info().rss)
 """
 
 
-@pytest.mark.skipif(_trim() is None, reason="only the GNU C library can be told")
+@pytest.mark.skipif(_malloc_trim() is None, reason="only the GNU C library can be told")
 def test_what_was_freed_goes_back_to_the_system() -> None:
     done = subprocess.run(
         [sys.executable, "-c", HOARD], check=True, capture_output=True, text=True, timeout=60
