@@ -102,10 +102,21 @@ class Memo:
             self._bytes += size
             if is_dataclass(result) and not _is_params(result):
                 self._keys[result] = key
-            while self._bytes > self._max_bytes and len(self._results) > 1:
-                _, (_, freed) = self._results.popitem(last=False)
-                self._bytes -= freed
+            self._drop_to(self._max_bytes, least=1)
         return result
+
+    def drop_to(self, num_bytes: int) -> None:
+        """Drop the least recently used results until no more than these bytes of arrays are held.
+
+        What others still hold stays in memory as long as they do.
+        """
+        with self._lock:
+            self._drop_to(num_bytes)
+
+    def _drop_to(self, num_bytes: int, least: int = 0) -> None:
+        while self._bytes > num_bytes and len(self._results) > least:
+            _, (_, freed) = self._results.popitem(last=False)
+            self._bytes -= freed
 
     def _key(self, function: Callable[..., Any], arguments: tuple[object, ...]) -> Hashable:
         name = f"{function.__module__}.{function.__qualname__}"
