@@ -38,8 +38,14 @@ class FakeViewer:
     saved: object = None
     permissions: object = None
     admission: object = None
+    store: object = None
+    memory: int | None = None
+    on_full: object = None
     link: str = "http://127.0.0.1:8080"
     closed: bool = False
+
+    def __post_init__(self) -> None:
+        self.memory = self.memory or 1_000_000_000
 
     def run_forever(self) -> None:
         raise KeyboardInterrupt
