@@ -145,9 +145,9 @@ class View:
                 max_upload=1_000_000 * self.max_upload,
             ),
             admission=admission,
+            store=store,
             memory=memory,
             on_full=warn,
-            store=store,
         )
         # A page may leave while its picture is drawn: that is no news for the terminal.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)

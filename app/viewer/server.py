@@ -50,9 +50,9 @@ class Viewer:
         permissions: Permissions = READ_ALL,
         admission: Admission | None = None,
         limits: Limits | None = None,
+        store: Store | None = None,
         memory: int | None = None,
         on_full: Callable[[str], None] | None = None,
-        store: Store | None = None,
     ) -> None:
         """Start serving; returns at once.
 
@@ -72,10 +72,10 @@ class Viewer:
             admission: Who may come in; None lets in the viewer's own pages only, with a token where
                 other machines can reach the host.
             limits: How much pages may ask.
+            store: Keeps the fits of datasets for later runs.
             memory: Budget for this process and its helper together [bytes]; None takes a share of
                 the machine's.
             on_full: Told once, in a sentence, when the budget cannot be kept.
-            store: Keeps the fits of datasets for later runs.
 
         Raises:
             InputError: If the dataset prefers parameters that there are not.
