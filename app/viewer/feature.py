@@ -25,6 +25,7 @@ from app.viewer.state import (
     with_params,
     with_probe,
 )
+from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset, LoopClosure, Registration
@@ -178,6 +179,17 @@ class Desk:
                 state = with_probe(state, probe)
             self._set(state)
 
+    def choose(self, query_id: str, database_id: str) -> None:
+        """Change to a pair that a page has chosen.
+
+        The page may still show another dataset than the one that was opened just now. Then the pair
+        stays as it is, and the features are told so.
+        """
+        try:
+            self.change(pair=(query_id, database_id))
+        except InputError:
+            self.change()
+
     def open(self, opened: Opened) -> None:
         """Go to another dataset."""
         with self._lock:
@@ -208,5 +220,5 @@ class Desk:
 
     def tune(self, query_id: str, database_id: str) -> None:
         """Show a pair in the mode in which it is tuned."""
-        self.change(pair=(query_id, database_id))
+        self.choose(query_id, database_id)
         self.tell(Feature.tune)

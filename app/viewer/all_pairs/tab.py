@@ -52,7 +52,7 @@ class AllPairsTab(Feature):
             tuple(RULES),
             on_run=self.compare_pairs,
             on_rule=self._set_rule,
-            on_pair=lambda query_id, database_id: desk.change(pair=(query_id, database_id)),
+            on_pair=desk.choose,
         )
         self._comparer: Work[ViewState, ComparedPairs] = Work(
             self._panel.work_bar,

@@ -1,5 +1,6 @@
 """What is open, and which of its submaps are the query and the database."""
 
+import threading
 from collections.abc import Callable
 
 from app.viewer.host import Host
@@ -44,6 +45,7 @@ class PairPanel:
         """
         self._dataset = state.dataset
         self._on_change = on_change
+        self._lock = threading.Lock()  # a dataset is opened in another thread
         ids = tuple(submap.id for submap in state.dataset.submaps)
         self._query = host.gui.add_dropdown(
             "Query", ids, initial_value=state.query_id, hint="The submap to recognise."
@@ -70,24 +72,28 @@ class PairPanel:
     def show(self, state: ViewState) -> None:
         """Show a pair, and offer the submaps of its dataset; ``on_change`` is not called."""
         ids = tuple(submap.id for submap in state.dataset.submaps)
-        other_dataset = state.dataset is not self._dataset
-        self._dataset = state.dataset
-        for dropdown, chosen in (
-            (self._query, state.query_id),
-            (self._database, state.database_id),
-        ):
-            if other_dataset:
-                dropdown.options = ids
-            if dropdown.value != chosen:
-                dropdown.value = chosen
+        with self._lock:
+            other_dataset = state.dataset is not self._dataset
+            self._dataset = state.dataset
+            for dropdown, chosen in (
+                (self._query, state.query_id),
+                (self._database, state.database_id),
+            ):
+                if other_dataset:
+                    dropdown.options = ids
+                if dropdown.value != chosen:
+                    dropdown.value = chosen
 
     def step(self, role: Role, step: int) -> None:
         """Go to the next (1) or the previous (-1) query or database submap, and report it."""
         moved, other = self._query, self._database
         if role == "database":
             moved, other = other, moved
-        moved.value = neighbour(self._dataset, moved.value, step, skip=other.value)
+        with self._lock:
+            moved.value = neighbour(self._dataset, moved.value, step, skip=other.value)
         self._report()
 
     def _report(self) -> None:
-        self._on_change(self._query.value, self._database.value)
+        with self._lock:
+            pair = self._query.value, self._database.value
+        self._on_change(*pair)

@@ -58,9 +58,7 @@ class PairTab(Feature):
         with view:
             self._summary = DatasetSummary(host)
             self._summary.show(state.dataset)
-            self._choice = PairPanel(
-                host, state, lambda query, database: desk.change(pair=(query, database))
-            )
+            self._choice = PairPanel(host, state, desk.choose)
             self._view = ViewPanel(
                 host,
                 state.options,

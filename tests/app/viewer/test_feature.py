@@ -41,6 +41,19 @@ def test_a_refused_change_changes_nothing(server: viser.ViserServer) -> None:
     assert recorder.states == []
 
 
+def test_a_pair_of_a_dataset_that_has_gone_changes_nothing_and_is_told(
+    server: viser.ViserServer,
+) -> None:
+    recorder = Recorder()
+    desk = make_desk(server, STATE, recorder)
+    desk.choose("999", "000")
+    assert desk.state is STATE
+    desk.tune("999", "000")
+    assert recorder.states == [STATE, STATE]
+    desk.choose("002", "001")
+    assert (desk.state.query_id, desk.state.database_id) == ("002", "001")
+
+
 def test_another_dataset_keeps_the_view(server: viser.ViserServer) -> None:
     recorder = Recorder()
     desk = make_desk(server, STATE, recorder)
