@@ -228,7 +228,7 @@ def draw(report: Report, path: Path) -> None:
         for name, style in (("threads", "-"), ("descriptors", "--")):
             values = [getattr(one, name) for one in viewer.samples]
             axes[1].plot(minutes, values, style, label=f"{name}, {viewer.name}")
-    axes[0].set_ylabel("memory of viewer and helper [MB]")
+    axes[0].set_ylabel("memory [MB]")
     axes[1].set_ylabel("number")
     axes[1].set_xlabel("time [min]")
     for one in axes:
