@@ -1,4 +1,4 @@
-"""What most verbs read: a dataset, a file of parameters, and the flags of all parameters."""
+"""What most verbs read: a dataset, a file of parameters, and the flags that they share."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +12,7 @@ from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.datasets import load_dataset
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, describe_choice, is_resolved, resolve_parameters
+from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES
 from gpgrad_core.types import Dataset, Submap
 
 DatasetPath: TypeAlias = Annotated[
@@ -26,6 +27,15 @@ ParamsFile: TypeAlias = Annotated[
         "override it."
     ),
     tyro.conf.arg(metavar="FILE.toml"),
+]
+CandidatesFlag: TypeAlias = Annotated[
+    str,
+    Doc(
+        "With how many earlier submaps each submap is compared: a number, all, or automatic. "
+        f"automatic is all of up to {ALL_UP_TO} earlier submaps, and the {DEFAULT_CANDIDATES} most "
+        "promising ones of more."
+    ),
+    tyro.conf.arg(metavar="K|all|automatic"),
 ]
 AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)

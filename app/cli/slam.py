@@ -10,7 +10,14 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given
-from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, settled
+from app.cli.inputs import (
+    ALL_PARAMS,
+    AllParams,
+    CandidatesFlag,
+    ParamsFile,
+    base_params,
+    settled,
+)
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import outline_dataset
@@ -28,6 +35,7 @@ from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.run.whole import whole_folder
+from gpgrad_core.shortlist import Candidates, read_candidates
 from gpgrad_core.slam import (
     GraphParams,
     JoinedDatasets,
@@ -78,6 +86,7 @@ class Slam:
         ),
         tyro.conf.arg(help_behavior_hint="(default: compare all)"),
     ] = None
+    candidates: CandidatesFlag = "automatic"
     merge: Annotated[bool, Doc("Also write the merged cloud and map.")] = True
     graph: Annotated[
         Given[GraphParams], Doc("Uncertainty of the pose graph's edges: odometry and closures.")
@@ -93,6 +102,7 @@ class Slam:
     def run(self) -> None:
         """Detect, solve, judge and write."""
         check_directory(self.out)
+        candidates = read_candidates(self.candidates)
         if self.search_radius is not None and not self.search_radius > 0:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
         joined = join_datasets([outline_dataset(path) for path in self.datasets])
@@ -111,7 +121,7 @@ class Slam:
             self._check_out(joined)  # another process may just have ended
             closures = given
             if closures is None:
-                closures = self._detect(joined, params, graph, solver, folder)
+                closures = self._detect(joined, params, graph, solver, folder, candidates)
             solution = solve_datasets(joined, closures, graph, solver)
             with progress_bar("judge") as progress:
                 errors = measure_errors(solution, progress)
@@ -144,6 +154,7 @@ class Slam:
         graph: GraphParams,
         solver: SolverParams,
         folder: Path,
+        candidates: Candidates,
     ) -> tuple[LoopClosure, ...]:
         """Find the closures submap by submap, and keep them beside the results."""
         total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
@@ -151,7 +162,12 @@ class Slam:
             progress_bar("closures") as progress,
             ThreadPoolExecutor(num_workers()) as executor,
             LoopCloser(
-                params, graph, solver, search_radius=self.search_radius, executor=executor
+                params,
+                graph,
+                solver,
+                search_radius=self.search_radius,
+                candidates=candidates,
+                executor=executor,
             ) as closer,
         ):
             for k in range(total):

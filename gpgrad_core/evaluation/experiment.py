@@ -10,6 +10,7 @@ from gpgrad_core.outputs import ClosureReport, read_closures, report_closures
 from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.shortlist import Candidates
 from gpgrad_core.types import Dataset
 
 
@@ -18,6 +19,7 @@ def run_methods(
     methods: Sequence[Method],
     params: PipelineParams | None = None,
     *,
+    candidates: Candidates = "automatic",
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> dict[str, ClosureReport]:
@@ -30,6 +32,8 @@ def run_methods(
         dataset: The dataset to search.
         methods: The methods to run.
         params: Parameters, which each method adapts to its needs.
+        candidates: With how many earlier submaps a submap is compared; see
+            `detect_loop_closures`.
         executor: Threads or processes that share the work.
         progress: Called from this thread with the fraction done; may raise Cancelled.
 
@@ -37,13 +41,16 @@ def run_methods(
         The result of each method by its name, with the content of its ``closures.json``.
 
     Raises:
-        InputError: If a method is given twice, or a submap cannot be used by one.
+        InputError: If a method is given twice, if a submap cannot be used by one, or if one has
+            no keypoints to choose candidates by.
     """
     params = params or PipelineParams()
     names = [method.name for method in methods]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"method {name!r} is given twice; give it once")
+    for method in methods:
+        method.check_searchable(candidates)  # before the work of any
     reports: dict[str, ClosureReport] = {}
     fits = Memo()
     for k, method in enumerate(methods):
@@ -52,6 +59,7 @@ def run_methods(
             dataset,
             adapted,
             detector=method.detector(adapted, Memo()),
+            candidates=candidates,
             executor=executor,
             progress=part(progress, k / len(methods), (k + 1) / len(methods)),
         )

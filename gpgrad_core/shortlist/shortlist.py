@@ -18,7 +18,7 @@ LEARN_FROM = 64
 """Number of submaps from which the vocabulary is learned. Until then all submaps vote."""
 FEWEST_DESCRIPTORS = 5_000
 """If the submaps have fewer descriptors than this, the vocabulary waits for more submaps."""
-MOST_VOTERS = 300
+MOST_VOTERS = 500
 """Only so many keypoints of a submap, the strongest, are kept."""
 MOST_VOTED = 200
 """Only for so many submaps, the ones with the most similar global vectors, votes are counted."""
@@ -59,7 +59,7 @@ class ShortlistState:
 class Shortlist:
     """Finds the earlier submaps that are worth comparing with a submap, by their keypoints.
 
-    A submap keeps at most 30 kB here: a global vector and its 300 strongest keypoints. The global
+    A submap keeps at most 53 kB here: a global vector and its 500 strongest keypoints. The global
     vectors of all earlier submaps are compared first, which is one product of a matrix with a
     vector. For the most similar ones, votes are counted (`count_votes`), and those with the most
     votes are the candidates. Nothing is learned from poses or from the truth, and the same submaps

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import read_only
 
-MOST_ASSOCIATIONS = 128
+MOST_ASSOCIATIONS = 96
 """Only so many associations of the most similar descriptors vote."""
 NEAREST = 2.0
 """Associations closer to each other than this do not vote for each other, because any two of them
