@@ -10,6 +10,7 @@ from gpgrad_core.shortlist.candidates import (
     read_candidates,
 )
 from gpgrad_core.shortlist.shortlist import Shortlist, ShortlistState
+from gpgrad_core.shortlist.vocabulary import Vocabulary
 
 __all__ = [
     "ALL_UP_TO",
@@ -18,6 +19,7 @@ __all__ = [
     "Candidates",
     "Shortlist",
     "ShortlistState",
+    "Vocabulary",
     "check_candidates",
     "num_wanted",
     "read_candidates",

@@ -1,14 +1,17 @@
 """The shortlist itself: submaps are added one by one, and searched for the best earlier ones."""
 
 from collections.abc import Collection
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import repeat
+from math import ceil
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.threads import single_threaded_blas
+from gpgrad_core.run.threads import num_workers, single_threaded_blas
 from gpgrad_core.shortlist.candidates import Candidate
 from gpgrad_core.shortlist.vocabulary import Vocabulary, learn_vocabulary
 from gpgrad_core.shortlist.votes import Voters, count_votes
@@ -20,8 +23,13 @@ FEWEST_DESCRIPTORS = 5_000
 """If the submaps have fewer descriptors than this, the vocabulary waits for more submaps."""
 MOST_VOTERS = 500
 """Only so many keypoints of a submap, the strongest, are kept."""
-MOST_VOTED = 200
-"""Only for so many submaps, the ones with the most similar global vectors, votes are counted."""
+MOST_VOTED = 300
+"""Only for so many submaps, the ones with the most similar global vectors, votes are counted.
+
+Of 2,000, they hold 99 % of the true pairs, with little difference between vocabularies.
+"""
+WORTH_THREADS = 50
+"""From this number of submaps on, the votes take longer to count than threads take to start."""
 
 Vectors = NDArray[np.float32]
 Halves = NDArray[np.float16]
@@ -118,6 +126,11 @@ class Shortlist:
         return tuple(self._rows)
 
     @property
+    def seed(self) -> int:
+        """Seed of the random choices."""
+        return self._seed
+
+    @property
     def state(self) -> ShortlistState:
         """Everything that the shortlist knows."""
         kept = self._waiting or [one.descriptors for one in self._voters]
@@ -191,7 +204,7 @@ class Shortlist:
                 similarity = (self._global[: len(self)] @ query)[rows]
                 voted = np.argsort(-similarity, kind="stable")[: max(MOST_VOTED, count)]
             votes = np.zeros(len(rows), np.intp)
-            votes[voted] = count_votes(voters, [self._voters[rows[k]] for k in voted])
+            votes[voted] = _count_side_by_side(voters, [self._voters[rows[k]] for k in voted])
         ids = self.ids
         return tuple(
             Candidate(ids[rows[k]], int(votes[k]), round(float(similarity[k]), 6))
@@ -231,6 +244,18 @@ class Shortlist:
             self._global = grown
         self._global[row] = vector
         self._voters[row] = replace(voters, descriptors=_halved(short[: len(voters.positions)]))
+
+
+def _count_side_by_side(query: Voters, others: list[Voters]) -> list[int]:
+    """Count the votes on all cores; the result does not depend on their number."""
+    workers = num_workers()
+    if workers == 1 or len(others) < WORTH_THREADS:
+        return count_votes(query, others)
+    size = ceil(len(others) / workers)
+    shares = [others[start : start + size] for start in range(0, len(others), size)]
+    with ThreadPoolExecutor(workers, thread_name_prefix="votes") as executor:
+        counted = executor.map(count_votes, repeat(query), shares)
+        return [votes for share in counted for votes in share]
 
 
 def _halved(short: Float[Vectors, "m c"]) -> Float[Halves, "m c"]:
