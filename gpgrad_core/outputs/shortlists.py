@@ -130,7 +130,7 @@ def _array(path: Path, held: dict[str, Load], name: str) -> NDArray[Any]:
 def _state(path: Path, found: dict[str, NDArray[Any]]) -> ShortlistState:
     """Check that the arrays fit each other."""
 
-    def check(name: str, right: bool) -> None:
+    def check(name: str, right: bool | np.bool_) -> None:
         if not right:
             raise InputError(f"{path}: array {name!r} does not fit the others")
 
@@ -143,22 +143,20 @@ def _state(path: Path, found: dict[str, NDArray[Any]]) -> ShortlistState:
     counts, voters = found["num_descriptors"], found["num_voters"]
     ids = tuple(text.split("\n")) if len(counts) else ()
     check("ids", len(set(ids)) == len(counts))
-    check(
-        "num_descriptors", bool((counts >= 0).all()) and counts.sum() == len(found["descriptors"])
-    )
-    check("num_voters", voters.shape == counts.shape and bool((voters >= 0).all()))
-    check("num_voters", bool((voters <= counts).all()))
+    check("num_descriptors", (counts >= 0).all() and counts.sum() == len(found["descriptors"]))
+    check("num_voters", voters.shape == counts.shape and (voters >= 0).all())
+    check("num_voters", (voters <= counts).all())
     check("positions", found["positions"].shape == (voters.sum(), 2))
     check("tolerances", found["tolerances"].shape == counts.shape)
-    check("tolerances", bool((found["tolerances"] >= 0).all()))
+    check("tolerances", (found["tolerances"] >= 0).all())
     words, axes, vocabulary = found["words"], found["axes"], None
     width = found["descriptors"].shape[1]
     if len(words):
-        vocabulary = Vocabulary(found["mean"], axes, words)
         check("mean", len(found["mean"]) == len(axes) > 0)
         check("axes", axes.shape[1] == words.shape[1])
         check("descriptors", width == words.shape[1])
-        check("num_voters", bool((voters == counts).all()))
+        check("num_voters", (voters == counts).all())
+        vocabulary = Vocabulary(found["mean"], axes, words)
     check("global_vectors", found["global_vectors"].shape == (len(counts), words.size))
     return ShortlistState(
         int(found["seed"]),

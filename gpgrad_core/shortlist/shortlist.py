@@ -101,7 +101,8 @@ class Shortlist:
         """Make a shortlist with everything that another one knew."""
         shortlist = cls(state.seed)
         shortlist._rows = {id: row for row, id in enumerate(state.ids)}
-        shortlist._vocabulary, shortlist._global = state.vocabulary, state.global_vectors
+        if state.vocabulary is not None:
+            shortlist._vocabulary, shortlist._global = state.vocabulary, state.global_vectors
         descriptors = np.split(state.descriptors, np.cumsum(state.num_descriptors)[:-1])
         positions = np.split(state.positions, np.cumsum(state.num_voters)[:-1])
         if not state.ids:

@@ -1,5 +1,6 @@
 """A shortlist on disk: it comes back as it went, and a damaged one is made anew."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,14 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.outputs import read_shortlist, resume_shortlist, write_shortlist
 from gpgrad_core.outputs.shortlists import ARRAYS
 from gpgrad_core.shortlist import Shortlist
-from gpgrad_core.shortlist.shortlist import LEARN_FROM
 from gpgrad_core.types import Features
-from tests.core.shortlist.places import features, nothing
+from tests.core.shortlist.places import LEARN_FROM, features, learning_early, nothing
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _early() -> Iterator[None]:
+    with learning_early():
+        yield
 
 
 def places(count: int) -> list[tuple[str, Features]]:

@@ -1,10 +1,31 @@
 """Keypoints of places made by hand: no terrain, no maps, so that hundreds take a moment."""
 
+from collections.abc import Generator
+from contextlib import contextmanager
+
 import numpy as np
+import pytest
 
 from gpgrad_core.types import Features
 
 WIDTH = 20
+LEARN_FROM = 16
+MANY = 40
+
+
+@contextmanager
+def learning_early() -> Generator[None]:
+    """Let a shortlist learn its vocabulary from few submaps, which takes less time."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in {
+            "shortlist.LEARN_FROM": LEARN_FROM,
+            "shortlist.FEWEST_DESCRIPTORS": 800,
+            "shortlist.MOST_VOTED": 30,
+            "shortlist.WORTH_THREADS": 20,
+            "vocabulary.NUM_WORDS": 32,
+        }.items():
+            patch.setattr(f"gpgrad_core.shortlist.{name}", value)
+        yield
 
 
 def features(
