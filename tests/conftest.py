@@ -6,6 +6,7 @@ Importing this file switches the shape checks on. pytest imports it before any t
 import contextlib
 import io
 import os
+import tempfile
 from collections.abc import Iterator
 
 # The test processes share the processors. NumPy reads this when it is loaded, so it is set before.
@@ -34,6 +35,22 @@ if os.environ.get("GPGRAD_SHAPE_CHECKS", "1") == "1":
 settings.register_profile("repeat", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("explore" if os.environ.get("GPGRAD_EXPLORE") == "1" else "repeat")
+
+CACHE = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Give the tests and their processes a cache folder of their own, so that they share fits."""
+    if not hasattr(config, "workerinput"):  # the workers inherit it
+        config.stash[CACHE] = tempfile.TemporaryDirectory(prefix="gpgrad-tests-")
+        os.environ["XDG_CACHE_HOME"] = config.stash[CACHE].name
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Remove it."""
+    if CACHE in config.stash:
+        config.stash[CACHE].cleanup()
+
 
 ROOT = Path(__file__).resolve().parents[1]
 

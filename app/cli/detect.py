@@ -9,20 +9,24 @@ from typing_extensions import Doc
 
 from app.cli.inputs import (
     ALL_PARAMS,
+    USERS_CACHE,
     AllParams,
+    Cache,
     CandidatesFlag,
     DatasetPath,
     ParamsFile,
     base_params,
     load,
+    open_store,
     settled,
+    tell_damaged,
 )
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import check_apart, check_output, report_closures, write_closures
-from gpgrad_core.pipeline import detect_loop_closures
+from gpgrad_core.pipeline import detect_loop_closures, keeping
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
@@ -56,6 +60,7 @@ class Detect:
     ] = None
     candidates: CandidatesFlag = "automatic"
     overwrite: Overwrite = False
+    cache: Cache = USERS_CACHE
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
@@ -68,6 +73,7 @@ class Detect:
         if self.g2o:
             check_output(self.g2o, (".g2o",), overwrite=self.overwrite)
         check_apart([self.out, self.g2o], [self.dataset, self.params])
+        store = open_store(self.cache)
         dataset = load(self.dataset)
         asked, whole = self.pipeline.over(base_params(dataset, self.params)), dataset.submaps
         if self.pair:
@@ -75,18 +81,19 @@ class Detect:
         if self.g2o:
             odometry_poses(dataset)  # refuses a dataset without odometry before the work
         if method.fitted:  # to the whole dataset, so that a single pair gets the same verdict
-            asked = settled(asked, whole, dataset.name)
+            asked = settled(asked, whole, dataset.name, store)
         params = method.adapt(asked)
         num_pairs = sum(num_wanted(candidates, k) for k in range(len(dataset.submaps)))
         with progress_bar("pairs") as progress, workers(num_workers(), num_pairs) as executor:
             result = detect_loop_closures(
                 dataset,
                 params,
-                detector=method.detector(params, Memo()),
+                detector=keeping(method.detector(params, Memo()), store),
                 candidates=candidates,
                 executor=executor,
                 progress=progress,
             )
+        tell_damaged(store)
         report = report_closures(dataset, result, params, method=method.name)
         write_closures(self.out, report)
         if self.g2o:

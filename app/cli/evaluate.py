@@ -11,11 +11,15 @@ from typing_extensions import Doc
 from app.cli.flags import Given
 from app.cli.inputs import (
     ALL_PARAMS,
+    USERS_CACHE,
     AllParams,
+    Cache,
     CandidatesFlag,
     ParamsFile,
     base_params,
     load,
+    open_store,
+    tell_damaged,
 )
 from app.cli.outputs import Overwrite
 from app.cli.terminal import progress_bar, say, warn
@@ -86,6 +90,7 @@ class Evaluate:
     ] = False
     evaluation: Annotated[Given[EvaluationParams], tyro.conf.arg(name="")] = Given(EvaluationParams)
     overwrite: Overwrite = False
+    cache: Cache = USERS_CACHE
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
@@ -100,6 +105,7 @@ class Evaluate:
             method.check_searchable(candidates)
         self._check_out(names)
         rivals = read_rivals(self.closures, taken=names)
+        store = open_store(self.cache)
         dataset = load(self.dataset)
         params = self.pipeline.over(base_params(dataset, self.params))
         if self.seed is not None:
@@ -118,8 +124,10 @@ class Evaluate:
                     params,
                     candidates=candidates,
                     executor=executor,
+                    store=store,
                     progress=progress,
                 )
+            tell_damaged(store)
             evaluation = evaluate(
                 dataset,
                 found | rivals,

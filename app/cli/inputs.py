@@ -8,10 +8,12 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given
-from app.cli.terminal import progress_bar, say, warn
+from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import load_dataset
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, describe_choice, is_resolved, resolve_parameters
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.store import Store
 from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES
 from gpgrad_core.types import Dataset, Submap
 
@@ -37,6 +39,15 @@ CandidatesFlag: TypeAlias = Annotated[
     ),
     tyro.conf.arg(metavar="K|all|automatic"),
 ]
+USERS_CACHE, NO_CACHE = "user", "none"
+Cache: TypeAlias = Annotated[
+    str,
+    Doc(
+        "Folder in which results are kept, so that a later run need not compute them again. none "
+        "keeps nothing."
+    ),
+    tyro.conf.arg(metavar="DIR|none", help_behavior_hint="(default: in the user's cache folder)"),
+]
 AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)
 
@@ -61,17 +72,37 @@ def base_params(dataset: Dataset, file: Path | None) -> PipelineParams:
     return params if file is None else read_parameters(file, params)
 
 
-def settled(params: PipelineParams, submaps: Sequence[Submap], name: str) -> PipelineParams:
+def open_store(cache: str) -> Store | None:
+    """Open the store that ``--cache`` names; None if nothing is to be kept.
+
+    Raises:
+        InputError: If there is a file of that name.
+    """
+    if cache == NO_CACHE:
+        return None
+    return Store() if cache == USERS_CACHE else Store(Path(cache))
+
+
+def tell_damaged(store: Store | None) -> None:
+    """Report the kept results that were damaged."""
+    if store is not None and (damaged := store.take_damaged()):
+        warn(f"{store.folder}: {count(damaged, 'kept result')} damaged, and made anew")
+
+
+def settled(
+    params: PipelineParams, submaps: Sequence[Submap], name: str, store: Store | None
+) -> PipelineParams:
     """Fit the parameters that are automatic, and report what was found.
 
     Args:
         params: May be automatic in part.
         submaps: They are fitted to these.
         name: Of the dataset.
+        store: Keeps the fit for later runs.
     """
     if is_resolved(params) or not submaps:
         return params
     with progress_bar("fit") as progress:
-        found = resolve_parameters(submaps, params, progress=progress)
+        found = resolve_parameters(submaps, params, Memo(store=store), progress)
     say(f"{name}: {describe_choice(params, found)}")
     return found

@@ -12,11 +12,15 @@ from typing_extensions import Doc
 from app.cli.flags import Given
 from app.cli.inputs import (
     ALL_PARAMS,
+    USERS_CACHE,
     AllParams,
+    Cache,
     CandidatesFlag,
     ParamsFile,
     base_params,
+    open_store,
     settled,
+    tell_damaged,
 )
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
@@ -33,6 +37,7 @@ from gpgrad_core.outputs import (
 )
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.run.progress import part
+from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.shortlist import Candidates, read_candidates
@@ -96,6 +101,7 @@ class Slam:
     )
     merged: Annotated[Given[MergeParams], Doc("The merged cloud and map.")] = Given(MergeParams)
     overwrite: Overwrite = False
+    cache: Cache = USERS_CACHE
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
@@ -105,6 +111,7 @@ class Slam:
         candidates = read_candidates(self.candidates)
         if self.search_radius is not None and not self.search_radius > 0:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
+        store = open_store(self.cache)
         joined = join_datasets([outline_dataset(path) for path in self.datasets])
         self._check_out(joined)
         dataset = joined.outline.dataset
@@ -116,12 +123,13 @@ class Slam:
         params = self.pipeline.over(base_params(dataset, self.params))
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
         some = [joined.load(k)[0] for k in representative(len(dataset.submaps))]
-        params = settled(params, some, dataset.name)
+        params = settled(params, some, dataset.name, store)
         with whole_folder(self.out, earlier=self._names(joined)) as folder:
             self._check_out(joined)  # another process may just have ended
             closures = given
             if closures is None:
-                closures = self._detect(joined, params, graph, solver, folder, candidates)
+                closures = self._detect(joined, params, graph, solver, folder, candidates, store)
+            tell_damaged(store)
             solution = solve_datasets(joined, closures, graph, solver)
             with progress_bar("judge") as progress:
                 errors = measure_errors(solution, progress)
@@ -155,6 +163,7 @@ class Slam:
         solver: SolverParams,
         folder: Path,
         candidates: Candidates,
+        store: Store | None,
     ) -> tuple[LoopClosure, ...]:
         """Find the closures submap by submap, and keep them beside the results."""
         total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
@@ -168,6 +177,7 @@ class Slam:
                 search_radius=self.search_radius,
                 candidates=candidates,
                 executor=executor,
+                store=store,
             ) as closer,
         ):
             for k in range(total):

@@ -1,6 +1,7 @@
 """``gpgrad view``: serve the viewer."""
 
 import socket
+import warnings
 import webbrowser
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,9 +11,20 @@ import tyro
 from platformdirs import user_config_path
 from typing_extensions import Doc
 
-from app.cli.inputs import ALL_PARAMS, AllParams, ParamsFile, base_params, load, settled
+from app.cli.inputs import (
+    ALL_PARAMS,
+    USERS_CACHE,
+    AllParams,
+    Cache,
+    ParamsFile,
+    base_params,
+    load,
+    open_store,
+    settled,
+)
 from app.cli.terminal import say, warn
 from app.viewer.door.admission import Admission, as_origin, check_token, is_loopback
+from app.viewer.memory import read_size, shown
 from app.viewer.permissions import Permissions
 from app.viewer.server import Viewer
 from app.viewer.session_file import read_session
@@ -85,7 +97,18 @@ class View:
         Doc("Folder of the presets and of the list of recent datasets."),
         tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: the user's own)"),
     ] = None
+    cache: Cache = USERS_CACHE
     max_upload: Annotated[int, Doc("Size of the largest file that a page may upload, in MB.")] = 200
+    memory: Annotated[
+        str | None,
+        Doc(
+            "Memory for the viewer and its helper process together, such as 800MB or 4GB. When it "
+            "is passed, results that were kept to be shown again are dropped."
+        ),
+        tyro.conf.arg(
+            metavar="SIZE", help_behavior_hint="(default: a quarter of the machine's, up to 8GB)"
+        ),
+    ] = None
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
@@ -97,15 +120,17 @@ class View:
             raise InputError(f"--root {self.root}: there is no such folder")
         if self.max_upload < 1:
             raise InputError(f"--max-upload must be 1 MB or more, got {self.max_upload}")
+        memory = None if self.memory is None else read_size(self.memory)
         saved = None if self.state is None else read_session(self.state)
         source = self.dataset or (saved and saved.dataset) or demo_path()
+        store = open_store(self.cache)
         dataset = load(source)
         base = base_params(dataset, None if saved else self.params)
         start = base
         if saved is not None:
             saved.check(dataset)
             start = read_parameters(self.params, saved.params) if self.params else saved.params
-        params = settled(self.pipeline.over(start), dataset.submaps, dataset.name)
+        params = settled(self.pipeline.over(start), dataset.submaps, dataset.name, store)
         viewer = Viewer(
             dataset,
             params if saved is None else base,
@@ -120,9 +145,15 @@ class View:
                 max_upload=1_000_000 * self.max_upload,
             ),
             admission=admission,
+            store=store,
+            memory=memory,
+            on_full=warn,
         )
+        # A page may leave while its picture is drawn: that is no news for the terminal.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         try:
             say(f"{dataset.name} is at {viewer.link} (Ctrl-C ends)")
+            say(f"Memory: up to {shown(viewer.memory)} (--memory changes it)")
             if self.no_token and not is_loopback(self.host):
                 warn("no token is asked for: whoever can reach the port can use the viewer")
             if self.open:

@@ -158,12 +158,16 @@ class Runner(Generic[Job, Result]):
             if self._closing:
                 return
             with self._turn():
-                job = self._take()
-                if job is not None:
-                    try:
-                        self._run(job)
-                    except Exception as error:
-                        self._report(job, error)
+                self._run_next()
+
+    def _run_next(self) -> None:
+        """Run a job, if one is left; nothing of it is held when it is done."""
+        job = self._take()
+        if job is not None:
+            try:
+                self._run(job)
+            except Exception as error:
+                self._report(job, error)
 
     @contextlib.contextmanager
     def _turn(self) -> Generator[None]:

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -14,6 +15,7 @@ from app.viewer.door.admission import Admission
 from app.viewer.door.limits import Limits
 from app.viewer.door.server import Told, open_server
 from app.viewer.host import set_theme
+from app.viewer.memory import MEMO_SHARE, MemoryKeeper, default_budget
 from app.viewer.opened import Opened
 from app.viewer.permissions import READ_ALL, Permissions
 from app.viewer.session import Session
@@ -22,10 +24,9 @@ from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, resolve_parameters
 from gpgrad_core.run.helper import start_helper
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.store import Store
 from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.types import Dataset
-
-MEMO_BYTES = 1_500_000_000
 
 EVERYWHERE = ("0.0.0.0", "::")
 """Hosts that stand for all addresses of the machine."""
@@ -49,6 +50,9 @@ class Viewer:
         permissions: Permissions = READ_ALL,
         admission: Admission | None = None,
         limits: Limits | None = None,
+        store: Store | None = None,
+        memory: int | None = None,
+        on_full: Callable[[str], None] | None = None,
     ) -> None:
         """Start serving; returns at once.
 
@@ -68,18 +72,26 @@ class Viewer:
             admission: Who may come in; None lets in the viewer's own pages only, with a token where
                 other machines can reach the host.
             limits: How much pages may ask.
+            store: Keeps the fits of datasets for later runs.
+            memory: Budget for this process and its helper together [bytes]; None takes a share of
+                the machine's.
+            on_full: Told once, in a sentence, when the budget cannot be kept.
 
         Raises:
             InputError: If the dataset prefers parameters that there are not.
         """
         start = params if params is not None else preferred_parameters(dataset, PipelineParams())
-        start = resolve_parameters(dataset.submaps, start)
+        budget = default_budget() if memory is None else memory
+        self._memo = Memo(round(MEMO_SHARE * budget), store)
+        start = resolve_parameters(dataset.submaps, start, self._memo)
         self._opened = Opened(dataset, start, source, saved)
         self._uploads = TemporaryFolder("gpgrad-uploads-")
         self._permissions = replace(permissions, uploads=Path(self._uploads.name))
-        self._memo = Memo(MEMO_BYTES)
         self._capacity = Capacity(helper=start_helper())
+        self._memory = MemoryKeeper(budget, self._memo, self._capacity.helper, on_full)
         self._lock = threading.Lock()
+        self._num_leaving = 0
+        self._left = threading.Condition(self._lock)
         self._closed = threading.Event()
         self._server, self._door = open_server(
             host, port, admission, max_upload=self._permissions.max_upload, limits=limits
@@ -109,6 +121,11 @@ class Viewer:
         return self.url if token is None else f"{self.url}/?token={token}"
 
     @property
+    def memory(self) -> int:
+        """The budget for this process and its helper together [bytes]."""
+        return self._memory.budget
+
+    @property
     def sessions(self) -> tuple[Session, ...]:
         """The shared session; else those of the pages that are open, the oldest first."""
         if self._shared is not None:
@@ -132,8 +149,11 @@ class Viewer:
         self._closed.set()
         for session in self.sessions:
             session.close()
+        with self._left:  # those whose pages have just gone must have ended too
+            self._left.wait_for(lambda: not self._num_leaving)
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
+        self._memory.close()
         if self._capacity.helper is not None:
             self._capacity.helper.close()
         self._uploads.cleanup()
@@ -157,8 +177,15 @@ class Viewer:
             return
         with self._lock:
             session = self._separate.pop(client.client_id, None)
-        if session is not None:
+            if session is None:
+                return
+            self._num_leaving += 1
+        try:
             session.close()
+        finally:
+            with self._left:
+                self._num_leaving -= 1
+                self._left.notify_all()
 
     def _session_of(self, page: int) -> Session | None:
         """Give the session that a page shows, if it has one yet."""

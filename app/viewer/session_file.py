@@ -21,7 +21,8 @@ from gpgrad_core.types import MAX_COORDINATE, Dataset
 
 ENDING = ".gpgrad.toml"
 LARGEST = 100_000
-"""Bytes of such a file; any real one has a tenth. It is parsed between two messages of a page."""
+"""Bytes of such a file; any real one has a tenth. What a page sends is parsed in a thread of its
+own, which such a file keeps busy for a tenth of a second at most."""
 KEYS = ("dataset", "query", "database", "view", "params", "camera")
 
 

@@ -10,6 +10,7 @@ from gpgrad_core.outputs import ClosureReport, read_closures, report_closures
 from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run.store import Store
 from gpgrad_core.shortlist import Candidates
 from gpgrad_core.types import Dataset
 
@@ -21,6 +22,7 @@ def run_methods(
     *,
     candidates: Candidates = "automatic",
     executor: Executor | None = None,
+    store: Store | None = None,
     progress: Progress = silent,
 ) -> dict[str, ClosureReport]:
     """Detect the loop closures of a dataset with each of several methods.
@@ -35,6 +37,7 @@ def run_methods(
         candidates: With how many earlier submaps a submap is compared; see
             `detect_loop_closures`.
         executor: Threads or processes that share the work.
+        store: Keeps the fit for later runs.
         progress: Called from this thread with the fraction done; may raise Cancelled.
 
     Returns:
@@ -52,7 +55,7 @@ def run_methods(
     for method in methods:
         method.check_searchable(candidates)  # before the work of any
     reports: dict[str, ClosureReport] = {}
-    fits = Memo()
+    fits = Memo(store=store)
     for k, method in enumerate(methods):
         adapted = method.settle(dataset.submaps, params, fits)
         result = detect_loop_closures(

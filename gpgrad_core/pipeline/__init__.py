@@ -16,11 +16,13 @@ from gpgrad_core.pipeline.detection import (
     infer_map,
     register_pair,
 )
+from gpgrad_core.pipeline.kept import KeptDetector, keeping
 from gpgrad_core.pipeline.params import PipelineParams
 
 __all__ = [
     "DetectionResult",
     "ExtractedSubmap",
+    "KeptDetector",
     "MapDetector",
     "PairResult",
     "PipelineParams",
@@ -31,6 +33,7 @@ __all__ = [
     "infer_features",
     "infer_map",
     "is_resolved",
+    "keeping",
     "register_pair",
     "resolve_parameters",
 ]

@@ -44,7 +44,8 @@ def resolve_parameters(
         submaps: The submaps of the dataset. Those that `fitting.representative` chooses are
             enough; with them alone the result is the same.
         params: The parameters; None makes all of them automatic.
-        memo: Keeps the fits, so that a second call for the same submaps costs nothing.
+        memo: Keeps the fits, so that a second call for the same submaps costs nothing; with a store
+            this also holds for later runs.
         progress: Called with the fraction done; may raise Cancelled.
 
     Returns:
@@ -62,17 +63,17 @@ def resolve_parameters(
     free = TerrainParams(noise_model=asked.noise_model, max_points=asked.max_points)
     if asked.noise_model != "constant":
         free = replace(free, noise_growth=asked.noise_growth, noise_factor=asked.noise_factor)
-    given = _given(asked)
+    given, some = _given(asked), tuple(submaps[k] for k in representative(len(submaps)))
     of_map = asked
     if not given or asked.scale is None:
-        fitted = memo(_fitted, tuple(submaps), free, (), progress=part(progress, 0.0, 0.6))
+        fitted = memo.lasting(_fitted, some, free, (), progress=part(progress, 0.0, 0.6))
         if asked.scale is None:
             of_map = replace(of_map, scale=_of_map(_scale(submaps, fitted), "scale"))
         if not given:
             of_map = _with(of_map, fitted, given)
     if given and (asked.length_scale is None or asked.noise_std is None):
-        fitted = memo(
-            _fitted, tuple(submaps), asked.terrain, given, progress=part(progress, 0.6, 1.0)
+        fitted = memo.lasting(
+            _fitted, some, asked.terrain, given, progress=part(progress, 0.6, 1.0)
         )
         of_map = _with(of_map, fitted, given)
     progress(1.0)

@@ -1,6 +1,6 @@
 """Algorithm 1, and what gpgrad adds to it: more candidate motions, alignment, one score."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -43,14 +43,18 @@ class Prepared:
     Attributes:
         relief: The elevation, smoothed over the scale of comparison.
         sharp: The elevation without smoothing, and its long waves, for the final alignment.
-        spectra: Fourier transforms for the exhaustive search.
         thin: The cells for the dense check.
+        spectra: Fourier transforms of the relief, for the exhaustive search.
     """
 
     relief: Relief
     sharp: Sharp
-    spectra: Spectra
     thin: ThinMap
+    spectra: Spectra = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Compute the transforms once."""
+        object.__setattr__(self, "spectra", make_spectra(self.relief))
 
 
 def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Prepared:
@@ -64,7 +68,6 @@ def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> 
     return Prepared(
         relief,
         sharpen(gradient_map, max_std_ratio),
-        make_spectra(relief),
         thin_out(gradient_map, max_std_ratio),
     )
 

@@ -25,8 +25,9 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import IO, Any, Generic, Literal, TypeVar
+from typing import IO, Any, Generic, Literal, TypeAlias, TypeVar
 
+from gpgrad_core.run.memory import give_back
 from gpgrad_core.run.progress import Cancelled, Progress, part, silent
 from gpgrad_core.run.threads import at_most_workers, num_workers
 
@@ -54,6 +55,15 @@ class _Reply:
     number: int
     kind: Literal["alive", "fraction", "result", "error"]
     value: Any
+
+
+@dataclass(frozen=True, eq=False)
+class _GiveBack:
+    """Asks for memory that is free."""
+
+
+_Message: TypeAlias = _Question | _GiveBack | int
+"""A question, a request, or the number of a question whose answer nobody wants any more."""
 
 
 class HelperGone(Exception):
@@ -162,6 +172,32 @@ class Helper:
             return answer
         return None
 
+    @property
+    def process_id(self) -> int:
+        """The system's number of the process."""
+        return self._process.pid
+
+    def give_back(self) -> bool:
+        """Let the process give free memory back to the system; say whether it was told."""
+        with self._lock:
+            process, is_there = self._process, self._free or self._current is not None
+        return is_there and self._send(process, _GiveBack())
+
+    def restart(self) -> bool:
+        """Put a new process in the place of this one; does nothing if it is not free.
+
+        Returns:
+            Whether it has ended, so that its memory is free. `ask` returns None until the new one
+            is ready.
+        """
+        with self._lock:
+            if not self._free:
+                return False
+            self._free, process = False, self._process
+        process.kill()  # the listener starts the next
+        process.wait()
+        return True
+
     def close(self) -> None:
         """End the process."""
         with self._lock:
@@ -178,8 +214,8 @@ class Helper:
         self._listener.join()  # its pipe has ended
         _pipe(process.stdout).close()
 
-    def _send(self, process: "subprocess.Popen[bytes]", message: _Question | int) -> bool:
-        """Send a question, or the number of one to stop; say whether it was sent."""
+    def _send(self, process: "subprocess.Popen[bytes]", message: _Message) -> bool:
+        """Send a message; say whether it was sent."""
         try:
             _write(_pipe(process.stdin), message, self._writing)
         except (OSError, ValueError):  # the pipe is broken, or closed
@@ -330,13 +366,15 @@ def _serve(questions: IO[bytes], replies: IO[bytes]) -> None:
         nonlocal stopped
         while True:
             try:
-                message: _Question | int = pickle.load(questions)
+                message: _Message = pickle.load(questions)
             except (EOFError, OSError, ValueError):
                 stopped = sys.maxsize
                 waiting.put(None)
                 return
             if isinstance(message, int):
                 stopped = max(stopped, message)
+            elif isinstance(message, _GiveBack):
+                give_back()
             else:
                 waiting.put(message)
 

@@ -9,6 +9,8 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
+from gpgrad_core.run.store import Store
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -26,21 +28,22 @@ class Memo:
     compute it, and both get the first result.
     """
 
-    def __init__(self, max_bytes: int = 2_000_000_000) -> None:
+    def __init__(self, max_bytes: int = 2_000_000_000, store: Store | None = None) -> None:
         """Make an empty memo.
 
         Args:
             max_bytes: Bytes of arrays to keep; the least recently used results are dropped first.
+            store: Keeps the results of `lasting` for later runs.
         """
-        self._max_bytes = max_bytes
+        self._max_bytes, self.store = max_bytes, store
         self._results: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
         self._keys: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
         self._bytes = 0
         self._lock = threading.RLock()
 
-    def __reduce__(self) -> tuple[type["Memo"], tuple[int]]:
-        """Become an empty memo of the same size in another process."""
-        return Memo, (self._max_bytes,)
+    def __reduce__(self) -> tuple[type["Memo"], tuple[int, Store | None]]:
+        """Become an empty memo of the same size, over the same store, in another process."""
+        return Memo, (self._max_bytes, self.store)
 
     @property
     def num_bytes(self) -> int:
@@ -68,6 +71,20 @@ class Memo:
                 return cast("R", kept[0])
         return self.keep(function(*arguments, **unkeyed), function, *arguments)
 
+    def lasting(self, function: Callable[P, R], *arguments: P.args, **unkeyed: P.kwargs) -> R:
+        """As a call, but the result is also taken from the store, and kept there.
+
+        Args:
+            function: A pure function whose result `packing.pack` can pack.
+            arguments: Its inputs and parameters, whose text `store.key_of` can write.
+            unkeyed: Arguments that do not change the result, such as ``progress``.
+        """
+        if self.store is None or self.holds(function, *arguments):
+            return self(function, *arguments, **unkeyed)
+        name = f"{function.__module__}.{function.__qualname__}"
+        result = self.store(lambda: function(*arguments, **unkeyed), name, *arguments)
+        return self.keep(result, function, *arguments)
+
     def keep(self, result: R, function: Callable[..., R], *arguments: object) -> R:
         """Store a result that was computed elsewhere; returns the one that is kept.
 
@@ -85,10 +102,21 @@ class Memo:
             self._bytes += size
             if is_dataclass(result) and not _is_params(result):
                 self._keys[result] = key
-            while self._bytes > self._max_bytes and len(self._results) > 1:
-                _, (_, freed) = self._results.popitem(last=False)
-                self._bytes -= freed
+            self._drop_to(self._max_bytes, least=1)
         return result
+
+    def drop_to(self, num_bytes: int) -> None:
+        """Drop the least recently used results until no more than these bytes of arrays are held.
+
+        What others still hold stays in memory as long as they do.
+        """
+        with self._lock:
+            self._drop_to(num_bytes)
+
+    def _drop_to(self, num_bytes: int, least: int = 0) -> None:
+        while self._bytes > num_bytes and len(self._results) > least:
+            _, (_, freed) = self._results.popitem(last=False)
+            self._bytes -= freed
 
     def _key(self, function: Callable[..., Any], arguments: tuple[object, ...]) -> Hashable:
         name = f"{function.__module__}.{function.__qualname__}"

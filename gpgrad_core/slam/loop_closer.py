@@ -18,11 +18,13 @@ from gpgrad_core.pipeline import (
     MapDetector,
     PipelineParams,
     check_searchable,
+    keeping,
     resolve_parameters,
 )
 from gpgrad_core.pipeline.all_pairs import SearchableDetector, StagedDetector, side_by_side
 from gpgrad_core.run.memo import Memo, array_bytes
 from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run.store import Store
 from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.se2 import Pose
 from gpgrad_core.shortlist import Candidate, Candidates, Shortlist, num_wanted
@@ -84,6 +86,7 @@ class LoopCloser:
         candidates: Candidates = "automatic",
         executor: Executor | None = None,
         bytes_in_memory: int = BYTES_IN_MEMORY,
+        store: Store | None = None,
     ) -> None:
         """Begin with no submap.
 
@@ -98,6 +101,7 @@ class LoopCloser:
             candidates: With how many of these a submap is compared; see `detect_loop_closures`.
             executor: Threads that share the comparisons.
             bytes_in_memory: Bytes of maps and keypoints to keep in memory.
+            store: Keeps the fit, maps, keypoints and registrations for later runs.
 
         Raises:
             InputError: If the number of candidates is none that is allowed, or if the detector
@@ -107,10 +111,10 @@ class LoopCloser:
         self._params = params or PipelineParams()
         self._graph_params, self._solver = graph, solver
         self._detector = detector
-        self._radius, self._executor = search_radius, executor
+        self._radius, self._executor, self._store = search_radius, executor, store
         self._candidates: Candidates = candidates
         self._shortlist = Shortlist(self._params.registration.seed)
-        self._extracted = _Store(bytes_in_memory)
+        self._extracted = _Spilled(bytes_in_memory)
         self._submaps: list[Submap] = []
         self._traverses: list[int] = []  # number of each submap's traverse
         self._poses: dict[str, Pose] = {}
@@ -183,10 +187,7 @@ class LoopCloser:
             raise InputError(f"submap {submap.id} has no odometry pose, which a pose graph needs")
         if submap.id in self._poses:
             raise InputError(f"submap {submap.id} was already added; ids must differ")
-        if self._detector is None:
-            self._params = resolve_parameters([submap], self._params)
-            self._detector = MapDetector(self._params, Memo(MEMO_BYTES))
-        detector = self._detector
+        detector = self._detector_for(submap)
         number = self._traverses[-1] + starts_traverse if self._traverses else 0
         predicted = self._predicted(submap.pose_odometry, starts_traverse=starts_traverse)
         made = side_by_side(detector.infer, [submap], None, part(progress, 0.0, 0.4))[0]
@@ -225,6 +226,14 @@ class LoopCloser:
             self._poses = dict(self.result.poses)
         return Step(closures, dict(self._poses), shortlist)
 
+    def _detector_for(self, submap: Submap) -> StagedDetector:
+        """Return the detector; the first submap determines its automatic parameters."""
+        if self._detector is None:
+            memo = Memo(MEMO_BYTES, self._store)
+            self._params = resolve_parameters([submap], self._params, memo)
+            self._detector = keeping(MapDetector(self._params, memo), self._store)
+        return self._detector
+
     def _predicted(self, odometry: Pose, *, starts_traverse: bool) -> Pose:
         """Predict the next pose by odometry from the last submap's."""
         if not self._submaps or starts_traverse:
@@ -240,7 +249,7 @@ class LoopCloser:
         return bool(distance <= self._radius)
 
 
-class _Store:
+class _Spilled:
     """What was extracted of each submap: the most recently used in memory, the others on disk."""
 
     def __init__(self, max_bytes: int) -> None:

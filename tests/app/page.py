@@ -3,6 +3,7 @@
 import hashlib
 import threading
 import time
+import uuid
 from collections.abc import Callable
 from contextlib import suppress
 from types import SimpleNamespace
@@ -73,6 +74,7 @@ class ProtocolPage:
             subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
             max_size=None,
             compression=None,
+            open_timeout=60,  # the machine may be busy
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -102,6 +104,13 @@ class ProtocolPage:
         widget = self.find(label)
         widget["value"] = value
         self.send({"type": "GuiUpdateMessage", "uuid": widget["uuid"], "updates": {"value": value}})
+
+    def upload(self, label: str, name: str, content: bytes) -> None:
+        """Send a file in one part."""
+        ids = {"source_component_uuid": self.find(label)["uuid"], "transfer_uuid": uuid.uuid4().hex}
+        about = {"filename": name, "mime_type": "", "part_count": 1, "size_bytes": len(content)}
+        self.send({"type": "FileTransferStartUpload", **ids, **about})
+        self.send({"type": "FileTransferPart", **ids, "part_index": 0, "content": content})
 
     def html(self) -> str:
         """Return all text in the panels."""

@@ -7,7 +7,8 @@ real datasets (``GPGRAD_DATA``), whole, thinned and noisy, and steep hills simul
 
 import argparse
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from gpgrad_core.methods import METHODS
 from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.types import Dataset
 from tests.quality.degraded import SETS, load_degraded
@@ -77,7 +79,7 @@ def run(
         by_inliers: Whether pairs are ranked by their inliers alone.
     """
     method = METHODS[method_name]
-    params = method.settle(dataset.submaps, given or PipelineParams())
+    params = method.settle(dataset.submaps, given or PipelineParams(), Memo(store=Store()))
     params = change(params) if change else params
     count = len(dataset.submaps)
     with workers(num_workers(), count * (count - 1) // 2) as executor:
@@ -87,7 +89,8 @@ def run(
     judged = evaluate(dataset, {"row": result}, EvaluationParams(num_resamples=0), pairs=pairs)
     verdict, surface = judged.methods[0], 1
     ranked, accepted = verdict.rules[surface].ranked, verdict.accepted
-    assert ranked is not None
+    if ranked is None:
+        raise SystemExit(f"{dataset.name}: no pair of it is true by the rule on surfaces")
     wrong = accepted.wrong_motion + accepted.no_overlap
     if by_inliers:
         return Figures(
@@ -134,27 +137,36 @@ ROWS: dict[str, Callable[[Dataset, TruePairs], Figures]] = {
 
 
 def main() -> None:
-    """Print the table, a row as soon as it is known."""
+    """Print each cell as soon as it is known, and the table at the end."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sets", nargs="*", default=list(SETS), choices=SETS)
     parser.add_argument("--kinds", nargs="*", default=list(KINDS), choices=list(KINDS))
     parser.add_argument("--scans", nargs="*", default=list(SCANS), choices=list(SCANS))
     asked = parser.parse_args()
-    folder = Path(os.environ.get("GPGRAD_DATA", "../shared/data"))
-    columns: dict[str, tuple[Dataset, TruePairs]] = {}
-    for name in asked.sets:
-        pairs = measure_pairs(load_dataset(folder / name))
-        for kind in asked.kinds:
-            columns[f"{name}, {kind}"] = load_degraded(folder / name, *KINDS[kind]), pairs
-    for kind in asked.scans:
-        simulated = simulate_dataset(SCANS[kind])
-        columns[f"hills, {kind}"] = simulated, measure_pairs(simulated)
+    columns: dict[str, dict[str, str]] = {}
+    for name, dataset, pairs in _columns(asked):
+        columns[name] = {}
+        for row, run_row in ROWS.items():
+            columns[name][row] = str(run_row(dataset, pairs))
+            print(f"{name}: {row}: {columns[name][row]}", file=sys.stderr, flush=True)  # noqa: T201
     print("AP / R100 by the surface rule, accepted right + wrong motions.\n")  # noqa: T201
     print("| | " + " | ".join(columns) + " |")  # noqa: T201
     print("|---|" + "---|" * len(columns))  # noqa: T201
-    for name, row in ROWS.items():
-        cells = [str(row(dataset, pairs)) for dataset, pairs in columns.values()]
-        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)  # noqa: T201
+    for row in ROWS:
+        cells = " | ".join(cells[row] for cells in columns.values())
+        print(f"| {row} | {cells} |")  # noqa: T201
+
+
+def _columns(asked: argparse.Namespace) -> Iterator[tuple[str, Dataset, TruePairs]]:
+    """Load or simulate the sets, one at a time."""
+    folder = Path(os.environ.get("GPGRAD_DATA", "../shared/data"))
+    for name in asked.sets:
+        pairs = measure_pairs(load_dataset(folder / name))
+        for kind in asked.kinds:
+            yield f"{name}, {kind}", load_degraded(folder / name, *KINDS[kind]), pairs
+    for kind in asked.scans:
+        simulated = simulate_dataset(SCANS[kind])
+        yield f"hills, {kind}", simulated, measure_pairs(simulated)
 
 
 if __name__ == "__main__":

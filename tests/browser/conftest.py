@@ -9,6 +9,7 @@ from app.viewer.server import Viewer
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.store import Store
 
 QUICK = PipelineParams(map=MapParams(max_points=3000, resolution=0.12))
 """Few points and large cells: software rendering draws every one of them."""
@@ -44,7 +45,9 @@ def serve(browser: object) -> Iterator[Callable[..., object]]:
     pages: list[ViewerPage] = []
 
     def start(params: PipelineParams = QUICK, **settings: object) -> ViewerPage:
-        viewer = Viewer(load_dataset(demo_path()), params, port=0, source=str(demo_path()))
+        viewer = Viewer(
+            load_dataset(demo_path()), params, port=0, source=str(demo_path()), store=Store()
+        )
         viewers.append(viewer)
         pages.append(ViewerPage(browser, viewer.url, **settings))  # type: ignore[arg-type]
         pages[-1].viewer = viewer  # type: ignore[attr-defined]

@@ -357,6 +357,13 @@ def _wrapped(door: Door) -> Generator[None]:
             module.serve = original
 
 
+def forget_file(button: viser.GuiUploadButtonHandle, file: viser.UploadedFile) -> None:
+    """Let go of a file that was taken in; viser keeps the last one of each button for ever."""
+    handle: Any = button
+    if handle._impl.value is file:
+        handle._impl.value = viser.UploadedFile("", b"")
+
+
 def _is_upload_news(message: object) -> bool:
     return isinstance(message, messages.FileTransferPartAck)
 

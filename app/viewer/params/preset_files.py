@@ -16,6 +16,9 @@ from gpgrad_core.pipeline import PipelineParams
 NAME = re.compile(r"[^\W_][\w .()+-]{0,59}")
 """What a preset may be called, so that it can be a file's name on every system."""
 
+MOST = 200
+"""Presets of one's own; any page may save some, and each session reads all of them."""
+
 
 @dataclass(frozen=True)
 class Preset:
@@ -78,11 +81,11 @@ def own_presets(folder: Path) -> tuple[tuple[Preset, ...], tuple[str, ...]]:
         except (InputError, OSError) as error:
             notes.append(str(error))
             continue
-        found.append(Preset(path.stem, f"Your own: {path}", params))
+        found.append(_own(path, params))
     return tuple(found), tuple(notes)
 
 
-def save_preset(folder: Path, name: str, params: PipelineParams) -> Path:
+def save_preset(folder: Path, name: str, params: PipelineParams) -> Preset:
     """Save parameters as one of the user's presets; one of the same name is replaced.
 
     Args:
@@ -91,19 +94,22 @@ def save_preset(folder: Path, name: str, params: PipelineParams) -> Path:
         params: What to save, all of it.
 
     Returns:
-        The file, which ``--params`` reads.
+        The preset; its purpose names the file, which ``--params`` reads.
 
     Raises:
-        InputError: If the name cannot be used, or the file cannot be written.
+        InputError: If the name cannot be used, there are too many presets already, or the file
+            cannot be written.
     """
     path = _path(folder, name)
+    if len([other for other in folder.glob("*.toml") if other != path]) >= MOST:
+        raise InputError(f"There are {MOST} presets, which is the most: delete one first")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with replacing(path) as unfinished:
             unfinished.write_text(preset_text(name, params), encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
-    return path
+    return _own(path, params)
 
 
 def delete_preset(folder: Path, name: str) -> None:
@@ -121,6 +127,10 @@ def delete_preset(folder: Path, name: str) -> None:
 def preset_text(name: str, params: PipelineParams) -> str:
     """Write the TOML of a preset."""
     return f"# gpgrad parameters: {name}\n{tomli_w.dumps(to_tables(params))}"
+
+
+def _own(path: Path, params: PipelineParams) -> Preset:
+    return Preset(path.stem, f"Your own: {path}", params)
 
 
 def _path(folder: Path, name: str) -> Path:

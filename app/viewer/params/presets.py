@@ -1,6 +1,7 @@
 """Presets in the viewer: wires their panel to the files they are kept in."""
 
 import threading
+from collections.abc import Iterable
 
 import viser
 
@@ -22,8 +23,8 @@ from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.reading.toml_files import parse_toml
 
 LARGEST = 100_000
-"""Bytes of a file of parameters; any real one has a hundredth. It is parsed between two messages
-of a page."""
+"""Bytes of a file of parameters; any real one has a hundredth. It is parsed in a thread of its own,
+which such a file keeps busy for a tenth of a second at most."""
 
 
 class PresetsTool(Feature):
@@ -46,9 +47,10 @@ class PresetsTool(Feature):
             on_download=self._download,
             on_file=self._upload,
         )
-        for note in self._read():
+        own, notes = ((), ()) if self._folder is None else own_presets(self._folder)
+        for note in notes:
             self._panel.tell(note, bad=True)
-        self._show()
+        self._offer(own)
 
     def follow(self, state: ViewState) -> None:
         """Point at the preset that the parameters are."""
@@ -58,12 +60,14 @@ class PresetsTool(Feature):
             if changed:
                 self._show()
 
-    def _read(self) -> tuple[str, ...]:
-        notes: tuple[str, ...] = ()
-        if self._folder is not None:
-            self._own, notes = own_presets(self._folder)
+    def _offer(self, own: Iterable[Preset]) -> None:
+        """Offer presets of the user's own beside those that are built in.
+
+        What is saved or deleted later is told here; reading all files anew would make pages wait.
+        """
+        self._own = tuple(own)
         self._panel.offer(tuple(preset.name for preset in (*BUILT_IN, *self._own)))
-        return notes
+        self._show()
 
     def _show(self) -> None:
         params = self._state.params
@@ -84,13 +88,13 @@ class PresetsTool(Feature):
             if self._folder is None:
                 return
             try:
-                path = save_preset(self._folder, name, self._state.params)
+                saved = save_preset(self._folder, name, self._state.params)
             except InputError as error:
                 self._panel.tell(str(error), bad=True)
                 return
-            self._read()
-            self._show()
-        self._panel.tell(f"Saved: {path}")
+            others = [preset for preset in self._own if preset.name != saved.name]
+            self._offer(sorted((*others, saved), key=lambda preset: preset.name))
+        self._panel.tell(saved.purpose.replace("Your own", "Saved"))
 
     def _delete(self) -> None:
         with self._lock:
@@ -102,8 +106,7 @@ class PresetsTool(Feature):
             except InputError as error:
                 self._panel.tell(str(error), bad=True)
                 return
-            self._read()
-            self._show()
+            self._offer(preset for preset in self._own if preset.name != name)
         self._panel.tell(f"Deleted: {name}")
 
     def _download(self, name: str, client: viser.ClientHandle) -> None:

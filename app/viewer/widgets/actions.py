@@ -11,6 +11,8 @@ from typing import Any, TypeVar
 
 import viser
 
+from app.viewer.door.server import forget_file
+
 Option = TypeVar("Option", bound=str)
 
 
@@ -88,3 +90,4 @@ def on_upload(button: viser.GuiUploadButtonHandle, act: Callable[[str, bytes], N
     async def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
         file = event.target.value
         await asyncio.to_thread(act, file.name, file.content)
+        forget_file(event.target, file)

@@ -38,8 +38,14 @@ class FakeViewer:
     saved: object = None
     permissions: object = None
     admission: object = None
+    store: object = None
+    memory: int | None = None
+    on_full: object = None
     link: str = "http://127.0.0.1:8080"
     closed: bool = False
+
+    def __post_init__(self) -> None:
+        self.memory = self.memory or 1_000_000_000
 
     def run_forever(self) -> None:
         raise KeyboardInterrupt
@@ -89,9 +95,10 @@ def test_view_opens_the_demo_in_the_browser(
     assert stage.pages == ["http://127.0.0.1:8080"]
     assert viewer.closed
     said = capsys.readouterr()
-    fitted, address = said.out.splitlines()
+    fitted, address, memory = said.out.splitlines()
     assert fitted.startswith("crater: fitted: noise ")
     assert address == "crater is at http://127.0.0.1:8080 (Ctrl-C ends)"
+    assert memory == "Memory: up to 1.0 GB (--memory changes it)"
     assert said.err.splitlines() == [f"gpgrad: {DATASET.notes[0]}", "gpgrad: interrupted"]
 
 

@@ -137,6 +137,20 @@ def test_when_it_dies_the_work_is_done_here_or_by_the_next() -> None:
     helper.close()
 
 
+def test_told_to_it_makes_room_for_a_fresh_process(helper: Helper, tmp_path: Path) -> None:
+    first = ask(helper, where, "first").wait()[1]
+    assert helper.process_id == first
+    assert helper.give_back()
+    assert ask(helper, where, "goes on").wait()[1] == first
+    busy = ask(helper, count_until_told, tmp_path / "count")
+    assert not helper.restart()  # the answer is waited for
+    busy.drop()
+    with pytest.raises(Cancelled):
+        busy.wait()
+    assert helper.restart()
+    assert ask(helper, where, "second").wait()[1] == helper.process_id != first
+
+
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_after_its_death_it_comes_back_as_another_process() -> None:
     helper = started()

@@ -203,6 +203,19 @@ def test_a_result_too_big_for_it_is_kept_until_the_next(counter: Counter) -> Non
     assert memo.num_bytes == 8000
 
 
+def test_told_to_it_drops_the_least_recently_used(counter: Counter) -> None:
+    memo = Memo()
+    kept = [memo(counter.first, Root("a"), Params(float(k), count=10)) for k in range(5)]
+    memo(counter.first, Root("a"), Params(0.0, count=10))  # used again: dropped last
+    memo.drop_to(2 * 80 + 79)
+    assert memo.num_bytes == 2 * 80
+    held = [memo.holds(counter.first, Root("a"), Params(float(k), count=10)) for k in range(5)]
+    assert held == [True, False, False, False, True]
+    memo.drop_to(0)
+    assert memo.num_bytes == 0
+    assert memo(counter.first, Root("a"), Params(count=10)) is not kept[0]
+
+
 def test_what_comes_of_a_forgotten_result_is_still_known(counter: Counter) -> None:
     memo = Memo(max_bytes=3 * 80)
     early = memo(counter.first, Root("a"), Params(count=10))

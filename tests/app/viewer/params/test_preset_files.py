@@ -64,10 +64,11 @@ def test_own_presets_are_saved_replaced_and_deleted(tmp_path: Path) -> None:
     folder = tmp_path / "not" / "yet"
     assert own_presets(folder) == ((), ())
     save_preset(folder, "Etna (noisy)", PipelineParams())
-    path = save_preset(folder, "Etna (noisy)", OTHERS)
+    saved = save_preset(folder, "Etna (noisy)", OTHERS)
     (found,), notes = own_presets(folder)
+    assert found == saved
     assert (found.name, found.params, notes) == ("Etna (noisy)", OTHERS, ())
-    assert str(path) in found.purpose
+    assert str(folder / "Etna (noisy).toml") in found.purpose
     delete_preset(folder, "Etna (noisy)")
     assert own_presets(folder) == ((), ())
     with pytest.raises(InputError, match="not one of your own"):
@@ -81,6 +82,16 @@ def test_a_name_that_is_no_file_name_is_refused(tmp_path: Path, name: str) -> No
     with pytest.raises(InputError):
         save_preset(tmp_path, name, PipelineParams())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_only_so_many_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.viewer.params.preset_files.MOST", 2)
+    for name in ("one", "two", "two"):
+        save_preset(tmp_path, name, OTHERS)
+    with pytest.raises(InputError, match="There are 2 presets, which is the most"):
+        save_preset(tmp_path, "three", OTHERS)
+    delete_preset(tmp_path, "one")
+    save_preset(tmp_path, "three", OTHERS)
 
 
 def test_a_broken_preset_is_told_and_the_others_are_there(tmp_path: Path) -> None:

@@ -66,6 +66,7 @@ def test_ones_own_are_kept_for_the_next_time(
     user_presses(find(server, "Save preset"))
     assert "seven.toml" in said(presets)
     assert find(server, "Preset").value == "seven"
+    assert find(server, "Preset").options[-1] == "seven"
     presets.follow(STATE)
     user_sets(find(server, "Preset"), "seven")
     assert gone_to(recorder)[-1] == needing(7)

@@ -1,0 +1,182 @@
+"""One budget of memory for the viewer and its helper together, measured and kept.
+
+What is counted is what the two processes hold of the machine's memory, not what the memo believes
+to hold: beside its arrays there are the dataset, the scene, uploads, and memory that is free but
+not given back.
+"""
+
+import contextlib
+import re
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.helper import Helper
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.memory import give_back
+
+LEAST = 600_000_000
+"""Bytes; viewer and helper have 460 MB with the demo open before anything is remembered."""
+SHARE = 0.25
+"""Of the machine's memory that the two take by default, from `LEAST` to `MOST`."""
+MOST = 8_000_000_000
+MEMO_SHARE = 0.5
+"""Of the budget for the memo's arrays: its bound between two measurements."""
+RELIEVED = 0.92
+"""Relief goes down to this share of the budget, so that it is not needed again at once."""
+HELPER_SHARE = 0.35
+"""A helper that holds more of the budget is replaced; it begins with 150 MB."""
+MEASURE_EVERY = 1.0
+"""Seconds between two measurements."""
+LONGEST_PAUSE = 16.0
+"""Seconds between two attempts while nothing more can be given back; each takes some time."""
+FULL_AFTER = 60.0
+"""The budget cannot be kept when that was so for so long [s]: work that is done passes it too."""
+GOING = 0.2
+"""Time in which the helper gives memory back [s]."""
+
+_SIZE = re.compile(r"(\d{1,6}(?:\.\d{1,6})?) ?([MGT])B", re.ASCII | re.IGNORECASE)
+_UNITS = {"M": 1e6, "G": 1e9, "T": 1e12}
+_GROUPS, _MINE = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+
+
+def read_size(text: str) -> int:
+    """Read a budget.
+
+    >>> read_size("800MB"), read_size("1.5 GB")
+    (800000000, 1500000000)
+
+    Raises:
+        InputError: If it is no size, or too little to work with.
+    """
+    found = _SIZE.fullmatch(text.strip())
+    if found is None:
+        raise InputError(f"--memory {text}: must be a size such as 800MB or 4GB")
+    size = round(float(found[1]) * _UNITS[found[2].upper()])
+    if size < LEAST:
+        raise InputError(f"--memory {text}: the viewer needs {shown(LEAST)} or more")
+    return size
+
+
+def shown(size: float) -> str:
+    """Write a size for people.
+
+    >>> shown(812_345_678), shown(4_000_000_000)
+    ('812 MB', '4.0 GB')
+    """
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
+
+
+def default_budget() -> int:
+    """Give the budget that nobody has set: a share of what this process may have at all."""
+    total = min([psutil.virtual_memory().total, *_limits()])
+    return round(min(max(SHARE * total, LEAST), MOST))
+
+
+def resident(process: int) -> int:
+    """Measure what a process holds of the machine's memory [bytes]; 0 if it has ended."""
+    try:
+        return int(psutil.Process(process).memory_info().rss)
+    except psutil.Error:
+        return 0
+
+
+class MemoryKeeper:
+    """Measures now and then, and when the budget is passed, gives memory back.
+
+    First goes what is free already, in both processes. Then the helper, if it alone holds too
+    much, is replaced by a fresh one. Then the memo drops results, the least recently used first.
+
+    Attributes:
+        budget: Bytes for both processes together.
+    """
+
+    def __init__(
+        self,
+        budget: int,
+        memo: Memo,
+        helper: Helper | None,
+        on_full: Callable[[str], None] | None = None,
+    ) -> None:
+        """Begin to measure; `close` ends it.
+
+        Args:
+            budget: Bytes for both processes together.
+            memo: What may drop results.
+            helper: The other process, if there is one.
+            on_full: Told once, in a sentence, when the budget cannot be kept.
+        """
+        self.budget = budget
+        self._memo, self._helper, self._on_full = memo, helper, on_full
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="memory", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop measuring."""
+        self._closed.set()
+        self._thread.join()
+
+    def measure(self) -> int:
+        """Measure what both processes hold [bytes]."""
+        return resident(psutil.Process().pid) + self._of_helper()
+
+    def relieve(self) -> int:
+        """Give memory back until the budget is kept, as far as possible; measures after [bytes]."""
+        target = RELIEVED * self.budget
+        self._give_back()
+        if self._helper is not None and self._of_helper() > HELPER_SHARE * self.budget:
+            self._helper.restart()
+        while (held := self.measure()) > target and self._memo.num_bytes:
+            self._memo.drop_to(max(0, round(self._memo.num_bytes - (held - target))))
+            give_back()
+        return held
+
+    def _watch(self) -> None:
+        pause, full_since = MEASURE_EVERY, None
+        while not self._closed.wait(pause):
+            held = self.measure()
+            if held > self.budget:
+                held = self.relieve()
+            if held <= self.budget:
+                pause, full_since = MEASURE_EVERY, None
+                continue
+            now = time.monotonic()
+            pause, full_since = min(2 * pause, LONGEST_PAUSE), full_since or now
+            if now - full_since > FULL_AFTER and self._on_full is not None:
+                self._on_full(
+                    f"viewer and helper hold {shown(held)} and can give nothing back: this "
+                    f"dataset needs more than --memory {shown(self.budget)}"
+                )
+                self._on_full = None
+
+    def _give_back(self) -> None:
+        if self._helper is not None and self._helper.give_back():
+            self._closed.wait(GOING)
+        give_back()
+
+    def _of_helper(self) -> int:
+        return 0 if self._helper is None else resident(self._helper.process_id)
+
+
+def _limits() -> list[int]:
+    """Read the limits of this process's control groups [bytes], which containers have."""
+    found: list[int] = []
+    with contextlib.suppress(OSError):
+        for line in _MINE.read_text().splitlines():
+            _, controllers, path = line.split(":", 2)
+            if controllers and "memory" not in controllers.split(","):
+                continue
+            name = "memory.limit_in_bytes" if controllers else "memory.max"
+            root = _GROUPS / "memory" if controllers else _GROUPS
+            inner = root / path.lstrip("/")
+            for folder in (inner, *inner.parents):
+                with contextlib.suppress(OSError, ValueError):  # "max" is no number
+                    found.append(int((folder / name).read_text()))
+                if folder == root:
+                    break
+    return found

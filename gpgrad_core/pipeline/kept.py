@@ -1,0 +1,112 @@
+"""The pipeline's stages over a store: what an earlier run has made is not made again."""
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+from gpgrad_core.pipeline.all_pairs import StagedDetector
+from gpgrad_core.pipeline.detection import ExtractedSubmap, MapDetector, infer_map
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run.store import Store, key_of
+from gpgrad_core.types import Features, GradientMap, LoopDetector, Registration, Submap
+
+D = TypeVar("D", bound=LoopDetector)
+
+LOADED = Memo(200_000_000)
+"""Views that this process has loaded, by their keys: it gets a new detector with every job."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A submap as the comparison sees it: in the store, or here if the store could not take it.
+
+    Attributes:
+        submap: The submap, from which the view can be made anew.
+        key: Key of the view in the store.
+        made: What the comparison needs; None if the store has it.
+    """
+
+    submap: Submap
+    key: str
+    made: ExtractedSubmap | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Mapped:
+    """A submap with its map, until its view is made."""
+
+    submap: Submap
+    key: str
+    gradient_map: GradientMap
+
+
+@dataclass(frozen=True, eq=False)
+class KeptDetector(StagedDetector):
+    """A `MapDetector` that keeps views and registrations in a store, and takes them from there.
+
+    So a run that was killed goes on where it was, and a second run with another threshold compares
+    nothing. Submaps are handed around without their views, which every process loads as it needs
+    them: memory does not grow with their number.
+
+    Attributes:
+        detector: What makes views and registrations; with its own maps, not a rival's.
+        store: Where they are kept.
+    """
+
+    detector: MapDetector
+    store: Store
+
+    def infer(self, submap: Submap, progress: Progress = silent) -> View | _Mapped:
+        """Make the map, unless the view is in the store."""
+        params = self.detector.params
+        key = key_of("view", submap, params.map, params.features)
+        if self.store.holds(key):
+            progress(1.0)
+            return View(submap, key)
+        return _Mapped(submap, key, self.detector.infer(submap, progress))
+
+    def extract(self, made: View | _Mapped, progress: Progress = silent) -> View:
+        """Make the view of a map, and put it into the store."""
+        if isinstance(made, View):
+            progress(1.0)
+            return made
+        view = self.detector.extract(made.gradient_map, progress)
+        is_kept = self.store.put(made.key, view)
+        return View(made.submap, made.key, None if is_kept else view)
+
+    def keypoints(self, extracted: View) -> Features:
+        """Give the keypoints of a view."""
+        return self._load(extracted).features
+
+    def compare(self, query: View, database: View) -> Registration:
+        """Register two views, unless that was done before."""
+        params = self.detector.params
+        return self.store(
+            lambda: self.detector.compare(self._load(query), self._load(database)),
+            *("pair", query.key, database.key, params.matching, params.registration),
+        )
+
+    def _load(self, view: View) -> ExtractedSubmap:
+        if view.made is not None:
+            return view.made
+        return LOADED(self._from_store, view.key, submap=view.submap)
+
+    def _from_store(self, key: str, *, submap: Submap) -> ExtractedSubmap:
+        kept = self.store.get(key)
+        if isinstance(kept, ExtractedSubmap):
+            return kept
+        # It was damaged, or another process needed its room.
+        made = self.detector.extract(self.detector.infer(submap))
+        self.store.put(key, made)
+        return made
+
+
+def keeping(detector: D, store: Store | None) -> "D | KeptDetector":
+    """Let a detector use a store, if there is one and the detector is the pipeline itself.
+
+    Rivals are not kept: they run to be timed.
+    """
+    if store is None or not isinstance(detector, MapDetector):
+        return detector
+    is_own = detector.make_map is infer_map and detector.drawn_from is None
+    return KeptDetector(detector, store) if is_own else detector

@@ -1,0 +1,268 @@
+"""Results of stages on disk, shared by runs and by processes, and limited to a number of bytes."""
+
+import contextlib
+import hashlib
+import os
+import sqlite3
+import tempfile
+from collections.abc import Callable, Generator
+from dataclasses import fields, is_dataclass
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from time import time
+from typing import TypeVar, cast
+
+import platformdirs
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.packing import Damaged, pack, unpack
+
+R = TypeVar("R")
+
+MAX_BYTES = 10_000_000_000
+"""Bytes that a store keeps unless told otherwise."""
+INLINE = 16_384
+"""Results of at most this many bytes lie in the index itself; larger ones get a file each."""
+INDEX = "index.sqlite"
+SLACK = 0.01
+"""Share of the limit that a process may add before it counts all entries again."""
+FRESH = 600.0
+"""A use is written down only so long after the last one [s], so that most reads write nothing."""
+PART = ".part"
+LEFT_AFTER = 3600.0
+"""Age from which an unfinished file counts as left by a killed process [s]."""
+WAIT = 30.0
+"""Time that a process waits for another one that writes to the index [s]."""
+LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless")
+"""Libraries whose version may change a result."""
+
+SCHEMA = """
+create table if not exists kept (
+    key text primary key, used real not null, bytes integer not null, packed blob
+) without rowid;
+create table if not exists damaged (key text)
+"""
+
+
+def default_folder() -> Path:
+    """Find the folder for results in the user's cache."""
+    return platformdirs.user_cache_path("gpgrad", appauthor=False) / "results"
+
+
+class Store:
+    """Remembers results on disk by what they were made from.
+
+    An entry belongs to the code and the library versions that made it: after an update the results
+    are made anew. When the store is full, the entries that were not used for the longest time are
+    dropped. Several processes and threads can share a folder. An entry that is damaged is made
+    anew and counted, for `take_damaged`.
+
+    No library does this: those that keep results on disk read them back as pickles, which run what
+    a stranger wrote into them.
+
+    A store is never needed: where it cannot be read or written, results are made as without it.
+    """
+
+    def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES) -> None:
+        """Open a store, which is made at the first result.
+
+        Args:
+            folder: Where it is; None takes the user's cache folder.
+            max_bytes: Bytes to keep; each process may exceed it by one hundredth.
+
+        Raises:
+            InputError: If the path is a file.
+        """
+        self.folder = default_folder() if folder is None else folder
+        self.max_bytes = max_bytes
+        self._added: int | None = None  # bytes since there was room for sure
+        if self.folder.exists() and not self.folder.is_dir():
+            raise InputError(f"{self.folder}: is a file; name a folder for the kept results")
+
+    def __reduce__(self) -> tuple[type["Store"], tuple[Path, int]]:
+        """Become the same store in another process."""
+        return Store, (self.folder, self.max_bytes)
+
+    def __call__(self, make: Callable[[], R], *made_from: object) -> R:
+        """Return ``make()``, from the disk if it was made before.
+
+        Args:
+            make: Makes the result, which `packing.pack` must be able to pack.
+            made_from: Everything that determines the result: names, numbers, parameters, tuples of
+                these, and submaps, which count by their fingerprints.
+        """
+        key = key_of(*made_from)
+        kept = self.get(key)
+        if kept is not None:
+            return cast("R", kept)
+        result = make()
+        self.put(key, result)
+        return result
+
+    def get(self, key: str) -> object | None:
+        """Return a result; None if it is not kept, cannot be read or is damaged."""
+        try:
+            with self._index() as index:
+                query = "select packed, used from kept where key = ?"
+                row = index.execute(query, (key,)).fetchone()
+                if row is None:
+                    return None
+                if time() - row[1] > FRESH:
+                    index.execute("update kept set used = ? where key = ?", (time(), key))
+            packed = row[0] if row[0] is not None else self._file(key).read_bytes()
+        except (OSError, sqlite3.Error):
+            return None
+        try:
+            return unpack(packed)
+        except Damaged:
+            self._drop(key)
+            return None
+
+    def holds(self, key: str) -> bool:
+        """Tell whether a result is kept; it may still turn out to be damaged."""
+        try:
+            with self._index() as index:
+                query = "select packed is null from kept where key = ?"
+                row = index.execute(query, (key,)).fetchone()
+            return row is not None and (not row[0] or self._file(key).exists())
+        except (OSError, sqlite3.Error):
+            return False
+
+    def put(self, key: str, result: object) -> bool:
+        """Keep a result.
+
+        Returns:
+            Whether it is kept now: not if the disk is full or the folder cannot be written.
+        """
+        packed = pack(result)
+        inline = len(packed) <= INLINE
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with self._index() as index:
+                index.execute(
+                    "insert or replace into kept values (?, ?, ?, ?)",
+                    (key, time(), len(packed), packed if inline else None),
+                )
+                self._added = None if self._added is None else self._added + len(packed)
+                if self._added is None or self._added > self.max_bytes * SLACK:
+                    self._make_room(index)
+                    self._added = 0
+            # The file comes last: an entry without its file is made anew, and a file without its
+            # entry would never be dropped.
+            if not inline:
+                self._write(self._file(key), packed)
+        except (OSError, sqlite3.Error):
+            return False
+        return True
+
+    def take_damaged(self) -> int:
+        """Count the entries that any process has found damaged, and forget that number."""
+        try:
+            with self._index() as index:
+                return index.execute("delete from damaged").rowcount
+        except (OSError, sqlite3.Error):
+            return 0
+
+    def _write(self, file: Path, packed: bytes) -> None:
+        """Write a file under another name first, so that others never read half of it."""
+        file.parent.mkdir(exist_ok=True)
+        descriptor, unfinished = tempfile.mkstemp(PART, dir=file.parent)
+        try:
+            with os.fdopen(descriptor, "wb") as out:
+                out.write(packed)
+            Path(unfinished).replace(file)
+        except BaseException:
+            Path(unfinished).unlink(missing_ok=True)
+            raise
+        for left in file.parent.glob(f"*{PART}"):  # by a process that was killed
+            if time() - left.stat().st_mtime > LEFT_AFTER:
+                left.unlink(missing_ok=True)
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes kept now."""
+        try:
+            with self._index() as index:
+                return int(index.execute("select total(bytes) from kept").fetchone()[0])
+        except (OSError, sqlite3.Error):
+            return 0
+
+    def _make_room(self, index: sqlite3.Connection) -> None:
+        """Drop the entries that were not used for the longest time, while there are too many."""
+        excess = index.execute("select total(bytes) from kept").fetchone()[0] - self.max_bytes
+        if excess <= 0:
+            return
+        for key, size in index.execute("select key, bytes from kept order by used").fetchall():
+            index.execute("delete from kept where key = ?", (key,))
+            self._file(key).unlink(missing_ok=True)
+            excess -= size
+            if excess <= 0:
+                break
+
+    def _drop(self, key: str) -> None:
+        with contextlib.suppress(OSError, sqlite3.Error):
+            with self._index() as index:
+                index.execute("delete from kept where key = ?", (key,))
+                index.execute("insert into damaged values (?)", (key,))
+            self._file(key).unlink(missing_ok=True)
+
+    def _file(self, key: str) -> Path:
+        return self.folder / key[:2] / f"{key}.npz"
+
+    @contextlib.contextmanager
+    def _index(self) -> Generator[sqlite3.Connection]:
+        """Open the index for one transaction. One that is no database is made anew."""
+        file = self.folder / INDEX
+        if not self.folder.is_dir():
+            raise FileNotFoundError(self.folder)
+        try:
+            connection = sqlite3.connect(file, timeout=WAIT)
+            connection.executescript(SCHEMA)
+        except sqlite3.OperationalError:  # locked, read-only or full: not damaged
+            raise
+        except sqlite3.DatabaseError:
+            file.unlink(missing_ok=True)
+            connection = sqlite3.connect(file, timeout=WAIT)
+            connection.executescript(SCHEMA)
+            connection.execute("insert into damaged values (?)", (INDEX,))
+            connection.commit()
+        with contextlib.closing(connection), connection:
+            connection.execute("pragma synchronous = off")  # what a power cut damages is made anew
+            yield connection
+
+
+def key_of(*made_from: object) -> str:
+    """Compute the key of a result: a hash of what it is made from and of the code that makes it.
+
+    Raises:
+        TypeError: If something has no stable text.
+    """
+    text = "\n".join((_code(), *(_text(part) for part in made_from)))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _text(part: object) -> str:
+    """Write what a result is made from as a text that is the same in every process."""
+    fingerprint = getattr(part, "fingerprint", None)
+    if isinstance(fingerprint, str):
+        return f"submap {fingerprint}"
+    if part is None or isinstance(part, bool | int | float | str):
+        return repr(part)
+    if isinstance(part, tuple):
+        return f"({', '.join(_text(item) for item in cast('tuple[object, ...]', part))})"
+    if is_dataclass(part):
+        inside = (f"{f.name}={_text(getattr(part, f.name))}" for f in fields(part))
+        return f"{type(part).__qualname__}({', '.join(inside)})"
+    raise TypeError(f"a {type(part).__qualname__} has no stable text")
+
+
+@cache
+def _code() -> str:
+    """Compute a hash of this package's code, with the versions of the libraries under it."""
+    found = hashlib.sha256()
+    root = Path(__file__).parents[1]
+    for file in sorted(root.rglob("*.py")):
+        found.update(str(file.relative_to(root)).encode())
+        found.update(file.read_bytes())
+    return " ".join((found.hexdigest(), *(f"{name} {version(name)}" for name in LIBRARIES)))

@@ -1,0 +1,96 @@
+"""Files of text from a page are read apart from what pages say: none can make the others wait."""
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import viser
+
+from app.viewer.door.server import open_server
+from app.viewer.params.presets import PresetsTool
+from app.viewer.save.tab import SaveTab
+from app.viewer.session_file import LARGEST
+from app.viewer.state import open_dataset
+from gpgrad_core.pipeline import PipelineParams
+from tests.app.desk import Recorder, make_desk
+from tests.app.page import ProtocolPage
+from tests.app.synthetic import make_dataset
+from tests.app.widgets import find
+
+STATE = open_dataset(make_dataset(num_points=200), PipelineParams())
+DEEP = "x = " + "[" * 5000
+DOTS = "a" + ".a" * 49_000
+SLOWEST = "".join(f"k{number}{'.a' * 19} = 1\n" for number in range(2000))
+"""Of a hundred kinds of 100 kB, this takes the parser longest: a tenth of a second."""
+
+
+@pytest.fixture
+def pages() -> Iterator[tuple[viser.ViserServer, ProtocolPage, ProtocolPage]]:
+    server, _ = open_server("127.0.0.1", 0, max_upload=1_000_000)
+    desk = make_desk(server, STATE, Recorder())
+    desk.join(SaveTab(desk))
+    desk.join(PresetsTool(desk))
+    server.gui.add_slider("Slider", 0, 1000, 1, 0)
+    one, other = (ProtocolPage(f"http://127.0.0.1:{server.get_port()}") for _ in range(2))
+    for page in (one, other):
+        page.wait(lambda page=page: page.find("Slider") is not None, "the widgets")
+    yield server, one, other
+    for page in (one, other):
+        page.close()
+    server.stop()
+
+
+@pytest.mark.parametrize(
+    ("button", "parser"),
+    [
+        ("Restore session", "app.viewer.save.tab.parse_session"),
+        ("Upload parameters", "app.viewer.params.presets.parse_toml"),
+    ],
+)
+def test_while_a_file_is_parsed_other_pages_are_served(
+    pages: tuple[viser.ViserServer, ProtocolPage, ProtocolPage],
+    button: str,
+    parser: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    server, one, other = pages
+    begun, done = threading.Event(), threading.Event()
+
+    def parse(*args: Any) -> Any:  # noqa: ARG001
+        begun.set()
+        assert done.wait(20)
+        return {}
+
+    monkeypatch.setattr(parser, parse)
+    one.upload(button, "slow.toml", b"x = 1")
+    assert begun.wait(10)
+    try:
+        for page, value in ((other, 3), (one, 4)):
+            page.set("Slider", value)
+            page.wait(lambda value=value: find(server, "Slider").value == value, "the slider")
+    finally:
+        done.set()
+
+
+def test_the_worst_files_are_answered_and_let_go(
+    pages: tuple[viser.ViserServer, ProtocolPage, ProtocolPage],
+) -> None:
+    server, one, other = pages
+    told = {"Restore session": "saving-message", "Upload parameters": "preset-message"}
+    for number, (text, words) in enumerate(
+        ((DEEP, "nested more than"), (DOTS, "parts"), (SLOWEST, "unknown"))
+    ):
+        assert len(text) <= LARGEST
+        for button, place in told.items():
+            one.upload(button, f"{number}.toml", text.encode())
+            other.set("Slider", 10 * number + len(button))
+            one.wait(
+                lambda place=place, words=words: any(
+                    place in line and words in line and f"{number}.toml" in line  # noqa: B023
+                    for line in (str(w["props"].get("content")) for w in [*one.widgets.values()])
+                ),
+                words,
+            )
+            assert find(server, "Slider").value == 10 * number + len(button)
+            other.wait(lambda b=button: find(server, b).value.content == b"", "the file to be gone")

@@ -1,0 +1,206 @@
+"""Results on disk: found again, bounded, shared, and never in the way."""
+
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.gradient_map import TerrainParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.store import INDEX, Store, key_of
+from gpgrad_core.types import Submap
+
+LARGE = 10_000
+"""Numbers of an array that gets a file of its own."""
+
+
+class Counted:
+    """Makes an array, and counts how often."""
+
+    def __init__(self, size: int = 10) -> None:
+        self.size, self.count = size, 0
+
+    def __call__(self) -> np.ndarray:
+        self.count += 1
+        return np.full(self.size, float(self.count))
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "kept")
+
+
+@pytest.mark.parametrize("size", [10, LARGE])
+def test_a_result_is_made_once_and_found_by_a_later_run(store: Store, size: int) -> None:
+    make = Counted(size)
+    first = store(make, "stage", 1, 0.5)
+    again = Store(store.folder)(make, "stage", 1, 0.5)
+    np.testing.assert_array_equal(first, again)
+    assert make.count == 1
+    store(make, "stage", 1, 0.25)
+    assert make.count == 2
+
+
+def test_keys_tell_apart_whatever_determines_a_result() -> None:
+    cloud = np.random.default_rng(0).normal(size=(30, 3))
+    submap, moved = Submap.from_points(cloud, "a"), Submap.from_points(cloud + 1e-9, "a")
+    params = TerrainParams()
+    keys = {
+        key_of(*parts)
+        for parts in (
+            ("fit", submap, params),
+            ("fit", moved, params),
+            ("map", submap, params),
+            ("fit", submap, replace(params, length_scale=0.31)),
+            ("fit", (submap,), params),
+            ("fit", (submap, moved), params),
+            ("fit", "1"),
+            ("fit", 1),
+            ("fit", 1.0),
+            ("fit", None),
+            ("fit",),
+        )
+    }
+    assert len(keys) == 11
+    assert key_of("fit", Submap.from_points(cloud, "b"), params) == key_of("fit", submap, params)
+    with pytest.raises(TypeError, match="no stable text"):
+        key_of(cloud)
+
+
+def test_keys_are_the_same_in_another_process() -> None:
+    parts = ("fit", TerrainParams(), ("length_scale",), 0.1)
+    with ProcessPoolExecutor(1, get_context("spawn")) as executor:
+        assert executor.submit(key_of, *parts).result() == key_of(*parts)
+
+
+def test_the_longest_unused_is_dropped_first(tmp_path: Path) -> None:
+    store = Store(tmp_path, max_bytes=5 * 8 * LARGE)
+    for k in range(8):
+        store(Counted(LARGE), k)
+    assert store.num_bytes <= store.max_bytes
+    files = sum(file.stat().st_size for file in tmp_path.rglob("*.npz"))
+    assert files == store.num_bytes
+    kept = [store.get(key_of(k)) is not None for k in range(8)]
+    assert kept == sorted(kept)
+    assert kept[-1]
+    assert not kept[0]
+
+
+@pytest.mark.parametrize("size", [10, LARGE])
+def test_a_damaged_entry_is_made_anew_and_counted(store: Store, size: int) -> None:
+    make = Counted(size)
+    store(make, "a")
+    if size == LARGE:
+        (file,) = store.folder.rglob("*.npz")
+        file.write_bytes(file.read_bytes()[:-100])
+    else:
+        import sqlite3  # noqa: PLC0415 - as somebody else would damage it
+
+        with sqlite3.connect(store.folder / INDEX) as index:
+            index.execute("update kept set packed = ?", (b"not an archive",))
+        index.close()
+    assert store(make, "a")[0] == 2
+    assert Store(store.folder).take_damaged() == 1
+    assert store.take_damaged() == 0
+    assert store(make, "a")[0] == 2
+    assert make.count == 2
+
+
+def test_an_entry_without_its_file_is_made_anew(store: Store) -> None:
+    make = Counted(LARGE)
+    store(make, "a")
+    (file,) = store.folder.rglob("*.npz")
+    file.unlink()
+    store(make, "a")
+    store(make, "a")
+    assert make.count == 2
+
+
+def test_an_index_that_is_no_database_is_made_anew(store: Store) -> None:
+    make = Counted()
+    store(make, "a")
+    (store.folder / INDEX).write_bytes(b"words, and no database" * 100)
+    store(make, "a")
+    store(make, "a")
+    assert make.count == 2
+    assert store.take_damaged() == 1
+
+
+def test_what_a_killed_process_left_is_removed(store: Store) -> None:
+    store(Counted(LARGE), "a")
+    (file,) = store.folder.rglob("*.npz")
+    left, fresh = file.with_name("old.part"), file.with_name("new.part")
+    for one in (left, fresh):
+        one.write_bytes(b"half")
+    os.utime(left, (0, 0))
+    store.put(file.stem, np.zeros(LARGE))
+    assert not left.exists()
+    assert fresh.exists()
+
+
+def test_a_folder_that_cannot_be_made_is_no_hindrance(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    make = Counted()
+    store = Store(tmp_path / "file" / "kept")
+    assert store(make, "a")[0] == 1
+    assert store(make, "a")[0] == 2
+    assert store.num_bytes == 0
+
+
+def test_a_full_disk_is_no_hindrance(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Store, "_write", full)
+    make = Counted(LARGE)
+    assert store(make, "a")[0] == 1
+    assert store(make, "a")[0] == 2
+
+
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "kept"
+    file.write_text("x")
+    with pytest.raises(InputError, match="kept: is a file; name a folder"):
+        Store(file)
+
+
+def _put_many(folder: Path, start: int) -> int:
+    store = Store(folder)
+    for k in range(40):
+        store(Counted(LARGE if k % 5 == 0 else 10), start + k)
+    return store.take_damaged()
+
+
+def test_processes_share_a_folder(tmp_path: Path) -> None:
+    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
+        damaged = list(executor.map(_put_many, [tmp_path] * 4, [0, 20, 0, 30]))
+    assert damaged == [0] * 4
+    store = Store(tmp_path)
+    assert all(store.get(key_of(k)) is not None for k in range(70))
+
+
+CALLS: list[int] = []
+
+
+def size_of(submap: Submap, factor: int) -> float:
+    CALLS.append(factor)
+    return float(factor * len(submap.points))
+
+
+def test_a_memo_asks_its_store_and_another_process_gets_the_same_one(store: Store) -> None:
+    submap = Submap.from_points(np.random.default_rng(0).normal(size=(7, 3)))
+    memo = Memo(store=store)
+    assert memo.lasting(size_of, submap, 2) == 14.0
+    assert memo.lasting(size_of, submap, 2) == 14.0
+    later = Memo(store=Store(store.folder))
+    assert later.lasting(size_of, submap, 2) == 14.0
+    assert CALLS == [2]
+    assert memo(size_of, submap, 2) == 14.0
+    assert CALLS == [2]
+    remade, arguments = memo.__reduce__()
+    assert remade(*arguments).store is store
