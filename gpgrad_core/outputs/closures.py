@@ -192,7 +192,7 @@ def read_closures(path: Path | str) -> ClosureReport:
         submaps=known,
         pairs=_read_pairs(content.records("pairs"), known),
         num_pairs_skipped=0  # other tools may not count them
-        if content.get("num_pairs_skipped") is None
+        if content.values.get("num_pairs_skipped") is None
         else content.count("num_pairs_skipped", MOST_PAIRS),
     )
 
