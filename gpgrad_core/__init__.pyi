@@ -21,11 +21,14 @@ from .loop_closure import ClosureParams, classify
 from .matching import MatchParams, match_features
 from .outputs import (
     read_closures,
+    read_shortlist,
     report_closures,
     restore_closures,
+    resume_shortlist,
     write_closures,
     write_fitted,
     write_map,
+    write_shortlist,
 )
 from .params.files import preferred_parameters, read_parameters
 from .pipeline import (
@@ -40,6 +43,7 @@ from .registration import RegistrationParams, refine, register
 from .run.memo import Memo
 from .scans import BuildParams, BuildReport, RecordingSources, build_dataset
 from .se2 import SE2, Pose
+from .shortlist import Candidate, Shortlist
 from .slam import (
     Edge,
     EdgeFit,
@@ -75,6 +79,7 @@ __all__ = [
     "Agreement",
     "BuildParams",
     "BuildReport",
+    "Candidate",
     "ClosureParams",
     "Dataset",
     "DetectionResult",
@@ -106,6 +111,7 @@ __all__ = [
     "RecordingSources",
     "Registration",
     "RegistrationParams",
+    "Shortlist",
     "SimulationParams",
     "SolverParams",
     "Step",
@@ -130,12 +136,14 @@ __all__ = [
     "read_closures",
     "read_graph",
     "read_parameters",
+    "read_shortlist",
     "refine",
     "register",
     "register_pair",
     "report_closures",
     "resolve_parameters",
     "restore_closures",
+    "resume_shortlist",
     "simulate_dataset",
     "trajectory_error",
     "write_closures",
@@ -144,4 +152,5 @@ __all__ = [
     "write_graph",
     "write_map",
     "write_report",
+    "write_shortlist",
 ]

@@ -10,12 +10,10 @@ from typing_extensions import Doc
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
-from gpgrad_core.types import Features, Matches
+from gpgrad_core.types import Descriptors, Features, Matches, as_vectors
 
 MOST_DISTANCES = 16_000_000
 """Largest number of distances that are held at once; 64 MB."""
-
-Descriptors = NDArray[np.float32] | NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -118,15 +116,9 @@ def _squared_distances(
     brute-force matcher with its cross-check. float32 is exact for bits and for SIFT's whole
     numbers up to 255.
     """
-    a, b = _as_vectors(query), _as_vectors(database)
+    a, b = as_vectors(query), as_vectors(database)
     squared = a @ b.T
     squared *= -2  # in place: the matrix is large
     squared += np.einsum("ij,ij->i", a, a)[:, None]
     squared += np.einsum("ij,ij->i", b, b)
     return np.maximum(squared, 0, out=squared)
-
-
-def _as_vectors(descriptors: Descriptors) -> Float[NDArray[np.float32], "k d"]:
-    if descriptors.dtype == np.uint8:
-        return np.unpackbits(descriptors.view(np.uint8), axis=1).astype(np.float32)
-    return descriptors.astype(np.float32, copy=False)

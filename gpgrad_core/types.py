@@ -17,6 +17,9 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.scale import std_at_scale
 from gpgrad_core.se2 import SE2, Pose
 
+Descriptors = NDArray[np.float32] | NDArray[np.uint8]
+"""Vectors of float32, compared by L2 distance, or strings of bits, by Hamming distance."""
+
 MAX_GRID_CELLS = 25_000_000
 """Largest number of cells of a submap's map; four float64 fields of this size take 0.8 GB."""
 
@@ -410,6 +413,13 @@ class Features:
             self.std_ratios[chosen],
             self.descriptors[chosen],
         )
+
+
+def as_vectors(descriptors: Descriptors) -> Float[NDArray[np.float32], "k n"]:
+    """Give descriptors as vectors; strings of bits become zeros and ones."""
+    if descriptors.dtype == np.uint8:
+        return np.unpackbits(descriptors.view(np.uint8), axis=1).astype(np.float32)
+    return descriptors.astype(np.float32, copy=False)
 
 
 @dataclass(frozen=True, eq=False)

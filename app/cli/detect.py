@@ -1,6 +1,5 @@
 """``gpgrad detect``: register, score and judge pairs of submaps."""
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +12,7 @@ from app.cli.inputs import (
     USERS_CACHE,
     AllParams,
     Cache,
+    CandidatesFlag,
     DatasetPath,
     ParamsFile,
     base_params,
@@ -30,6 +30,7 @@ from gpgrad_core.pipeline import detect_loop_closures, keeping
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
+from gpgrad_core.shortlist import num_wanted, read_candidates
 from gpgrad_core.slam import build_pose_graph, odometry_poses, write_graph
 from gpgrad_core.types import Dataset
 
@@ -57,6 +58,7 @@ class Detect:
         Doc("Compare only these two submaps, given by their ids."),
         tyro.conf.arg(metavar="QUERY DATABASE", help_behavior_hint="(default: all pairs)"),
     ] = None
+    candidates: CandidatesFlag = "automatic"
     overwrite: Overwrite = False
     cache: Cache = USERS_CACHE
     params: ParamsFile = None
@@ -64,7 +66,9 @@ class Detect:
 
     def run(self) -> None:
         """Detect and write."""
+        candidates = read_candidates(self.candidates)
         method = find_method(self.method)
+        method.check_searchable(candidates)
         check_output(self.out, (".json",), overwrite=self.overwrite)
         if self.g2o:
             check_output(self.g2o, (".g2o",), overwrite=self.overwrite)
@@ -79,12 +83,13 @@ class Detect:
         if method.fitted:  # to the whole dataset, so that a single pair gets the same verdict
             asked = settled(asked, whole, dataset.name, store)
         params = method.adapt(asked)
-        num_pairs = math.comb(len(dataset.submaps), 2)
+        num_pairs = sum(num_wanted(candidates, k) for k in range(len(dataset.submaps)))
         with progress_bar("pairs") as progress, workers(num_workers(), num_pairs) as executor:
             result = detect_loop_closures(
                 dataset,
                 params,
                 detector=keeping(method.detector(params, Memo()), store),
+                candidates=candidates,
                 executor=executor,
                 progress=progress,
             )
@@ -95,7 +100,12 @@ class Detect:
             write_graph(self.g2o, build_pose_graph(dataset, result.closures))
         closures, pairs = count(len(report.accepted), "loop closure"), len(report.pairs)
         submaps, seconds = count(len(report.submaps), "submap"), report.seconds["total"]
-        say(f"{closures} in {count(pairs, 'pair')} of {submaps}, {seconds:.1f} s: {self.out}")
+        skipped = report.num_pairs_skipped
+        left_out = f" ({skipped:,} were not compared)" if skipped else ""
+        say(
+            f"{closures} in {count(pairs, 'pair')}{left_out} of {submaps}, {seconds:.1f} s: "
+            f"{self.out}"
+        )
 
 
 def _only(dataset: Dataset, query_id: str, database_id: str) -> Dataset:

@@ -1,6 +1,5 @@
 """``gpgrad evaluate``: judge methods by the true poses."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from app.cli.inputs import (
     USERS_CACHE,
     AllParams,
     Cache,
+    CandidatesFlag,
     ParamsFile,
     base_params,
     load,
@@ -44,6 +44,7 @@ from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.run.whole import whole_folder
+from gpgrad_core.shortlist import num_wanted, read_candidates
 from gpgrad_core.types import Dataset
 
 REPORT = ("report.md", "report.json")
@@ -82,6 +83,7 @@ class Evaluate:
         Doc("Seed of all random choices."),
         tyro.conf.arg(help_behavior_hint="(default: the registration's seed)"),
     ] = None
+    candidates: CandidatesFlag = "automatic"
     calibration: Annotated[
         bool,
         Doc("Also test the maps' uncertainty on points held out. This takes about a minute."),
@@ -97,7 +99,10 @@ class Evaluate:
         if self.seed is not None:
             SEEDS.check("--seed", self.seed)
         names = self.method if self.method or self.closures else ("gradient",)
+        candidates = read_candidates(self.candidates)
         methods = [find_method(name) for name in names]
+        for method in methods:
+            method.check_searchable(candidates)
         self._check_out(names)
         rivals = read_rivals(self.closures, taken=names)
         store = open_store(self.cache)
@@ -108,12 +113,19 @@ class Evaluate:
         pairs = measure_pairs(dataset)
         for name, report in rivals.items():
             rank_pairs(report, dataset, pairs, name)  # refuses a wrong file before the work
-        num_jobs = math.comb(len(dataset.submaps), 2) * len(methods)
+        num_pairs = sum(num_wanted(candidates, k) for k in range(len(dataset.submaps)))
+        num_jobs = num_pairs * len(methods)
         with whole_folder(self.out, earlier=REPORT) as folder:
             self._check_out(names)  # another process may just have ended
             with progress_bar("evaluate") as progress, workers(num_workers(), num_jobs) as executor:
                 found = run_methods(
-                    dataset, methods, params, executor=executor, store=store, progress=progress
+                    dataset,
+                    methods,
+                    params,
+                    candidates=candidates,
+                    executor=executor,
+                    store=store,
+                    progress=progress,
                 )
             tell_damaged(store)
             evaluation = evaluate(

@@ -1,4 +1,4 @@
-"""What most verbs read: a dataset, a file of parameters, and the flags of all parameters."""
+"""What most verbs read: a dataset, a file of parameters, and the flags that they share."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +14,7 @@ from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
+from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES
 from gpgrad_core.types import Dataset, Submap
 
 DatasetPath: TypeAlias = Annotated[
@@ -28,6 +29,15 @@ ParamsFile: TypeAlias = Annotated[
         "override it."
     ),
     tyro.conf.arg(metavar="FILE.toml"),
+]
+CandidatesFlag: TypeAlias = Annotated[
+    str,
+    Doc(
+        "With how many earlier submaps each submap is compared: a number, all, or automatic. "
+        f"automatic is all of up to {ALL_UP_TO} earlier submaps, and the {DEFAULT_CANDIDATES} most "
+        "promising ones of more."
+    ),
+    tyro.conf.arg(metavar="K|all|automatic"),
 ]
 USERS_CACHE, NO_CACHE = "user", "none"
 Cache: TypeAlias = Annotated[

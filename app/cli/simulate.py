@@ -10,7 +10,9 @@ from typing_extensions import Doc
 from app.cli.flags import Given
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say
-from gpgrad_core.datasets import SimulationParams, check_vacant, simulate_dataset, write_dataset
+from gpgrad_core.datasets import SimulationParams, check_vacant, simulate_into
+from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.threads import num_workers
 from gpgrad_core.scans import simulate_recording
 
 
@@ -45,7 +47,15 @@ class Simulate:
                 )
             say(f"{count(self.scans, 'scan')}: {self.directory}")
             return
-        with progress_bar("simulate") as progress:
-            dataset = simulate_dataset(params, progress)
-        write_dataset(dataset, self.directory, overwrite=self.overwrite)
-        say(f"{count(len(dataset.submaps), 'submap')}: {self.directory}")
+        with (
+            progress_bar("simulate") as progress,
+            workers(num_workers(), params.num_submaps) as executor,
+        ):
+            simulate_into(
+                self.directory,
+                params,
+                overwrite=self.overwrite,
+                executor=executor,
+                progress=progress,
+            )
+        say(f"{count(params.num_submaps, 'submap')}: {self.directory}")

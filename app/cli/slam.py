@@ -15,6 +15,7 @@ from app.cli.inputs import (
     USERS_CACHE,
     AllParams,
     Cache,
+    CandidatesFlag,
     ParamsFile,
     base_params,
     open_store,
@@ -39,6 +40,7 @@ from gpgrad_core.run.progress import part
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.run.whole import whole_folder
+from gpgrad_core.shortlist import Candidates, read_candidates
 from gpgrad_core.slam import (
     GraphParams,
     JoinedDatasets,
@@ -89,6 +91,7 @@ class Slam:
         ),
         tyro.conf.arg(help_behavior_hint="(default: compare all)"),
     ] = None
+    candidates: CandidatesFlag = "automatic"
     merge: Annotated[bool, Doc("Also write the merged cloud and map.")] = True
     graph: Annotated[
         Given[GraphParams], Doc("Uncertainty of the pose graph's edges: odometry and closures.")
@@ -105,6 +108,7 @@ class Slam:
     def run(self) -> None:
         """Detect, solve, judge and write."""
         check_directory(self.out)
+        candidates = read_candidates(self.candidates)
         if self.search_radius is not None and not self.search_radius > 0:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
         store = open_store(self.cache)
@@ -124,7 +128,7 @@ class Slam:
             self._check_out(joined)  # another process may just have ended
             closures = given
             if closures is None:
-                closures = self._detect(joined, params, graph, solver, folder, store)
+                closures = self._detect(joined, params, graph, solver, folder, candidates, store)
             tell_damaged(store)
             solution = solve_datasets(joined, closures, graph, solver)
             with progress_bar("judge") as progress:
@@ -158,6 +162,7 @@ class Slam:
         graph: GraphParams,
         solver: SolverParams,
         folder: Path,
+        candidates: Candidates,
         store: Store | None,
     ) -> tuple[LoopClosure, ...]:
         """Find the closures submap by submap, and keep them beside the results."""
@@ -170,6 +175,7 @@ class Slam:
                 graph,
                 solver,
                 search_radius=self.search_radius,
+                candidates=candidates,
                 executor=executor,
                 store=store,
             ) as closer,

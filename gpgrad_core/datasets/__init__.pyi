@@ -1,7 +1,7 @@
 from .clouds import load_cloud
 from .demo import demo_params, demo_path, simulate_demo
 from .folder import Outline, check_vacant, load_dataset, outline_dataset, write_dataset
-from .simulate import simulate_dataset
+from .simulate import simulate_dataset, simulate_into
 from .simulation_params import SimulationParams
 
 __all__ = [
@@ -15,5 +15,6 @@ __all__ = [
     "outline_dataset",
     "simulate_dataset",
     "simulate_demo",
+    "simulate_into",
     "write_dataset",
 ]

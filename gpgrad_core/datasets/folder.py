@@ -18,6 +18,7 @@ from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap
 
+CLOUD_FOLDER = "submaps"
 TRUTH_FILE = "poses_gt.txt"
 ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first one that exists is read
 ABOUT_FILE = "dataset.toml"
@@ -310,23 +311,19 @@ def _check_ids(dataset: Dataset) -> None:
 
 
 def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
-    (folder / "submaps").mkdir(parents=True)
+    (folder / CLOUD_FOLDER).mkdir(parents=True)
     truth: dict[int, Pose] = {}
     odometry: dict[int, Pose] = {}
     for count, submap in enumerate(dataset.submaps, start=1):
         extras = {"noise_std": submap.noise_std, "range": submap.ranges}
         known = {name: values for name, values in extras.items() if values is not None}
-        write_ply(folder / "submaps" / f"{submap.id}.ply", submap.points, submap.colors, known)
+        write_ply(folder / CLOUD_FOLDER / f"{submap.id}.ply", submap.points, submap.colors, known)
         index = index_of(submap.id)
         if index is not None and submap.pose_true is not None:
             truth[index] = submap.pose_true
         if index is not None and submap.pose_odometry is not None:
             odometry[index] = submap.pose_odometry
         progress(count / len(dataset.submaps))
-    if truth:
-        write_poses(folder / TRUTH_FILE, truth)
-    if odometry:
-        write_poses(folder / ODOMETRY_FILES[0], odometry)
     about = About(
         name=dataset.name,
         description=dataset.description,
@@ -334,4 +331,22 @@ def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
         sensor_noise=dataset.sensor_noise,
         preferred=dataset.preferred,
     )
+    write_poses_and_about(folder, truth, odometry, about)
+
+
+def write_poses_and_about(
+    folder: Path, truth: dict[int, Pose], odometry: dict[int, Pose], about: About
+) -> None:
+    """Write everything of a dataset but its clouds.
+
+    Args:
+        folder: Where to; it must exist.
+        truth: True poses by the submaps' numbers; there may be none.
+        odometry: Poses by odometry, likewise.
+        about: What the dataset is.
+    """
+    if truth:
+        write_poses(folder / TRUTH_FILE, truth)
+    if odometry:
+        write_poses(folder / ODOMETRY_FILES[0], odometry)
     write_about(folder / ABOUT_FILE, about)

@@ -58,7 +58,7 @@ def read_npz(path: Path) -> Float[NDArray[np.floating], "n 3"]:
     Raises:
         InputError: If it is no archive of arrays, or holds no such array.
     """
-    with _opened(path) as arrays:
+    with opened_npz(path) as arrays:
         if "points" in arrays:
             return _check_points(arrays["points"](), f"{path}, array 'points'")
         held = {name: load() for name, load in arrays.items()}
@@ -77,7 +77,7 @@ def read_npz_property(path: Path, name: str) -> Float[Array, "n"] | None:
     Raises:
         InputError: If it is something else than a row of numbers.
     """
-    with _opened(path) as arrays:
+    with opened_npz(path) as arrays:
         if name not in arrays:
             return None
         array = arrays[name]()
@@ -153,7 +153,7 @@ def _parse_header(header: str, broken: str) -> tuple[np.dtype[Any], bool, tuple[
 
 
 @contextmanager
-def _opened(path: Path) -> Generator[dict[str, Load]]:
+def opened_npz(path: Path) -> Generator[dict[str, Load]]:
     """Open an archive of arrays: each is loaded when it is called."""
     with path.open("rb") as file:
         if file.read(len(MAGIC)) == MAGIC:

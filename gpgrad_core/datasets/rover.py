@@ -8,7 +8,9 @@ from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.datasets.lanes import drive_lanes
 from gpgrad_core.datasets.simulation_params import SimulationParams
+from gpgrad_core.datasets.streams import stream
 from gpgrad_core.datasets.terrain import HeightField
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.fields import bounds_of
@@ -20,6 +22,7 @@ RAY_STEP = 0.02  # along a ray, over the ground [m]
 LOWEST, HIGHEST = -1.2, 0.15  # elevation angles that the camera of a level rover sees [rad]
 LOWEST_RING, HIGHEST_RING = -0.5, 0.35  # elevation angles of the LiDAR's rings [rad]
 WHEELBASE = 0.8  # a wheel stands half of this ahead, behind and on either side [m]
+ROUTE_STREAM = 4
 PATCH = 8  # side of a patch in which stereo fails as a whole [rays]
 
 
@@ -78,6 +81,8 @@ def plan_track(params: SimulationParams) -> Track:
     Raises:
         InputError: If the drive and everything that the sensor sees do not fit into the extent.
     """
+    if params.route == "roaming":
+        return _roam(params)
     num_out = (params.num_submaps + 1) // 2
     length = num_out * params.spacing
     distance = np.arange(0.0, length + 0.5 * STEP, STEP)
@@ -98,7 +103,7 @@ def plan_track(params: SimulationParams) -> Track:
         if needed > most:
             raise InputError(
                 f"{drive} need an extent of {np.ceil(needed):g} m, more than the {most:g} m "
-                "allowed; lower num_submaps, spacing or max_range"
+                "allowed; lower num_submaps, spacing or max_range, or take the route 'roaming'"
             )
         raise InputError(
             f"extent must be {np.ceil(needed):g} m or more for {drive}, got {params.extent:g} m"
@@ -107,6 +112,20 @@ def plan_track(params: SimulationParams) -> Track:
     xy = np.vstack([out[:-1], back]) + shift
     yaw = np.concatenate([_headings(out)[:-1], _headings(back)])
     return Track(xy, yaw)
+
+
+def _roam(params: SimulationParams) -> Track:
+    """Plan a drive along crossing lanes."""
+    xy = _resample(
+        drive_lanes(
+            params.num_submaps * params.spacing,
+            STEP,
+            params.max_range,
+            params.lateral_offset,
+            stream(params.seed, ROUTE_STREAM),
+        )
+    )
+    return Track(xy, _headings(xy))
 
 
 def _way_out(route: str, distance: Float[Array, "n"]) -> Float[Array, "n 2"]:

@@ -1,22 +1,36 @@
 """Simulates a dataset with true poses: terrain, rover, submaps and odometry."""
 
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from numpy.random import PCG64, Generator, SeedSequence
+from numpy.random import Generator
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.datasets.rover import Stop, Track, plan_track, scan
+from gpgrad_core.datasets.about import About
+from gpgrad_core.datasets.endless import EndlessGround
+from gpgrad_core.datasets.folder import CLOUD_FOLDER, check_vacant, write_poses_and_about
+from gpgrad_core.datasets.ply import write_ply
+from gpgrad_core.datasets.rover import STEP, Stop, Track, plan_track, scan
 from gpgrad_core.datasets.simulation_params import SimulationParams
+from gpgrad_core.datasets.streams import stream
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
 from gpgrad_core.datasets.voxel_means import voxel_means
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.parallel import run_jobs
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Submap
 
 STOP_SPACING = 1.0  # approximate distance between stops, at which the sensor scans [m]
 ATTITUDE_STD = 0.003  # standard deviation of the gravity direction at a stop [rad]
+BLOCK = 10  # successive submaps that are made at a time
+EDGE = 1.0  # of ground beyond what the sensor sees [m]
 TERRAIN_STREAM, ODOMETRY_STREAM, SUBMAP_STREAM = 0, 1, 2
 
 
@@ -39,38 +53,178 @@ def simulate_dataset(params: SimulationParams, progress: Progress = silent) -> D
     Raises:
         InputError: If the route does not fit into the extent.
     """
-    track = plan_track(params)
-    terrain = make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM))
+    world = make_world(params)
     progress(0.2)
-    starts = [track.at(k * params.spacing) for k in range(params.num_submaps)]
-    truth = [true_pose(terrain, start) for start in starts]
-    odometry = drift(truth, params, stream(params.seed, ODOMETRY_STREAM), params.spacing)
-    submaps: list[Submap] = []
-    for k in range(params.num_submaps):
-        points = _make_submap(terrain, track, k, params)
-        submaps.append(
-            Submap.from_points(points, f"{k:03d}", pose_true=truth[k], pose_odometry=odometry[k])
-        )
-        progress(0.2 + 0.8 * (k + 1) / params.num_submaps)
+    seen: list[Seen] = []
+    for block in blocks_of(params):
+        seen += world.look(block, part(progress, *_share_of(block, params)))
+    odometry = odometry_of([one.pose for one in seen], params)
+    submaps = tuple(
+        Submap.from_points(one.points, name, pose_true=one.pose, pose_odometry=believed)
+        for name, one, believed in zip(names_of(params), seen, odometry, strict=True)
+    )
+    about = about_simulated(params)
     return Dataset(
+        about.name,
+        submaps,
+        description=about.description,
+        sensor_noise=about.sensor_noise,
+    )
+
+
+def simulate_into(
+    directory: Path | str,
+    params: SimulationParams,
+    *,
+    overwrite: bool = False,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> None:
+    """Simulate a dataset into a folder; each cloud is written as soon as it is made.
+
+    The folder is that of `simulate_dataset` and `write_dataset`, byte for byte, but the clouds are
+    never together in memory. It appears when all of it is written.
+
+    Args:
+        directory: The folder; it is made with its parents if it does not exist.
+        params: Parameters of the simulation.
+        overwrite: Whether to replace a dataset that gpgrad made.
+        executor: Processes that share the work on the route roaming; None works in this thread.
+        progress: Called from this thread; may raise Cancelled.
+
+    Raises:
+        InputError: If the route does not fit into the extent, or if the directory is taken or
+            cannot be written.
+    """
+    directory = Path(directory)
+    check_vacant(directory, overwrite=overwrite)
+    plan_track(params)  # refuses a route before the work
+    try:
+        with whole_folder(directory, replace=overwrite) as unfinished:
+            check_vacant(directory, overwrite=overwrite)  # another process may just have ended
+            clouds = unfinished / CLOUD_FOLDER
+            clouds.mkdir()
+            # Other processes would each make the whole of a ground that has an end.
+            beside = executor if params.route == "roaming" else None
+            work = _Writing(params, clouds)
+            found = run_jobs(work, blocks_of(params), beside, part(progress, 0.0, 0.98))
+            truth = [pose for poses in found for pose in poses]
+            write_poses_and_about(
+                unfinished,
+                dict(enumerate(truth)),
+                dict(enumerate(odometry_of(truth, params))),
+                about_simulated(params),
+            )
+    except OSError as error:
+        raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from None
+    finally:
+        _world_of_this_process.cache_clear()
+    progress(1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Writing:
+    """Makes a block of submaps and writes their clouds."""
+
+    params: SimulationParams
+    folder: Path
+
+    def __call__(self, block: range, progress: Progress) -> list[Pose]:
+        names, world = names_of(self.params), _world_of_this_process(self.params)
+        poses: list[Pose] = []
+        for k, one in zip(block, world.look(block, progress), strict=True):
+            write_ply(self.folder / f"{names[k]}.ply", one.points)
+            poses.append(one.pose)
+        return poses
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What the rover made of one place: a pose, and the points (n, 3) [m] in its frame."""
+
+    pose: Pose
+    points: Float[Array, "n 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """The ground, and the drive over it.
+
+    Attributes:
+        params: What they were made from.
+        track: The drive.
+        ground: The whole ground, or one that is made where it is needed.
+    """
+
+    params: SimulationParams
+    track: Track
+    ground: HeightField | EndlessGround
+
+    def look(self, block: range, progress: Progress = silent) -> list[Seen]:
+        """Make some successive submaps."""
+        ground, params, seen = self.ground, self.params, list[Seen]()
+        if isinstance(ground, EndlessGround):
+            first, last = (round(k * params.spacing / STEP) for k in (block.start, block.stop))
+            near = self.track.xy[first : last + 2]
+            margin = params.max_range + EDGE
+            ground = ground.window(near.min(axis=0) - margin, near.max(axis=0) + margin)
+        for k in block:
+            pose = true_pose(ground, self.track.at(k * params.spacing))
+            seen.append(Seen(pose, _make_submap(ground, self.track, k, params)))
+            progress((k + 1 - block.start) / len(block))
+        return seen
+
+
+def make_world(params: SimulationParams) -> World:
+    """Plan the drive and make the ground.
+
+    Raises:
+        InputError: If the route does not fit into the extent.
+    """
+    track = plan_track(params)
+    if params.route == "roaming":
+        return World(params, track, EndlessGround(params, track.xy))
+    return World(params, track, make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM)))
+
+
+_world_of_this_process = lru_cache(maxsize=1)(make_world)
+
+
+def blocks_of(params: SimulationParams) -> list[range]:
+    """Divide the submaps into blocks that need nearly the same ground."""
+    count = params.num_submaps
+    return [range(k, min(k + BLOCK, count)) for k in range(0, count, BLOCK)]
+
+
+def _share_of(block: range, params: SimulationParams) -> tuple[float, float]:
+    low, high = block.start / params.num_submaps, block.stop / params.num_submaps
+    return 0.2 + 0.8 * low, 0.2 + 0.8 * high
+
+
+def names_of(params: SimulationParams) -> list[str]:
+    """Name the submaps: their numbers, with as many digits as the last one has, at least three."""
+    digits = max(3, len(str(params.num_submaps - 1)))
+    return [f"{k:0{digits}d}" for k in range(params.num_submaps)]
+
+
+def odometry_of(truth: list[Pose], params: SimulationParams) -> list[Pose]:
+    """Simulate the odometry between submaps."""
+    return drift(truth, params, stream(params.seed, ODOMETRY_STREAM), params.spacing)
+
+
+def about_simulated(params: SimulationParams) -> About:
+    """Describe a simulated dataset."""
+    drove = f"drove out on a {params.route.replace('_', ' ')} route and back"
+    if params.route == "roaming":
+        drove = "roamed over it"
+    return About(
         name=f"simulated-{params.seed}",
-        submaps=tuple(submaps),
         description=(
-            f"Synthetic ground with craters, ripples and rocks; a rover drove out on a "
-            f"{params.route.replace('_', ' ')} route and back (gpgrad simulate, "
+            f"Synthetic ground with craters, ripples and rocks; a rover {drove} (gpgrad simulate, "
             f"seed {params.seed})."
         ),
         sensor_noise=dict(zip(("constant", "quadratic"), params.range_noise, strict=True)),
     )
-
-
-def stream(*path: int) -> Generator:
-    """Make an independent random generator, so that one more submap does not change the others.
-
-    Args:
-        path: Numbers that identify it; the first is the seed of the simulation.
-    """
-    return Generator(PCG64(SeedSequence(path)))
 
 
 def true_pose(terrain: HeightField, stop: Stop) -> Pose:

@@ -26,12 +26,19 @@ class SimulationParams:
     ] = 0
     num_submaps: Annotated[
         int,
-        Bounds(1, 200, 1, "submaps"),
-        Doc("Number of submaps. The rover makes half of them on the way back."),
+        Bounds(1, 100_000, 1, "submaps"),
+        Doc(
+            "Number of submaps. The rover makes half of them on the way back. The route roaming "
+            "has no way back."
+        ),
     ] = 24
     route: Annotated[
-        Literal["winding", "loop", "figure_eight"],
-        Doc("Shape of the way out. The way back follows it in the opposite direction."),
+        Literal["winding", "loop", "figure_eight", "roaming"],
+        Doc(
+            "Shape of the way out. The way back follows it in the opposite direction. On the route "
+            "roaming the rover drives along crossing lanes, as far as it likes, and comes back to "
+            "places that it left a short or a long time ago."
+        ),
     ] = "loop"
     spacing: Annotated[
         float,
@@ -41,14 +48,17 @@ class SimulationParams:
     lateral_offset: Annotated[
         float,
         Bounds(0.0, 5.0, 0.1, "m"),
-        Doc("How far the way back swings to either side of the way out, which it crosses."),
+        Doc(
+            "How far the way back swings to either side of the way out, which it crosses; on the "
+            "route roaming, how far every way swings."
+        ),
     ] = 1.0
     extent: Annotated[
         float,
         Bounds(10.0, 240.0, 1.0, "m"),
         Doc(
             "Side of the square of terrain. The route and all that the sensor sees must fit into "
-            "it."
+            "it. The route roaming makes the ground where the rover drives."
         ),
     ] = 44.0
     relief: Annotated[

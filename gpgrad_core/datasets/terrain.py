@@ -12,8 +12,9 @@ from gpgrad_core.datasets.simulation_params import SimulationParams
 
 RESOLUTION = 0.03
 """Side of a cell of the terrain [m]; the default voxels of a submap are larger."""
-CRATER_DIAMETERS = (1.0, 8.0)
-ROCK_DIAMETERS = (0.1, 1.2)
+CRATER_DIAMETERS, CRATER_SLOPE = (1.0, 8.0), 1.3
+ROCK_DIAMETERS, ROCK_SLOPE = (0.1, 1.2), 1.7
+"""Smallest and largest diameter [m], and how fast the number falls with the size."""
 HILL_PERSISTENCE = 3.0
 """Hurst exponent of the hills. It is so large that hills are steep without being rough."""
 CLEARANCE = 0.7
@@ -23,14 +24,16 @@ rocks."""
 
 @dataclass(frozen=True, eq=False)
 class HeightField:
-    """Heights of the ground on a regular grid whose cell (0, 0) lies at x = y = 0.
+    """Heights of the ground on a regular grid.
 
     Attributes:
         elevation: Heights (rows, columns) [m].
+        origin: Position x, y of cell (0, 0) [m].
         resolution: Side of a cell [m].
     """
 
     elevation: Float[Array, "rows columns"]
+    origin: tuple[float, float] = (0.0, 0.0)
     resolution: float = RESOLUTION
 
     def height(self, xy: Float[Array, "*shape 2"]) -> Float[Array, "*shape"]:
@@ -39,7 +42,7 @@ class HeightField:
         Args:
             xy: Positions (..., 2) [m]. Beyond the edge the ground has the height of the edge.
         """
-        rows_columns = np.moveaxis(xy[..., ::-1] / self.resolution, -1, 0)
+        rows_columns = np.moveaxis((xy - self.origin)[..., ::-1] / self.resolution, -1, 0)
         return ndimage.map_coordinates(self.elevation, rows_columns, order=1, mode="nearest")
 
 
@@ -65,7 +68,11 @@ def make_terrain(
 
 
 def fractal_field(
-    size: int, persistence: float, rng: Generator, largest: float = 16.0
+    size: int,
+    persistence: float,
+    rng: Generator,
+    largest: float = 16.0,
+    resolution: float = RESOLUTION,
 ) -> Float[Array, "size size"]:
     """Make a fractal by spectral synthesis: white noise with a power-law spectrum.
 
@@ -75,16 +82,17 @@ def fractal_field(
         rng: Generator of the noise.
         largest: Waves longer than this [m] are weakened, so that the ground is level as a whole
             and a larger extent does not have higher hills.
+        resolution: Side of a cell [m].
 
     Returns:
         Heights of mean 0 and standard deviation 1 (size, size).
     """
     # The field wraps around, so it is made larger than wanted: its edges would be alike. Multiples
     # of 256 are fast to transform.
-    padded = 256 * int(np.ceil((size + 2.0 / RESOLUTION) / 256))
+    padded = 256 * int(np.ceil((size + 2.0 / resolution) / 256))
     spectrum = np.fft.rfft2(rng.standard_normal((padded, padded)))
-    ky = np.fft.fftfreq(padded, RESOLUTION)[:, None]
-    kx = np.fft.rfftfreq(padded, RESOLUTION)[None, :]
+    ky = np.fft.fftfreq(padded, resolution)[:, None]
+    kx = np.fft.rfftfreq(padded, resolution)[None, :]
     squared = kx**2 + ky**2 + (1.0 / largest) ** 2
     spectrum *= squared ** (-(persistence + 1.0) / 2.0)
     spectrum[0, 0] = 0.0
@@ -93,23 +101,58 @@ def fractal_field(
 
 
 def _add_ripples(elevation: Array, params: SimulationParams, rng: Generator) -> None:
-    """Add patches of wind ripples along bent crests, gentle to windward and steep to leeward."""
     size = len(elevation)
     bend = fractal_field(size, 1.2, rng, largest=10.0)
     patches = fractal_field(size, 1.2, rng, largest=10.0)
     vigour = fractal_field(size, 1.2, rng, largest=5.0)
-    heading = rng.uniform(0.0, 2.0 * np.pi)
-    wavelength = rng.uniform(1.3, 1.8)
-    along = np.arange(size) * RESOLUTION
-    distance = np.cos(heading) * along[None, :] + np.sin(heading) * along[:, None]
-    phase = 2.0 * np.pi * (distance + 0.9 * bend) / wavelength
-    # A second harmonic with a shifted phase tilts the crests.
-    profile = 0.5 * (np.sin(phase) + 0.3 * np.sin(2.0 * phase + 0.5 * np.pi))
-    cover = np.clip(patches + 0.3, 0.0, 1.0) * np.clip(1.0 + 0.5 * vigour, 0.2, 2.0)
-    elevation += params.dune_height * cover * profile
+    wind = Wind.draw(rng)
+    along = np.arange(size, dtype=np.float64) * RESOLUTION
+    elevation += params.dune_height * wind.ripples(along, along, bend, patches, vigour)
 
 
-def _power_law(rng: Generator, count: int, ends: tuple[float, float], slope: float) -> Array:
+@dataclass(frozen=True)
+class Wind:
+    """What shapes the ripples.
+
+    Attributes:
+        heading: Direction across the crests [rad].
+        wavelength: Distance from crest to crest [m].
+    """
+
+    heading: float
+    wavelength: float
+
+    @classmethod
+    def draw(cls, rng: Generator) -> "Wind":
+        """Draw a wind."""
+        return cls(rng.uniform(0.0, 2.0 * np.pi), rng.uniform(1.3, 1.8))
+
+    def ripples(
+        self,
+        x: Float[Array, "columns"],
+        y: Float[Array, "rows"],
+        bend: Float[Array, "rows columns"],
+        patches: Float[Array, "rows columns"],
+        vigour: Float[Array, "rows columns"],
+    ) -> Float[Array, "rows columns"]:
+        """Compute patches of ripples along bent crests, gentle to windward, steep to leeward.
+
+        Args:
+            x: Position of each column [m].
+            y: Position of each row [m].
+            bend: How the crests are bent; a field of standard deviation 1.
+            patches: Where there are ripples, likewise.
+            vigour: How high they are, likewise.
+        """
+        distance = np.cos(self.heading) * x[None, :] + np.sin(self.heading) * y[:, None]
+        phase = 2.0 * np.pi * (distance + 0.9 * bend) / self.wavelength
+        # A second harmonic with a shifted phase tilts the crests.
+        profile = 0.5 * (np.sin(phase) + 0.3 * np.sin(2.0 * phase + 0.5 * np.pi))
+        cover = np.clip(patches + 0.3, 0.0, 1.0) * np.clip(1.0 + 0.5 * vigour, 0.2, 2.0)
+        return cover * profile
+
+
+def power_law(rng: Generator, count: int, ends: tuple[float, float], slope: float) -> Array:
     """Draw sizes between two ends, so that the share of sizes above d falls as d^-slope."""
     low, high = ends
     uniform = rng.random(count)
@@ -121,7 +164,10 @@ def _window(
 ) -> tuple[tuple[slice, slice], Array, Array]:
     """Return the slices of the ground around a centre, and the offsets x and y [m] there."""
     low = np.maximum(np.floor((centre - radius) / RESOLUTION).astype(int), 0)
-    high = np.minimum(np.ceil((centre + radius) / RESOLUTION).astype(int) + 1, len(elevation))
+    high = np.minimum(
+        np.ceil((centre + radius) / RESOLUTION).astype(int) + 1, elevation.shape[::-1]
+    )
+    high = np.maximum(low, high)  # empty if the ground does not reach so far
     x = np.arange(low[0], high[0]) * RESOLUTION - centre[0]
     y = np.arange(low[1], high[1]) * RESOLUTION - centre[1]
     return (slice(low[1], high[1]), slice(low[0], high[0])), x[None, :], y[:, None]
@@ -134,17 +180,57 @@ def _distance_to(track: Array, centre: Array) -> float:
 def _add_craters(elevation: Array, params: SimulationParams, track: Array, rng: Generator) -> None:
     count = int(rng.poisson(params.crater_density * params.extent**2))
     # Small craters lie on top of large ones.
-    diameters = np.sort(_power_law(rng, count, CRATER_DIAMETERS, 1.3))[::-1]
+    diameters = np.sort(power_law(rng, count, CRATER_DIAMETERS, CRATER_SLOPE))[::-1]
     for diameter in diameters:
-        centre = rng.uniform(0.0, params.extent, 2)
+        crater = Crater.draw(rng, float(diameter), params.extent)
+        if not crater.is_in_the_way(track):
+            crater.dig(elevation)
+
+
+@dataclass(frozen=True, eq=False)
+class Crater:
+    """A crater.
+
+    Attributes:
+        centre: Position x, y (2,) [m].
+        diameter: Diameter of the rim [m].
+        freshness: 1 for a new one; old ones are shallow and worn.
+        wobble: Amplitudes of the rim's waves (n,).
+        turns: Their phases (n,) [rad].
+    """
+
+    centre: Float[Array, "2"]
+    diameter: float
+    freshness: float
+    wobble: Float[Array, "n"]
+    turns: Float[Array, "n"]
+
+    @classmethod
+    def draw(cls, rng: Generator, diameter: float, side: float) -> "Crater":
+        """Draw a crater in a square between 0 and its side [m]."""
+        centre = rng.uniform(0.0, side, 2)
         freshness = rng.uniform(0.35, 1.0)
         wobble = rng.normal(0.0, 0.05, 4)
-        turns = rng.uniform(0.0, 2.0 * np.pi, 4)
-        if diameter > 2.5 and _distance_to(track, centre) < 0.5 * diameter:
-            continue  # the rover would not have driven there
-        place, x, y = _window(elevation, centre, 1.6 * diameter)
+        return cls(centre, diameter, freshness, wobble, rng.uniform(0.0, 2.0 * np.pi, 4))
+
+    @property
+    def reach(self) -> float:
+        """Distance from the centre to where it changes nothing any more [m]."""
+        return 1.6 * self.diameter
+
+    def is_in_the_way(self, track: Float[Array, "n 2"]) -> bool:
+        """Tell whether it is large and on a track: the rover would not have driven there."""
+        return self.diameter > 2.5 and _distance_to(track, self.centre) < 0.5 * self.diameter
+
+    def dig(self, elevation: Float[Array, "rows columns"]) -> None:
+        """Change the ground, whose cell (0, 0) lies at x = y = 0."""
+        diameter, freshness = self.diameter, self.freshness
+        place, x, y = _window(elevation, self.centre, self.reach)
         angle = np.arctan2(y, x)
-        rim = 1.0 + sum(wobble[k] * np.cos((k + 2) * angle + turns[k]) for k in range(len(wobble)))
+        rim = 1.0 + sum(
+            self.wobble[k] * np.cos((k + 2) * angle + self.turns[k])
+            for k in range(len(self.wobble))
+        )
         radius = np.hypot(x, y) / (0.5 * diameter * rim)
         depth, lip = 0.17 * diameter * freshness, 0.05 * diameter * freshness
         bowl = (depth + lip) * radius**2 - depth
@@ -157,23 +243,47 @@ def _add_craters(elevation: Array, params: SimulationParams, track: Array, rng: 
 def _add_rocks(elevation: Array, params: SimulationParams, track: Array, rng: Generator) -> None:
     count = int(rng.poisson(params.rock_density * params.extent**2))
     crowding = fractal_field(len(elevation), 0.6, rng, largest=8.0)
-    diameters = _power_law(rng, count, ROCK_DIAMETERS, 1.7)
+    diameters = power_law(rng, count, ROCK_DIAMETERS, ROCK_SLOPE)
     for diameter in diameters:
         # A rock lies at the most crowded of three random places, so that rocks form fields.
         places = rng.uniform(0.0, params.extent, (3, 2))
         cells = np.minimum((places / RESOLUTION).astype(int), len(elevation) - 1)
         centre = places[np.argmax(crowding[cells[:, 1], cells[:, 0]])]
-        facets = _draw_facets(rng, float(diameter))
-        if _distance_to(track, centre) < CLEARANCE + 0.5 * diameter:
-            continue
-        place, x, y = _window(elevation, centre, 0.8 * diameter)
-        rock = np.min([a * x + b * y + c for a, b, c in facets], axis=0)
-        ground = elevation[place]
-        base = float(np.median(ground))
-        np.maximum(ground, base + rock, out=ground)
+        facets = draw_facets(rng, float(diameter))
+        if is_clear(track, centre, float(diameter)):
+            lay_rock(elevation, elevation, centre, float(diameter), facets)
 
 
-def _draw_facets(rng: Generator, diameter: float) -> Float[Array, "facets 3"]:
+def is_clear(track: Float[Array, "n 2"], centre: Float[Array, "2"], diameter: float) -> bool:
+    """Tell whether a rock is far enough from a track."""
+    return _distance_to(track, centre) >= CLEARANCE + 0.5 * diameter
+
+
+def lay_rock(
+    elevation: Float[Array, "rows columns"],
+    ground: Float[Array, "rows columns"],
+    centre: Float[Array, "2"],
+    diameter: float,
+    facets: Float[Array, "facets 3"],
+) -> None:
+    """Lay a rock on the ground.
+
+    Args:
+        elevation: What it is added to; cell (0, 0) lies at x = y = 0.
+        ground: On what it lies; may be the same array.
+        centre: Its position x, y (2,) [m].
+        diameter: Its diameter [m].
+        facets: Its planes, as `draw_facets` draws them.
+    """
+    place, x, y = _window(elevation, centre, 0.8 * diameter)
+    if elevation[place].size == 0:
+        return
+    rock = np.min([a * x + b * y + c for a, b, c in facets], axis=0)
+    base = float(np.median(ground[place]))
+    np.maximum(elevation[place], base + rock, out=elevation[place])
+
+
+def draw_facets(rng: Generator, diameter: float) -> Float[Array, "facets 3"]:
     """Draw the planes z = a x + b y + c of a broken block; its surface is their minimum."""
     num_sides = int(rng.integers(5, 9))
     turn = rng.uniform(0.0, 2.0 * np.pi)

@@ -11,6 +11,7 @@ from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
+from gpgrad_core.shortlist import Candidates
 from gpgrad_core.types import Dataset
 
 
@@ -19,6 +20,7 @@ def run_methods(
     methods: Sequence[Method],
     params: PipelineParams | None = None,
     *,
+    candidates: Candidates = "automatic",
     executor: Executor | None = None,
     store: Store | None = None,
     progress: Progress = silent,
@@ -32,6 +34,8 @@ def run_methods(
         dataset: The dataset to search.
         methods: The methods to run.
         params: Parameters, which each method adapts to its needs.
+        candidates: With how many earlier submaps a submap is compared; see
+            `detect_loop_closures`.
         executor: Threads or processes that share the work.
         store: Keeps the fit for later runs.
         progress: Called from this thread with the fraction done; may raise Cancelled.
@@ -40,13 +44,16 @@ def run_methods(
         The result of each method by its name, with the content of its ``closures.json``.
 
     Raises:
-        InputError: If a method is given twice, or a submap cannot be used by one.
+        InputError: If a method is given twice, if a submap cannot be used by one, or if one has
+            no keypoints to choose candidates by.
     """
     params = params or PipelineParams()
     names = [method.name for method in methods]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"method {name!r} is given twice; give it once")
+    for method in methods:
+        method.check_searchable(candidates)  # before the work of any
     reports: dict[str, ClosureReport] = {}
     fits = Memo(store=store)
     for k, method in enumerate(methods):
@@ -55,6 +62,7 @@ def run_methods(
             dataset,
             adapted,
             detector=method.detector(adapted, Memo()),
+            candidates=candidates,
             executor=executor,
             progress=part(progress, k / len(methods), (k + 1) / len(methods)),
         )

@@ -102,6 +102,10 @@ class PaperDetector(StagedDetector):
         progress(1.0)
         return PaperSubmap(made, features)
 
+    def keypoints(self, extracted: PaperSubmap) -> Features:
+        """Give the keypoints."""
+        return extracted.features
+
     def compare(self, query: PaperSubmap, database: PaperSubmap) -> Registration:
         """Register the query to the database; the score is n."""
         matches = self.memo(match_features, query.features, database.features, self.params.matching)

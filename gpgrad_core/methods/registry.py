@@ -17,9 +17,15 @@ from gpgrad_core.methods.outcome import judged_by_inliers
 from gpgrad_core.methods.paper import PaperDetector, paper_params
 from gpgrad_core.methods.shot import shot_detector
 from gpgrad_core.methods.smoothed import smoothed_detector
-from gpgrad_core.pipeline import MapDetector, PipelineParams, resolve_parameters
+from gpgrad_core.pipeline import (
+    MapDetector,
+    PipelineParams,
+    check_searchable,
+    resolve_parameters,
+)
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.shortlist import Candidates
 from gpgrad_core.types import LoopDetector, Submap
 
 
@@ -72,6 +78,20 @@ class Method:
         if self.fitted and submaps:
             params = resolve_parameters(submaps, params, memo, progress)
         return self.adapt(params)
+
+    def check_searchable(self, candidates: Candidates) -> None:
+        """Check that it can compare a submap with so many candidates.
+
+        Args:
+            candidates: The number of candidates, ``all`` or ``automatic``.
+
+        Raises:
+            InputError: If it has no keypoints to choose them by.
+        """
+        try:
+            check_searchable(candidates, self.detector(self.adapt(PipelineParams()), Memo()))
+        except InputError as error:
+            raise InputError(f"method {self.name}: {error}") from None
 
     @property
     def installed(self) -> bool:

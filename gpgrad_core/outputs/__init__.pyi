@@ -10,6 +10,7 @@ from .closures import (
 from .files import check_apart, check_output, replacing
 from .fitted import write_fitted
 from .maps import MAP_ENDINGS, write_map
+from .shortlists import read_shortlist, resume_shortlist, write_shortlist
 
 __all__ = [
     "MAP_ENDINGS",
@@ -18,11 +19,14 @@ __all__ = [
     "check_apart",
     "check_output",
     "read_closures",
+    "read_shortlist",
     "replacing",
     "report_closures",
     "restore_closures",
+    "resume_shortlist",
     "write_closure_table",
     "write_closures",
     "write_fitted",
     "write_map",
+    "write_shortlist",
 ]

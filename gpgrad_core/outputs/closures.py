@@ -1,4 +1,4 @@
-"""``closures.json``: the verdict on every pair of submaps, and how it was reached."""
+"""``closures.json``: the verdict on every compared pair of submaps, and how it was reached."""
 
 import json
 import math
@@ -21,6 +21,8 @@ from gpgrad_core.version import VERSION
 
 MOST_INLIERS = 10_000_000
 """Of a pair; each becomes a truth value in memory."""
+MOST_PAIRS = 10**15
+"""Of a dataset; a hundred times as many submaps as anybody has."""
 MAX_YAW = 1e6
 """Of a motion [rad]; from there on an angle has lost ten of its digits."""
 MAX_COVARIANCE = MAX_COORDINATE**2
@@ -78,7 +80,8 @@ class ClosureReport:
         versions: Versions of gpgrad and of the libraries that the numbers depend on.
         seconds: Time of each stage [s]; only this may differ between two runs with one seed.
         submaps: Number of points by the submap's id, in the dataset's order.
-        pairs: Every unordered pair once.
+        pairs: Every unordered pair that was compared once.
+        num_pairs_skipped: Number of pairs that were not compared.
     """
 
     dataset: str
@@ -89,6 +92,7 @@ class ClosureReport:
     seconds: Mapping[str, float]
     submaps: Mapping[str, int]
     pairs: tuple[PairRecord, ...]
+    num_pairs_skipped: int = 0
 
     @property
     def accepted(self) -> tuple[PairRecord, ...]:
@@ -121,6 +125,7 @@ def report_closures(
         seconds={stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
         submaps={submap.id: len(submap.points) for submap in dataset.submaps},
         pairs=tuple(_record(closure) for closure in result.closures),
+        num_pairs_skipped=math.comb(len(dataset.submaps), 2) - len(result.closures),
     )
 
 
@@ -143,6 +148,7 @@ def write_closures(path: Path | str, report: ClosureReport) -> None:
         "versions": report.versions,
         "seconds": report.seconds,
         "submaps": [{"id": name, "num_points": count} for name, count in report.submaps.items()],
+        "num_pairs_skipped": report.num_pairs_skipped,
         "pairs": [
             asdict(pair)
             | {"dissimilarity": pair.dissimilarity if math.isfinite(pair.dissimilarity) else None}
@@ -185,6 +191,9 @@ def read_closures(path: Path | str) -> ClosureReport:
         seconds=_seconds(content.record("seconds")),
         submaps=known,
         pairs=_read_pairs(content.records("pairs"), known),
+        num_pairs_skipped=0  # other tools may not count them
+        if content.values.get("num_pairs_skipped") is None
+        else content.count("num_pairs_skipped", MOST_PAIRS),
     )
 
 

@@ -1,4 +1,4 @@
-"""The order of the stages: one map, one pair, or all pairs of a dataset.
+"""The order of the stages: one map, one pair, or the pairs of a dataset.
 
 Only this folder knows the order. What a changed parameter does not affect is not computed again.
 """
@@ -9,6 +9,7 @@ from gpgrad_core.pipeline.detection import (
     ExtractedSubmap,
     MapDetector,
     PairResult,
+    check_searchable,
     detect_loop_closures,
     extract_kept,
     infer_features,
@@ -25,6 +26,7 @@ __all__ = [
     "MapDetector",
     "PairResult",
     "PipelineParams",
+    "check_searchable",
     "describe_choice",
     "detect_loop_closures",
     "extract_kept",

@@ -1,4 +1,4 @@
-"""Every pair of submaps through a detector, side by side over any executor."""
+"""Pairs of submaps through a detector, side by side over any executor."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 from gpgrad_core.run.parallel import Work, run_jobs
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.threads import at_most_workers, num_workers, single_threaded_blas
-from gpgrad_core.types import LoopDetector, Registration, Submap
+from gpgrad_core.types import Features, LoopDetector, Registration, Submap
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -18,12 +18,18 @@ Pair: TypeAlias = tuple[int, int]
 """Indices (query, database) of two submaps; the database is the earlier one."""
 
 Compare: TypeAlias = Callable[[Any, Any], Registration]
+Choose: TypeAlias = Callable[[list[Any], Progress], list[Pair]]
+"""Chooses the pairs to compare by what was extracted of each submap."""
 
+CHOICE_SHARE = 0.1
+"""Part of the progress that choosing the pairs takes."""
 STAGES = {"maps": (0.0, 0.4), "features": (0.4, 0.5), "pairs": (0.5, 1.0)}
 """Part of the progress that each stage takes."""
 BLOCKS_A_WORKER = 12
 """Pairs are compared in blocks. There are many blocks, so that no worker waits long for the last
 one, and they are square, so that few submaps are sent to another process for many pairs."""
+MOST_PAIRS_A_BLOCK = 500
+"""If pairs were chosen, a block has no more of them, because each may need other submaps."""
 
 
 @runtime_checkable
@@ -61,13 +67,23 @@ class OrderedDetector(StagedDetector, Protocol):
         ...
 
 
+@runtime_checkable
+class SearchableDetector(StagedDetector, Protocol):
+    """A `StagedDetector` with keypoints, by which a shortlist finds the pairs worth comparing."""
+
+    def keypoints(self, extracted: Any) -> Features:
+        """Give the keypoints of an extracted submap."""
+        ...
+
+
 def compare_all(
     submaps: Sequence[Submap],
     detector: LoopDetector,
     executor: Executor | None = None,
     progress: Progress = silent,
+    choose: Choose | None = None,
 ) -> tuple[list[tuple[Pair, Registration]], dict[str, float]]:
-    """Register every submap to all earlier ones.
+    """Register every submap to all earlier ones, or to those that are chosen.
 
     The result does not depend on the executor or the number of threads. BLAS runs on one thread,
     because its sums would depend on their number.
@@ -77,6 +93,7 @@ def compare_all(
         detector: Any detector; with a `StagedDetector` each submap is prepared only once.
         executor: Threads or processes; None does everything in this thread.
         progress: Called from this thread; may raise Cancelled.
+        choose: Chooses the pairs; None compares all. It needs a `StagedDetector`.
 
     Returns:
         The registrations, sorted by query and then by database, and the seconds of each stage.
@@ -91,10 +108,16 @@ def compare_all(
             if name == "features" and isinstance(detector, OrderedDetector):
                 extracted = detector.gather(extracted)
             seconds[name], start = perf_counter() - start, perf_counter()
-    blocks = [_Block.of(extracted, pairs) for pairs in _blocks(len(extracted), executor)]
-    found = side_by_side(
-        _ComparedBlock(compare), blocks, executor, part(progress, *STAGES["pairs"])
-    )
+    first, last = STAGES["pairs"]
+    if choose is None:
+        together = _blocks(len(extracted), executor)
+    else:
+        chosen = choose(extracted, part(progress, first, first + CHOICE_SHARE))
+        together = _chosen_blocks(chosen, executor)
+        first += CHOICE_SHARE
+        seconds["shortlist"], start = perf_counter() - start, perf_counter()
+    blocks = [_Block.of(extracted, pairs) for pairs in together]
+    found = side_by_side(_ComparedBlock(compare), blocks, executor, part(progress, first, last))
     seconds["pairs"] = perf_counter() - start
     seconds["total"] = sum(seconds.values())
     return sorted(
@@ -165,3 +188,11 @@ def _blocks(count: int, executor: Executor | None) -> list[tuple[Pair, ...]]:
         if database <= query
     ]
     return [block for block in blocks if block]
+
+
+def _chosen_blocks(pairs: list[Pair], executor: Executor | None) -> list[tuple[Pair, ...]]:
+    """Divide chosen pairs into blocks of neighbouring queries, which often share candidates."""
+    pairs = sorted(pairs)
+    workers = 1 if executor is None else num_workers()
+    size = min(MOST_PAIRS_A_BLOCK, max(1, ceil(len(pairs) / (BLOCKS_A_WORKER * workers))))
+    return [tuple(pairs[start : start + size]) for start in range(0, len(pairs), size)]

@@ -1,17 +1,23 @@
 """The order of the stages, which only this file knows."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import perf_counter
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
+from gpgrad_core.errors import InputError
 from gpgrad_core.features import check_detector, detect_features, select_trusted
 from gpgrad_core.gp.inference import Posterior
 from gpgrad_core.gradient_map import fit_terrain, map_grid, sample_map
 from gpgrad_core.loop_closure import classify
 from gpgrad_core.matching import match_features
-from gpgrad_core.pipeline.all_pairs import StagedDetector, compare_all
+from gpgrad_core.pipeline.all_pairs import (
+    Pair,
+    SearchableDetector,
+    StagedDetector,
+    compare_all,
+)
 from gpgrad_core.pipeline.automatic import is_resolved, resolve_parameters
 from gpgrad_core.pipeline.params import PipelineParams
 from gpgrad_core.registration import (
@@ -22,6 +28,7 @@ from gpgrad_core.registration import (
 from gpgrad_core.run.helper import Helper, beside
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.shortlist import Candidate, Candidates, Shortlist, check_candidates, num_wanted
 from gpgrad_core.types import (
     Dataset,
     Features,
@@ -62,19 +69,25 @@ class PairResult:
 
 @dataclass(frozen=True, eq=False)
 class DetectionResult:
-    """All pairs of a dataset, each with its verdict.
+    """The compared pairs of a dataset, each with its verdict.
 
     Attributes:
-        closures: Every unordered pair once; the database submap is the earlier one.
-        seconds: Time of each stage [s]: maps, features, pairs and total; and fit, if parameters
-            were fitted.
+        closures: Every unordered pair that was compared once; the database submap is the earlier
+            one.
+        seconds: Time of each stage [s]: maps, features, pairs and total; fit, if parameters were
+            fitted; and shortlist, if pairs were chosen.
         params: The parameters that the pipeline used, with numbers for all automatic ones; None
             if another detector ran.
+        shortlists: By the id of each query that was not compared with all earlier submaps: the
+            ones it was compared with and why, the best first.
     """
 
     closures: tuple[LoopClosure, ...]
     seconds: dict[str, float]
     params: PipelineParams | None = None
+    shortlists: Mapping[str, tuple[Candidate, ...]] = field(
+        default_factory=dict[str, tuple[Candidate, ...]]
+    )
 
 
 def infer_map(
@@ -263,6 +276,10 @@ class MapDetector(StagedDetector):
             features, self.memo(prepare, made, self.params.features.max_std_ratio)
         )
 
+    def keypoints(self, extracted: ExtractedSubmap) -> Features:
+        """Give the keypoints."""
+        return extracted.features
+
     def compare(self, query: ExtractedSubmap, database: ExtractedSubmap) -> Registration:
         """Match and register."""
         matches = self.memo(match_features, query.features, database.features, self.params.matching)
@@ -280,11 +297,12 @@ def detect_loop_closures(
     params: PipelineParams | None = None,
     *,
     detector: LoopDetector | None = None,
+    candidates: Candidates = "automatic",
     executor: Executor | None = None,
     memo: Memo | None = None,
     progress: Progress = silent,
 ) -> DetectionResult:
-    """Compare every submap with all earlier ones.
+    """Compare every submap with earlier ones: with all of them, or with those worth comparing.
 
     Parameters that are automatic are fitted to the dataset first (`resolve_parameters`).
 
@@ -292,6 +310,9 @@ def detect_loop_closures(
         dataset: The submaps in order.
         params: Parameters of all stages; with a detector, only those of the verdict are used.
         detector: Another way to register pairs; None uses the pipeline.
+        candidates: With how many earlier submaps a submap is compared: a number, ``all``, or
+            ``automatic``, which is all of up to 200 earlier ones, and 30 of more. The `Shortlist`
+            chooses them by the keypoints; ``automatic`` is ``all`` for a detector without any.
         executor: Threads or processes that share the work; None does everything in this thread.
             The result is the same. For processes the detector must be picklable.
         memo: Shares results with other calls; None keeps what this call needs. Other processes do
@@ -299,12 +320,14 @@ def detect_loop_closures(
         progress: Called from this thread from time to time; may raise Cancelled.
 
     Returns:
-        The verdict on every pair, sorted by query and then by database.
+        The verdict on every compared pair, sorted by query and then by database.
 
     Raises:
-        InputError: If a submap's map cannot be made.
+        InputError: If a submap's map cannot be made, if the number of candidates is none that is
+            allowed, or if the detector has no keypoints to choose them by.
     """
     params, submaps = params or PipelineParams(), dataset.submaps
+    check_searchable(candidates, detector)
     used: PipelineParams | None = None
     seconds: dict[str, float] = {}
     if detector is None:
@@ -316,7 +339,13 @@ def detect_loop_closures(
             seconds["fit"] = perf_counter() - start
             progress = part(progress, FIT_SHARE, 1.0)
         detector, used = MapDetector(params, memo), params
-    found, spent = compare_all(submaps, detector, executor, progress)
+    choice = None
+    if isinstance(detector, SearchableDetector) and any(
+        num_wanted(candidates, earlier) < earlier for earlier in range(len(submaps))
+    ):
+        names = [submap.id for submap in submaps]
+        choice = _Choice(names, detector, candidates, params.registration.seed)
+    found, spent = compare_all(submaps, detector, executor, progress, choice)
     spent["total"] += seconds.get("fit", 0.0)
     closures = tuple(
         classify(
@@ -327,4 +356,53 @@ def detect_loop_closures(
         )
         for (query, database), registration in found
     )
-    return DetectionResult(closures, spent | seconds, used)
+    return DetectionResult(closures, spent | seconds, used, choice.shortlists if choice else {})
+
+
+def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> None:
+    """Check that a detector can compare a submap with so many candidates.
+
+    Args:
+        candidates: The number of candidates, ``all`` or ``automatic``.
+        detector: The detector; None is the pipeline.
+
+    Raises:
+        InputError: If it is a number, and the detector has no keypoints to choose them by; or if
+            it is no number of candidates.
+    """
+    check_candidates(candidates)
+    if not (isinstance(candidates, str) or detector is None):
+        if isinstance(detector, SearchableDetector):
+            return
+        raise InputError(
+            f"the detector has no keypoints by which the best {candidates:,} candidates could be "
+            "chosen; compare all"
+        )
+
+
+class _Choice:
+    """Chooses pairs by a shortlist, and keeps why."""
+
+    def __init__(
+        self, ids: list[str], detector: SearchableDetector, candidates: Candidates, seed: int
+    ) -> None:
+        self.shortlists: dict[str, tuple[Candidate, ...]] = {}
+        self._ids, self._detector = ids, detector
+        self._candidates: Candidates = candidates
+        self._shortlist = Shortlist(seed)
+
+    def __call__(self, extracted: list[Any], progress: Progress) -> list[Pair]:
+        places = {name: place for place, name in enumerate(self._ids)}
+        pairs: list[Pair] = []
+        for query, one in enumerate(extracted):
+            name, features = self._ids[query], self._detector.keypoints(one)
+            wanted = num_wanted(self._candidates, query)
+            if wanted == query:
+                pairs += [(query, database) for database in range(query)]
+            else:
+                best = self._shortlist.candidates(features, wanted)
+                self.shortlists[name] = best
+                pairs += sorted((query, places[candidate.id]) for candidate in best)
+            self._shortlist.add(name, features)
+            progress((query + 1) / len(extracted))
+        return pairs

@@ -8,7 +8,7 @@ from gpgrad_core.pipeline.detection import ExtractedSubmap, MapDetector, infer_m
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.store import Store, key_of
-from gpgrad_core.types import GradientMap, LoopDetector, Registration, Submap
+from gpgrad_core.types import Features, GradientMap, LoopDetector, Registration, Submap
 
 D = TypeVar("D", bound=LoopDetector)
 
@@ -73,6 +73,10 @@ class KeptDetector(StagedDetector):
         view = self.detector.extract(made.gradient_map, progress)
         is_kept = self.store.put(made.key, view)
         return View(made.submap, made.key, None if is_kept else view)
+
+    def keypoints(self, extracted: View) -> Features:
+        """Give the keypoints of a view."""
+        return self._load(extracted).features
 
     def compare(self, query: View, database: View) -> Registration:
         """Register two views, unless that was done before."""

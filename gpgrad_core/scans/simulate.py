@@ -14,10 +14,10 @@ from gpgrad_core.datasets.simulate import (
     ODOMETRY_STREAM,
     TERRAIN_STREAM,
     drift,
-    stream,
     true_pose,
 )
 from gpgrad_core.datasets.simulation_params import SimulationParams
+from gpgrad_core.datasets.streams import stream
 from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
 from gpgrad_core.errors import InputError
@@ -64,6 +64,8 @@ def simulate_recording(
     check_vacant(directory, overwrite=overwrite)
     if num_scans < 2:
         raise InputError(f"a recording needs 2 or more scans, got {num_scans}")
+    if params.route == "roaming":
+        raise InputError("the route roaming makes submaps, not scans; choose another route")
     track = plan_track(params)
     try:
         with whole_folder(directory, replace=overwrite) as unfinished:

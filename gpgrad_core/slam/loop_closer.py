@@ -14,13 +14,20 @@ import numpy as np
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.loop_closure import classify
-from gpgrad_core.pipeline import MapDetector, PipelineParams, keeping, resolve_parameters
-from gpgrad_core.pipeline.all_pairs import StagedDetector, side_by_side
+from gpgrad_core.pipeline import (
+    MapDetector,
+    PipelineParams,
+    check_searchable,
+    keeping,
+    resolve_parameters,
+)
+from gpgrad_core.pipeline.all_pairs import SearchableDetector, StagedDetector, side_by_side
 from gpgrad_core.run.memo import Memo, array_bytes
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.se2 import Pose
+from gpgrad_core.shortlist import Candidate, Candidates, Shortlist, num_wanted
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
 from gpgrad_core.slam.joining import place_traverses
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
@@ -39,10 +46,13 @@ class Step:
     Attributes:
         closures: The verdict on the new submap and each earlier one that it was compared to.
         poses: ``T_world_submap`` of all submaps so far, by id.
+        shortlist: The earlier submaps that it was compared with and why, the best first; None if
+            it was compared with all that are near enough.
     """
 
     closures: tuple[LoopClosure, ...]
     poses: dict[str, Pose]
+    shortlist: tuple[Candidate, ...] | None = None
 
     @property
     def accepted(self) -> tuple[LoopClosure, ...]:
@@ -73,6 +83,7 @@ class LoopCloser:
         *,
         detector: StagedDetector | None = None,
         search_radius: float | None = None,
+        candidates: Candidates = "automatic",
         executor: Executor | None = None,
         bytes_in_memory: int = BYTES_IN_MEMORY,
         store: Store | None = None,
@@ -87,14 +98,22 @@ class LoopCloser:
             detector: Another way to register pairs; None uses the pipeline.
             search_radius: Compare only submaps whose origins lie within this distance of each
                 other in the current estimate [m]; None compares all.
+            candidates: With how many of these a submap is compared; see `detect_loop_closures`.
             executor: Threads that share the comparisons.
             bytes_in_memory: Bytes of maps and keypoints to keep in memory.
             store: Keeps the fit, maps, keypoints and registrations for later runs.
+
+        Raises:
+            InputError: If the number of candidates is none that is allowed, or if the detector
+                has no keypoints to choose them by.
         """
+        check_searchable(candidates, detector)
         self._params = params or PipelineParams()
         self._graph_params, self._solver = graph, solver
         self._detector = detector
         self._radius, self._executor, self._store = search_radius, executor, store
+        self._candidates: Candidates = candidates
+        self._shortlist = Shortlist(self._params.registration.seed)
         self._extracted = _Spilled(bytes_in_memory)
         self._submaps: list[Submap] = []
         self._traverses: list[int] = []  # number of each submap's traverse
@@ -178,6 +197,14 @@ class LoopCloser:
             for other, of_traverse in zip(self._submaps, self._traverses, strict=True)
             if of_traverse != number or self._near(predicted, self._poses[other.id])
         ]
+        shortlist = None
+        if isinstance(detector, SearchableDetector):
+            wanted = num_wanted(self._candidates, len(earlier))
+            if wanted < len(earlier):
+                keypoints = detector.keypoints(extracted)
+                shortlist = self._shortlist.candidates(keypoints, wanted, earlier)
+                chosen = {candidate.id for candidate in shortlist}
+                earlier = [name for name in earlier if name in chosen]
         found = side_by_side(
             _Comparison(extracted, detector.compare, self._extracted.get),
             earlier,
@@ -189,13 +216,15 @@ class LoopCloser:
             for name, registration in zip(earlier, found, strict=True)
         )
         self._extracted.put(submap.id, extracted)
+        if isinstance(detector, SearchableDetector) and self._candidates != "all":
+            self._shortlist.add(submap.id, detector.keypoints(extracted))
         self._submaps.append(replace(submap, points=np.empty((0, 3)), colors=None, noise_std=None))
         self._traverses.append(number)
         self._closures += closures
         self._poses[submap.id] = predicted
         if solve and any(closure.accepted for closure in closures):
             self._poses = dict(self.result.poses)
-        return Step(closures, dict(self._poses))
+        return Step(closures, dict(self._poses), shortlist)
 
     def _detector_for(self, submap: Submap) -> StagedDetector:
         """Return the detector; the first submap determines its automatic parameters."""

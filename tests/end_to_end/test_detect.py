@@ -54,6 +54,21 @@ def test_the_graph_has_the_closure_as_an_edge(detected: Path) -> None:
     assert edges == [["0", "1"], ["1", "2"], ["2", "3"], ["0", "3"]]
 
 
+def test_only_the_best_candidates_are_compared(
+    gpgrad: Run, traverse: Path, detected: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "closures.json"
+    finished = gpgrad("detect", traverse, "--out", out, "--candidates", "1")
+    assert finished.code == 0, finished.err
+    assert "1 loop closure in 3 pairs (3 were not compared) of 4 submaps" in finished.out
+    whole, few = read_closures(detected / "closures.json"), read_closures(out)
+    assert (whole.num_pairs_skipped, few.num_pairs_skipped) == (0, 3)
+    assert set(few.pairs) <= set(whole.pairs)
+    assert few.accepted == whole.accepted
+    refused = gpgrad("detect", traverse, "--out", tmp_path / "no.json", "--candidates", "some")
+    assert "--candidates must be a whole number, all or automatic, got 'some'" in refused.refusal
+
+
 def test_the_same_seed_gives_the_same_file(
     gpgrad: Run, traverse: Path, detected: Path, tmp_path: Path
 ) -> None:

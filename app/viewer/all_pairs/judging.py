@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from math import comb
 
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +23,7 @@ from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_cl
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.threads import num_workers
+from gpgrad_core.shortlist import Candidates
 from gpgrad_core.types import Dataset, LoopClosure
 
 RULES: dict[str, Rule] = {rule.name: rule for rule in EvaluationParams().rules}
@@ -91,6 +93,11 @@ class JudgedPairs:
     outcomes: tuple[str, ...]
 
     @property
+    def num_skipped(self) -> int:
+        """Number of pairs that were not compared."""
+        return comb(len(self.compared.dataset.submaps), 2) - len(self.closures)
+
+    @property
     def num_accepted(self) -> int:
         """Number of pairs accepted as loop closures."""
         return sum(closure.accepted for closure in self.closures)
@@ -121,22 +128,33 @@ RIGHT, WRONG_MOTION, NO_OVERLAP, MISSED = "right", "wrong motion", "no overlap",
 
 
 def compare_pairs(
-    dataset: Dataset, params: PipelineParams, memo: Memo, progress: Progress = silent
+    dataset: Dataset,
+    params: PipelineParams,
+    memo: Memo,
+    progress: Progress = silent,
+    candidates: Candidates = "automatic",
 ) -> ComparedPairs:
-    """Register all pairs of a dataset, and measure how far they truly overlap.
+    """Register the pairs of a dataset, and measure how far they truly overlap.
 
     Args:
         dataset: Submaps in order.
         params: Of all stages.
         memo: Shared with whatever else needs maps of the same submaps.
         progress: Called from this thread; may raise Cancelled.
+        candidates: With how many earlier submaps a submap is compared; see
+            `detect_loop_closures`.
 
     Raises:
         InputError: If a submap's map cannot be made.
     """
     with ThreadPoolExecutor(num_workers(), thread_name_prefix="all-pairs") as executor:
         result = detect_loop_closures(
-            dataset, params, executor=executor, memo=memo, progress=part(progress, 0.0, 0.97)
+            dataset,
+            params,
+            candidates=candidates,
+            executor=executor,
+            memo=memo,
+            progress=part(progress, 0.0, 0.97),
         )
     truth = None
     if sum(submap.pose_true is not None for submap in dataset.submaps) >= 2:

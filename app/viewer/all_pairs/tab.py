@@ -139,6 +139,7 @@ def findings(judged: JudgedPairs, state: ViewState) -> Findings:
     compared, count = judged.compared, judged.num_accepted
     seconds = compared.result.seconds["total"]
     closures = "loop closure" if count == 1 else "loop closures"
+    skipped = f" ({judged.num_skipped:,} were not compared)" if judged.num_skipped else ""
     ranked = sorted(
         zip(judged.closures, judged.outcomes, strict=True),
         key=lambda pair: -pair[0].registration.score,
@@ -146,7 +147,7 @@ def findings(judged: JudgedPairs, state: ViewState) -> Findings:
     shown = state.query_id, state.database_id
     by_motion = "" if judged.check is None else f": {_by_motion(judged)}"
     return Findings(
-        summary=f"{count} {closures} in {len(judged.closures):,} pairs{by_motion} · "
+        summary=f"{count} {closures} in {len(judged.closures):,} pairs{skipped}{by_motion} · "
         f"{seconds:.1f} s",
         outdated=""
         if compared.is_of(state)

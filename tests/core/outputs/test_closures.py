@@ -35,8 +35,10 @@ def test_the_file_has_what_the_contract_promises(
         "versions",
         "seconds",
         "submaps",
+        "num_pairs_skipped",
         "pairs",
     ]
+    assert content["num_pairs_skipped"] == 0
     assert content["dataset"] == "crater"
     assert content["method"] == "gradient"
     assert content["seed"] == 0

@@ -1,0 +1,214 @@
+# ruff: noqa: T201 - a command that prints tables
+"""What the shortlist holds, and what it takes: ``python -m tests.benchmarks.bench_shortlist``.
+
+All given sets lie in one pot with distractors: simulated submaps of other ground, and the mirror
+images of all keypoints, which look like the same ground but are other places. The distractors come
+first, so that the vocabulary is learned from them. Maps take most of the time; their keypoints are
+kept in ``--cache``.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import tyro
+
+from gpgrad_core.datasets import SimulationParams, load_dataset, simulate_dataset
+from gpgrad_core.evaluation import EvaluationParams, measure_pairs
+from gpgrad_core.features.slope_field import RINGS, SPOKES
+from gpgrad_core.fitting import representative
+from gpgrad_core.params.files import preferred_parameters
+from gpgrad_core.pipeline import PipelineParams, infer_features, resolve_parameters
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.shortlist import Shortlist
+from gpgrad_core.types import Dataset, Features
+from tests.core.shortlist.places import features as any_features
+
+COUNTS = (10, 30, 50)
+SIZES = (1_000, 10_000)
+GROUNDS = (
+    SimulationParams(extent=100.0),
+    SimulationParams(extent=100.0, roughness=0.7, rock_density=0.5, crater_density=0.0),
+    SimulationParams(
+        extent=100.0, relief=0.15, crater_density=0.1, dune_height=0.3, rock_density=3.0
+    ),
+    SimulationParams(
+        extent=100.0,
+        hill_height=1.5,
+        roughness=0.1,
+        crater_density=0.01,
+        rock_density=0.3,
+        dune_height=0.05,
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Arguments.
+
+    Attributes:
+        data: Folder of datasets with true poses, beside the four simulated ones.
+        cache: Folder to keep keypoints in.
+        distractors: Number of distractors, mirror images included.
+    """
+
+    data: Path = Path("../shared/data")
+    cache: Path = Path("build/bench_shortlist")
+    distractors: int = 2_000
+
+
+@dataclass(frozen=True, eq=False)
+class Keypoints:
+    """The keypoints of a set, and its true pairs (query, database), without neighbours."""
+
+    features: list[Features]
+    true: list[tuple[int, int]]
+
+
+def main() -> None:
+    """Measure, and print two tables."""
+    bench = tyro.cli(Bench)
+    bench.cache.mkdir(parents=True, exist_ok=True)
+    folders = sorted(folder for folder in bench.data.glob("*") if (folder / "submaps").is_dir())
+    sets = {folder.name: _kept(bench.cache, folder.name, _loader(folder)) for folder in folders}
+    for k, ground in enumerate(GROUNDS):
+        params = SimulationParams(**(vars(ground) | {"seed": 100 + k}))
+        sets[f"simulated {k}"] = _kept(bench.cache, f"simulated_{k}", _simulator(params))
+    pot = _distractors(bench, list(sets.values()))
+    shortlist = Shortlist()
+    for k, one in enumerate(pot):
+        shortlist.add(f"distractor {k}", one)
+    print(f"| set, among {len(pot):,} distractors | true pairs | K = 10 | K = 30 | K = 50 |")
+    print("|---|---|---|---|---|")
+    every: list[int] = []
+    for name, held in sets.items():
+        ranks = _ranks(shortlist, name, held)
+        every += ranks
+        print(_row(name, ranks))
+    print(_row("all", every))
+    _time()
+
+
+def _loader(folder: Path) -> Callable[[], Dataset]:
+    return lambda: load_dataset(folder)
+
+
+def _simulator(params: SimulationParams) -> Callable[[], Dataset]:
+    return lambda: simulate_dataset(params)
+
+
+def _row(name: str, ranks: list[int]) -> str:
+    shares = " | ".join(f"{np.mean(np.array(ranks) < count):.3f}" for count in COUNTS)
+    return f"| {name} | {len(ranks)} | {shares} |"
+
+
+def _ranks(shortlist: Shortlist, name: str, held: Keypoints) -> list[int]:
+    """Find the rank of each true pair, and add the set."""
+    ranks: list[int] = []
+    for query, one in enumerate(held.features):
+        best = shortlist.candidates(one, max(COUNTS))
+        found = {candidate.id: rank for rank, candidate in enumerate(best)}
+        ranks += [
+            found.get(f"{name} {database}", max(COUNTS))
+            for later, database in held.true
+            if later == query
+        ]
+        shortlist.add(f"{name} {query}", one)
+    return ranks
+
+
+def _kept(cache: Path, name: str, make: Callable[[], Dataset]) -> Keypoints:
+    """Make the keypoints of a dataset, or read them."""
+    file = cache / f"{name}.npz"
+    if not file.exists():
+        dataset = make()
+        params = preferred_parameters(dataset, PipelineParams())
+        some = [dataset.submaps[k] for k in representative(len(dataset.submaps))]
+        params = resolve_parameters(some, params)
+        found = [infer_features(submap, params, Memo()) for submap in dataset.submaps]
+        pairs = measure_pairs(dataset)
+        surface = EvaluationParams().rules[1].label(pairs).positive
+        np.savez(
+            file,
+            counts=[len(one) for one in found],
+            positions=np.concatenate([one.positions for one in found]),
+            scales=np.concatenate([one.scales for one in found]),
+            responses=np.concatenate([one.responses for one in found]),
+            descriptors=np.concatenate([one.descriptors for one in found]),
+            true=np.column_stack([pairs.query, pairs.database])[surface],
+        )
+    with np.load(file) as archive:
+        held = dict(archive)
+    ends = np.cumsum(held["counts"])
+    rows = [slice(end - count, end) for end, count in zip(ends, held["counts"], strict=True)]
+    features = [
+        Features(
+            held["positions"][row],
+            held["scales"][row],
+            held["responses"][row],
+            np.zeros(row.stop - row.start),
+            held["descriptors"][row],
+        )
+        for row in rows
+    ]
+    return Keypoints(features, [(int(query), int(database)) for query, database in held["true"]])
+
+
+def _distractors(bench: Bench, sets: list[Keypoints]) -> list[Features]:
+    plain: list[Features] = []
+    own = [mirrored(one) for held in sets for one in held.features]
+    seed = 0
+    while 2 * len(plain) + len(own) < bench.distractors:
+        ground = vars(GROUNDS[seed % len(GROUNDS)])
+        params = ground | {
+            "seed": 1000 + seed,
+            "num_submaps": 200,
+            "extent": 240.0,
+            "max_points": 15_000,
+        }
+        made = _kept(bench.cache, f"distractors_{seed}", _simulator(SimulationParams(**params)))
+        plain += made.features
+        seed += 1
+    return [*plain, *map(mirrored, plain), *own][: bench.distractors]
+
+
+def mirrored(features: Features) -> Features:
+    """Mirror keypoints of the slope detector: ground that is as likely, but another place."""
+    order = [0]
+    for ring in range(len(RINGS)):
+        first = 1 + SPOKES * ring
+        order += [first + (SPOKES - ring % 2 - k) % SPOKES for k in range(SPOKES)]
+    along, across = np.split(features.descriptors, 2, axis=1)
+    return Features(
+        features.positions * [1.0, -1.0],
+        features.scales,
+        features.responses,
+        features.std_ratios,
+        np.hstack([along[:, order], -across[:, order]]).astype(np.float32),
+    )
+
+
+def _time() -> None:
+    """Time a submap among many that are made of random numbers."""
+    print("\n| submaps | ms a submap: candidates | ms a submap: added | MB |\n|---|---|---|---|")
+    shortlist, queries = Shortlist(), 20
+    for size in SIZES:
+        start, before = perf_counter(), len(shortlist)
+        for k in range(before, size):
+            shortlist.add(str(k), any_features(k, 754))
+        added = (perf_counter() - start) / (size - before)
+        asked = [any_features(20_000 + k, 754) for k in range(queries)]
+        start = perf_counter()
+        for one in asked:
+            shortlist.candidates(one, 30)
+        taken = (perf_counter() - start) / queries
+        state = shortlist.state
+        kept = state.global_vectors.nbytes + state.descriptors.nbytes + state.positions.nbytes
+        print(f"| {size:,} | {1000 * taken:.0f} | {1000 * added:.1f} | {kept / 1e6:.0f} |")
+
+
+if __name__ == "__main__":
+    main()
