@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
@@ -109,6 +108,8 @@ class Field:
                 total[y[0] : y[-1] + 1, x[0] : x[-1] + 1] += (
                     patch * weight_y[:, None] * weight_x[None, :]
                 )
+        import cv2  # noqa: PLC0415 - loads slowly, and only this ground needs it
+
         # From cells of the patches to cells of the terrain.
         places = [
             ((low[axis] + np.arange(shape[1 - axis])) / ratio - first[axis]).astype(np.float32)

@@ -155,13 +155,13 @@ def test_a_library_that_turns_the_signal_into_its_own_error(
 ) -> None:
     """Open3D does, while it is loaded: it cannot be loaded, it said."""
 
-    def load(*_: object) -> None:
+    def load(*_: object, **__: object) -> None:
         try:
             signal.raise_signal(signal.SIGTERM)
         except KeyboardInterrupt:
             raise ImportError("initialization failed") from None
 
-    monkeypatch.setattr("app.cli.simulate.simulate_dataset", load)
+    monkeypatch.setattr("app.cli.simulate.simulate_into", load)
     for _ in range(2):
         assert run(["simulate", str(tmp_path / "data")]) == 143
         assert capsys.readouterr().err == "gpgrad: terminated\n"
@@ -274,7 +274,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("it began to work")
 
     for place in (
-        *("app.cli.simulate.simulate_dataset", "app.cli.detect.detect_loop_closures"),
+        *("gpgrad_core.datasets.simulate.run_jobs", "app.cli.detect.detect_loop_closures"),
         *("app.cli.detect.settled", "app.cli.evaluate.run_methods", "app.cli.slam.settled"),
         *("app.cli.fit.fit_parameters", "app.cli.map.infer_gradient_map"),
         *("gpgrad_core.scans.simulate.make_terrain", "gpgrad_core.scans.build.open_recording"),
