@@ -69,6 +69,7 @@ def test_readme_is_short() -> None:
     assert len(README.split()) <= MOST_WORDS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("page", "printed"),
     [

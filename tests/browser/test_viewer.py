@@ -69,6 +69,7 @@ def test_each_slider_moves_picture_and_verdict_and_reset_brings_all_back(
     page.settle()
 
 
+@pytest.mark.slow
 def test_a_drag_of_200_events_ends_on_the_last_value(page: "ViewerPage") -> None:
     page.drag("Minimum inliers", 60, steps=50)
     page.drag("Minimum inliers", 30, steps=50)
@@ -91,6 +92,7 @@ def test_a_drag_of_200_events_ends_on_the_last_value(page: "ViewerPage") -> None
     page.settle()
 
 
+@pytest.mark.slow
 def test_a_missing_folder_is_told_and_the_sliders_still_work(page: "ViewerPage") -> None:
     page.page.get_by_role("tab", name="Data").click()
     page.type_text("Folder", "/no/such/<b>folder</b>")
@@ -111,6 +113,7 @@ def test_a_missing_folder_is_told_and_the_sliders_still_work(page: "ViewerPage")
     page.tab("View")
 
 
+@pytest.mark.slow
 def test_layers_layout_and_switches_change_the_picture_only(page: "ViewerPage") -> None:
     from tests.browser.chromium import changed  # noqa: PLC0415
 
@@ -145,6 +148,7 @@ def test_another_pair_is_shown_and_judged(page: "ViewerPage") -> None:
     expect_change(page, lambda: page.choose("Query", "007"))
 
 
+@pytest.mark.slow
 def test_all_pairs_are_run_judged_and_stepped_through(open_viewer: Open) -> None:
     page = open_viewer(ROUGH)
     page.page.get_by_role("tab", name="All pairs").click()

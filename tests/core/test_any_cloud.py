@@ -24,6 +24,7 @@ from tests.core.clouds import KINDS, draw_params, draw_submaps, run_pipeline
 seeds = st.integers(0, 2**32 - 1)
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(kind=st.sampled_from(list(KINDS)), seed=seeds)
 @example("one spot", 4)
@@ -149,6 +150,7 @@ def test_a_pair_is_refused_before_the_work_on_its_first_map() -> None:
         register_pair(submap(BLOB), submap(uniform(50, 200, 200)), params, Memo(), never)
 
 
+@pytest.mark.slow
 def test_a_fit_draws_from_large_clouds() -> None:
     large = submap(uniform(301_000, 10, 10))
     few = resolve_parameters([large]).map

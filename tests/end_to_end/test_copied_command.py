@@ -17,6 +17,7 @@ from gpgrad_core.run.memo import Memo
 from tests.end_to_end.process import Run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turned", [False, True])
 def test_it_gives_the_same_numbers(
     gpgrad: Run, traverse: Path, tmp_path: Path, turned: bool

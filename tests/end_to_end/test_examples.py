@@ -33,6 +33,7 @@ def test_every_example_is_tried() -> None:
     assert sorted(path.name for path in EXAMPLES.glob("*.py")) == sorted(FINDS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FINDS)
 def test_example_runs(name: str, tmp_path: Path) -> None:
     if name in NEED_SOLVER:

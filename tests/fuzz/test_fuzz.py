@@ -30,6 +30,7 @@ def test_what_once_failed_is_refused(name: str, tmp_path: Path) -> None:
     assert time.perf_counter() - begin < SECONDS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FORMATS)
 def test_damaged_files_are_refused_or_read(name: str, tmp_path: Path) -> None:
     skip_without_its_library(name)

@@ -93,6 +93,7 @@ def test_the_drive_is_long_enough_for_all_submaps() -> None:
         assert plan_track(replace(PARAMS, num_submaps=count)).length > count * PARAMS.spacing
 
 
+@pytest.mark.slow
 def test_revisits_show_the_same_ground() -> None:
     dataset = simulate_dataset(replace(PARAMS, num_submaps=40))
     poses = [submap.pose_true for submap in dataset.submaps]
@@ -112,6 +113,7 @@ def test_revisits_show_the_same_ground() -> None:
     assert np.median(differences) < 0.05
 
 
+@pytest.mark.slow
 def test_a_folder_is_the_same_whoever_writes_it(tmp_path: Path) -> None:
     write_dataset(simulate_dataset(PARAMS), tmp_path / "memory")
     simulate_into(tmp_path / "alone", PARAMS)

@@ -226,6 +226,7 @@ def box_overlap(a: Submap, b: Submap) -> float:
     return float(common / (np.prod(high_a - low_a) + np.prod(high_b - low_b) - common))
 
 
+@pytest.mark.slow
 def test_the_demos_revisits_are_found_and_no_pair_that_does_not_meet() -> None:
     demo = load_dataset(demo_path())
     result = detect_loop_closures(demo)
