@@ -86,6 +86,7 @@ def test_a_refusal_leaves_nothing(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_what_was_built_closes_its_loop(tmp_path: Path) -> None:
     """Out, and back the other way over the same ground; the sensor is level and sees all around."""
     stops = [(0.0, 0.0), (4.0, 0.0), (8.0, 0.2), (4.3, 0.4)]

@@ -41,6 +41,7 @@ def test_the_revisit_is_judged(report: Path) -> None:
     assert {path.suffix for path in report.iterdir()} == {".json", ".md", ".png"}
 
 
+@pytest.mark.slow
 def test_what_was_found_can_be_judged_again_otherwise(
     gpgrad: Run, known: Path, report: Path, tmp_path: Path
 ) -> None:

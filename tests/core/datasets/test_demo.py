@@ -16,6 +16,7 @@ def demo() -> Dataset:
     return load_dataset(demo_path())
 
 
+@pytest.mark.slow
 def test_it_is_made_anew_bit_for_bit(tmp_path: Path) -> None:
     write_dataset(simulate_demo(), tmp_path / "demo")
     shipped = {path.relative_to(demo_path()) for path in demo_path().rglob("*") if path.is_file()}

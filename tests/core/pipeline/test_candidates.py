@@ -41,6 +41,7 @@ def few(demo: Dataset, memo: Memo) -> DetectionResult:
     return detect_loop_closures(demo, PARAMS, memo=memo, candidates=FEW)
 
 
+@pytest.mark.slow
 def test_chosen_pairs_have_the_verdicts_that_they_have_among_all(
     demo: Dataset, whole: DetectionResult, few: DetectionResult
 ) -> None:
