@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 MOST_SECONDS = 30.0
 """Longest time that a fit may be estimated to take, on two cores of 2.8 GHz."""
-MOST_BYTES = 1.2e9
+MOST_BYTES = 1.35e9
 """Largest memory that a fit may be estimated to take. With the fields of the largest grid and what
 a process needs anyway, it stays below 2 GB."""
 
@@ -30,4 +30,4 @@ class Cost:
         """Say it in words, with what is allowed."""
         if self.seconds / MOST_SECONDS >= self.num_bytes / MOST_BYTES:
             return f"about {self.seconds:,.0f} s (at most {MOST_SECONDS:g} s)"
-        return f"about {self.num_bytes / 1e9:,.1f} GB (at most {MOST_BYTES / 1e9:g} GB)"
+        return f"about {self.num_bytes / 1e9:,.2f} GB (at most {MOST_BYTES / 1e9:g} GB)"
