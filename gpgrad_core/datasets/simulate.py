@@ -116,7 +116,9 @@ def simulate_into(
                 about_simulated(params),
             )
     except OSError as error:
-        raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from None
+        if error.strerror is None:  # a process has died
+            raise
+        raise InputError(f"{directory}: cannot be written: {error.strerror}") from None
     finally:
         _world_of_this_process.cache_clear()
     progress(1.0)

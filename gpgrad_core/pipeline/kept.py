@@ -45,8 +45,8 @@ class KeptDetector(StagedDetector):
     """A `MapDetector` that keeps views and registrations in a store, and takes them from there.
 
     So a run that was killed goes on where it was, and a second run with another threshold compares
-    nothing. Submaps are handed around without their views, which every process loads as it needs
-    them: memory does not grow with their number.
+    nothing. Submaps are handed around without their views, which are several times as large, and
+    which every process loads as it needs them.
 
     Attributes:
         detector: What makes views and registrations; with its own maps, not a rival's.

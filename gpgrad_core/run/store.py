@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Callable, Generator
 from dataclasses import fields, is_dataclass
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import time
 from typing import TypeVar, cast
@@ -212,24 +212,23 @@ class Store:
 
     @contextlib.contextmanager
     def _index(self) -> Generator[sqlite3.Connection]:
-        """Open the index for one transaction. One that is no database is made anew."""
+        """Open the index for one transaction. A damaged one is made anew for the next."""
         file = self.folder / INDEX
         if not self.folder.is_dir():
             raise FileNotFoundError(self.folder)
         try:
-            connection = sqlite3.connect(file, timeout=WAIT)
-            connection.executescript(SCHEMA)
-        except sqlite3.OperationalError:  # locked, read-only or full: not damaged
-            raise
+            with contextlib.closing(sqlite3.connect(file, timeout=WAIT)) as connection, connection:
+                connection.execute("pragma synchronous = off")  # a power cut may damage it: below
+                connection.executescript(SCHEMA)
+                yield connection
+        except (sqlite3.OperationalError, sqlite3.IntegrityError):
+            raise  # locked, read-only or full: not damaged
         except sqlite3.DatabaseError:
             file.unlink(missing_ok=True)
-            connection = sqlite3.connect(file, timeout=WAIT)
-            connection.executescript(SCHEMA)
-            connection.execute("insert into damaged values (?)", (INDEX,))
-            connection.commit()
-        with contextlib.closing(connection), connection:
-            connection.execute("pragma synchronous = off")  # what a power cut damages is made anew
-            yield connection
+            with contextlib.closing(sqlite3.connect(file, timeout=WAIT)) as connection, connection:
+                connection.executescript(SCHEMA)
+                connection.execute("insert into damaged values (?)", (INDEX,))
+            raise
 
 
 def key_of(*made_from: object) -> str:
@@ -265,4 +264,12 @@ def _code() -> str:
     for file in sorted(root.rglob("*.py")):
         found.update(str(file.relative_to(root)).encode())
         found.update(file.read_bytes())
-    return " ".join((found.hexdigest(), *(f"{name} {version(name)}" for name in LIBRARIES)))
+    return " ".join((found.hexdigest(), *(f"{name} {_version(name)}" for name in LIBRARIES)))
+
+
+def _version(name: str) -> str:
+    """Find a library's version; another build of it may be installed under another name."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"

@@ -11,6 +11,7 @@ import pytest
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import TerrainParams
+from gpgrad_core.run import store as store_module
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import INDEX, Store, key_of
 from gpgrad_core.types import Submap
@@ -129,6 +130,24 @@ def test_an_index_that_is_no_database_is_made_anew(store: Store) -> None:
     store(make, "a")
     assert make.count == 2
     assert store.take_damaged() == 1
+
+
+def test_an_index_with_a_broken_page_is_made_anew(store: Store) -> None:
+    for k in range(60):
+        store(Counted(500), k)
+    index = store.folder / INDEX
+    content = bytearray(index.read_bytes())
+    content[4096:] = b"\xff" * (len(content) - 4096)
+    index.write_bytes(content)
+    make = Counted()
+    for _ in range(3):
+        store(make, "a")
+    assert make.count <= 2
+    assert store.take_damaged() >= 1
+
+
+def test_a_library_without_a_known_version_is_no_hindrance() -> None:
+    assert store_module._version("a-library-that-nobody-has") == "unknown"
 
 
 def test_what_a_killed_process_left_is_removed(store: Store) -> None:
