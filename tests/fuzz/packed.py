@@ -69,11 +69,9 @@ def archive(rng: random.Random) -> Case:
         case "bomb":
             return Case(_bomb(), what, damaged=True)
         case "directory":
-            data = bytearray(whole)
+            data, start = bytearray(whole), whole.index(b"PK\x01\x02")
             for _ in range(rng.choice((1, 2, 6))):
-                data[rng.randrange(data.index(b"PK\x01\x02"), len(data))] = rng.choice(
-                    (0, 255, 1, 127)
-                )
+                data[rng.randrange(start, len(data))] = rng.choice((0, 255, 1, 127))
             return Case(bytes(data), what, damaged=False)
         case "data":
             data = bytearray(whole)
