@@ -1,10 +1,10 @@
 """Aligns two maps to a few centimetres, without smoothing them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import sqrt
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.registration.alignment import DRIFTED, FEWEST_CELLS, Alignments, align
@@ -12,7 +12,7 @@ from gpgrad_core.registration.overlay import overlay, smooth_between, take_warp_
 from gpgrad_core.registration.relief import Image, Relief, above_mean, blur, thin_grid, thinned
 from gpgrad_core.registration.uncertainty import NUM_BANDS
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import MAX_STD_RATIO, GradientMap
+from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Grid
 
 SHARP_CELL = 0.35
 """Side of a cell [scales of comparison]."""
@@ -29,14 +29,48 @@ class Sharp:
     """A map's elevation without smoothing, for the last centimetres of a motion.
 
     Attributes:
-        whole: The elevation without smoothing.
+        grid: Grid of the thinned cells.
+        elevation: Height above `base` (rows, columns) [m].
+        slope: Slope of that along x and y (rows, columns, 2) [m/m].
+        trusted: Cells that the variance mask trusts (rows, columns).
+        base: Mean elevation of the trusted cells [m].
+        scale: Scale of comparison [m].
+        whole: The elevation without smoothing, as the alignment takes it.
         long_elevation: Its long waves (rows, columns) [m]: smoothed over the scale of comparison.
         long_slope: Slope of the long waves (rows, columns, 2) [m/m].
     """
 
-    whole: Relief
-    long_elevation: Float[Image, "rows columns"]
-    long_slope: Float[Image, "rows columns 2"]
+    grid: Grid
+    elevation: Float[Image, "rows columns"]
+    slope: Float[Image, "rows columns 2"]
+    trusted: Bool[NDArray[np.bool_], "rows columns"]
+    base: float
+    scale: float
+    whole: Relief = field(init=False)
+    long_elevation: Float[Image, "rows columns"] = field(init=False)
+    long_slope: Float[Image, "rows columns 2"] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Extract the long waves once."""
+        weight, sigma = self.trusted.astype(np.float32), self.scale / self.grid.resolution
+        along: list[Image] = [
+            blur(np.ascontiguousarray(self.slope[..., axis]), weight, sigma) for axis in (0, 1)
+        ]
+        # The final alignment uses neither the terrain nor the noise.
+        nothing = np.zeros_like(self.elevation)
+        whole = Relief(
+            self.grid,
+            self.elevation,
+            self.slope,
+            nothing,
+            self.trusted,
+            np.zeros((*nothing.shape, NUM_BANDS), np.float32),
+            self.base,
+            self.scale,
+        )
+        object.__setattr__(self, "whole", whole)
+        object.__setattr__(self, "long_elevation", blur(self.elevation, weight, sigma))
+        object.__setattr__(self, "long_slope", np.dstack(along))
 
     def less(self, share: float) -> Relief:
         """Remove a share of the long waves."""
@@ -48,7 +82,7 @@ class Sharp:
 
 
 def sharpen(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Sharp:
-    """Thin a map without smoothing it, and extract its long waves.
+    """Thin a map without smoothing it.
 
     Args:
         gradient_map: The map.
@@ -59,17 +93,7 @@ def sharpen(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> 
     trusted = gradient_map.trusted(max_std_ratio)[thin].copy()
     elevation, base = above_mean(gradient_map.elevation[thin], trusted)
     slope = gradient_map.slope[thin].astype(np.float32)
-    # The final alignment uses neither the terrain nor the noise.
-    nothing, noise = np.zeros_like(elevation), np.zeros((*elevation.shape, NUM_BANDS), np.float32)
-    weight, sigma = trusted.astype(np.float32), gradient_map.scale / grid.resolution
-    along: list[NDArray[np.float32]] = [
-        blur(np.ascontiguousarray(slope[..., axis]), weight, sigma) for axis in (0, 1)
-    ]
-    return Sharp(
-        Relief(grid, elevation, slope, nothing, trusted, noise, base, gradient_map.scale),
-        blur(elevation, weight, sigma),
-        np.dstack(along),
-    )
+    return Sharp(grid, elevation, slope, trusted, base, gradient_map.scale)
 
 
 def place(query: Sharp, database: Sharp, start: SE2) -> Alignments:
