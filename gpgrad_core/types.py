@@ -76,6 +76,15 @@ class Submap:
     noise_std: Float[Array, "n"] | None = None
     ranges: Float[Array, "n"] | None = None
 
+    @property
+    def num_points(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+    def load(self) -> "Submap":
+        """Return itself, because it is loaded: a submap is its own `SubmapSource`."""
+        return self
+
     @classmethod
     def from_points(
         cls,
@@ -184,6 +193,33 @@ def _check_each(
     wrong = np.flatnonzero(~(np.isfinite(values) & allowed))
     if len(wrong):
         raise InputError(f"{rule} at every point, got {values[wrong[0]]:g} at point {wrong[0]}")
+
+
+@runtime_checkable
+class SubmapSource(Protocol):
+    """Where a submap comes from: a file, or the submap itself.
+
+    A source is small, so that many of them fit into memory and travel between processes.
+    """
+
+    @property
+    def id(self) -> str:
+        """The submap's name."""
+        ...
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of the points, as that of the submap."""
+        ...
+
+    @property
+    def num_points(self) -> int:
+        """Number of points."""
+        ...
+
+    def load(self) -> Submap:
+        """Load the submap."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,10 @@
 """``gpgrad detect``: register, score and judge pairs of submaps."""
 
+import math
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -16,23 +20,30 @@ from app.cli.inputs import (
     DatasetPath,
     ParamsFile,
     base_params,
-    load,
+    load_sources,
     open_store,
     settled,
     tell_damaged,
 )
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say
+from gpgrad_core.datasets import outline_dataset
 from gpgrad_core.errors import InputError
+from gpgrad_core.fitting import representative
 from gpgrad_core.methods import METHODS, find_method
-from gpgrad_core.outputs import check_apart, check_output, report_closures, write_closures
-from gpgrad_core.pipeline import detect_loop_closures, keeping
+from gpgrad_core.outputs import ClosureWriter, check_apart, check_output, report_closures
+from gpgrad_core.pipeline import check_affordable, detect_loop_closures, keeping
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.shortlist import num_wanted, read_candidates
+from gpgrad_core.run.whole import TemporaryFolder
+from gpgrad_core.shortlist import ALL_UP_TO, num_wanted, read_candidates
 from gpgrad_core.slam import build_pose_graph, odometry_poses, write_graph
-from gpgrad_core.types import Dataset
+from gpgrad_core.types import Dataset, LoopClosure, SubmapSource
+
+VIEW_BYTES = 2_000_000
+"""Room for what is kept of a submap and its pairs; 30,000 points take half of it."""
 
 
 @dataclass(frozen=True)
@@ -74,42 +85,73 @@ class Detect:
             check_output(self.g2o, (".g2o",), overwrite=self.overwrite)
         check_apart([self.out, self.g2o], [self.dataset, self.params])
         store = open_store(self.cache)
-        dataset = load(self.dataset)
-        asked, whole = self.pipeline.over(base_params(dataset, self.params)), dataset.submaps
-        if self.pair:
-            dataset = _only(dataset, *self.pair)
+        outline = outline_dataset(self.dataset).dataset
+        asked = self.pipeline.over(base_params(outline, self.params))
         if self.g2o:
-            odometry_poses(dataset)  # refuses a dataset without odometry before the work
+            odometry_poses(outline)  # refuses a dataset without odometry before the work
+        check = partial(check_affordable, params=asked) if method.fitted else None
+        dataset, sources = load_sources(self.dataset, check)
         if method.fitted:  # to the whole dataset, so that a single pair gets the same verdict
-            asked = settled(asked, whole, dataset.name, store)
-        params = method.adapt(asked)
-        num_pairs = sum(num_wanted(candidates, k) for k in range(len(dataset.submaps)))
-        with progress_bar("pairs") as progress, workers(num_workers(), num_pairs) as executor:
+            some = [sources[k].load() for k in representative(len(sources))]
+            asked = settled(asked, some, dataset.name, store)
+        if self.pair:
+            dataset, sources = _only(dataset, sources, *self.pair)
+        params, accepted = method.adapt(asked), list[LoopClosure]()
+        num_pairs = sum(num_wanted(candidates, k) for k in range(len(sources)))
+        with (
+            _at_least_for_now(store, len(sources)) as kept,
+            ClosureWriter(self.out) as writer,
+            progress_bar("pairs") as progress,
+            workers(num_workers(), num_pairs) as executor,
+        ):
+
+            def take(closure: LoopClosure) -> None:
+                writer.add(closure)
+                if closure.accepted:
+                    accepted.append(closure)
+
             result = detect_loop_closures(
                 dataset,
                 params,
-                detector=keeping(method.detector(params, Memo()), store),
+                detector=keeping(method.detector(params, Memo()), kept),
                 candidates=candidates,
                 executor=executor,
                 progress=progress,
+                sources=sources,
+                take=take,
             )
+            skipped = math.comb(len(sources), 2) - writer.num_pairs
+            report = report_closures(dataset, result, params, method=method.name, sources=sources)
+            writer.write(replace(report, num_pairs_skipped=skipped))
         tell_damaged(store)
-        report = report_closures(dataset, result, params, method=method.name)
-        write_closures(self.out, report)
         if self.g2o:
-            write_graph(self.g2o, build_pose_graph(dataset, result.closures))
-        closures, pairs = count(len(report.accepted), "loop closure"), len(report.pairs)
-        submaps, seconds = count(len(report.submaps), "submap"), report.seconds["total"]
-        skipped = report.num_pairs_skipped
+            write_graph(self.g2o, build_pose_graph(dataset, accepted))
         left_out = f" ({skipped:,} were not compared)" if skipped else ""
         say(
-            f"{closures} in {count(pairs, 'pair')}{left_out} of {submaps}, {seconds:.1f} s: "
+            f"{count(len(accepted), 'loop closure')} in {count(writer.num_pairs, 'pair')}"
+            f"{left_out} of {count(len(sources), 'submap')}, {report.seconds['total']:.1f} s: "
             f"{self.out}"
         )
 
 
-def _only(dataset: Dataset, query_id: str, database_id: str) -> Dataset:
+@contextmanager
+def _at_least_for_now(store: Store | None, num_submaps: int) -> Generator[Store | None]:
+    """Give a store with room for a run; a temporary one if the results of many are not kept."""
+    if store is not None:
+        yield store.with_room(num_submaps * VIEW_BYTES)
+    elif num_submaps <= ALL_UP_TO:
+        yield None  # they fit into memory
+    else:
+        with TemporaryFolder("gpgrad-results-") as folder:
+            yield Store(Path(folder)).with_room(num_submaps * VIEW_BYTES)
+
+
+def _only(
+    dataset: Dataset, sources: Sequence[SubmapSource], query_id: str, database_id: str
+) -> tuple[Dataset, tuple[SubmapSource, ...]]:
     """Keep two submaps, the database first: the later one is the query."""
     if query_id == database_id:
         raise InputError(f"--pair: {query_id} beside itself is no pair; name two different submaps")
-    return replace(dataset, submaps=(dataset.submap(database_id), dataset.submap(query_id)))
+    wanted = dataset.submap(database_id), dataset.submap(query_id)
+    by_id = {source.id: source for source in sources}
+    return replace(dataset, submaps=wanted), tuple(by_id[one.id] for one in wanted)

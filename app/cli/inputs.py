@@ -1,6 +1,6 @@
 """What most verbs read: a dataset, a file of parameters, and the flags that they share."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -9,13 +9,13 @@ from typing_extensions import Doc
 
 from app.cli.flags import Given
 from app.cli.terminal import count, progress_bar, say, warn
-from gpgrad_core.datasets import load_dataset
+from gpgrad_core.datasets import load_dataset, open_dataset
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES
-from gpgrad_core.types import Dataset, Submap
+from gpgrad_core.types import Dataset, Submap, SubmapSource
 
 DatasetPath: TypeAlias = Annotated[
     tyro.conf.Positional[Path],
@@ -59,6 +59,25 @@ def load(path: Path) -> Dataset:
     for note in dataset.notes:
         warn(note)
     return dataset
+
+
+def load_sources(
+    path: Path, check: Callable[[Submap], None] | None = None
+) -> tuple[Dataset, tuple[SubmapSource, ...]]:
+    """Read a dataset of any size, and report what reading left out.
+
+    Args:
+        path: The dataset.
+        check: Called with each submap; may raise an error.
+
+    Returns:
+        The dataset, whose submaps lack their points, and where they are loaded from.
+    """
+    with progress_bar("load") as progress:
+        dataset, sources = open_dataset(path, progress, check=check)
+    for note in dataset.notes:
+        warn(note)
+    return dataset, sources
 
 
 def base_params(dataset: Dataset, file: Path | None) -> PipelineParams:

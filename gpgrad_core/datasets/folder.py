@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,16 +14,20 @@ from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import read_poses, write_poses
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
+from gpgrad_core.run.memo import array_bytes
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import Pose
-from gpgrad_core.types import Dataset, Submap
+from gpgrad_core.types import Dataset, Submap, SubmapSource
 
 CLOUD_FOLDER = "submaps"
 TRUTH_FILE = "poses_gt.txt"
 ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first one that exists is read
 ABOUT_FILE = "dataset.toml"
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
+NO_POINTS = np.empty((0, 3))
+MOST_LOADED = 300_000_000
+"""Bytes of points that `open_dataset` keeps in memory."""
 JOURNAL = "build.jsonl"
 """Name of the journal of a build; it tells what the submaps were made of."""
 SIMULATED = "gpgrad simulate"
@@ -52,14 +57,96 @@ class Outline:
         Raises:
             InputError: If its file is broken; the message names the file.
         """
-        known = self.dataset.submaps[k]
         submap, notes = load_cloud_with_notes(self.clouds[k])
-        return replace(
-            submap,
-            pose_true=known.pose_true,
-            pose_odometry=known.pose_odometry,
-            images=known.images,
-        ), notes
+        return _completed(submap, self.dataset.submaps[k]), notes
+
+
+@dataclass(frozen=True, eq=False)
+class SubmapFile:
+    """A submap that is read from its file whenever it is needed; a `SubmapSource`.
+
+    Attributes:
+        path: The file.
+        known: The submap without its points.
+        num_points: Number of points.
+    """
+
+    path: Path
+    known: Submap
+    num_points: int
+
+    @property
+    def id(self) -> str:
+        """The submap's name."""
+        return self.known.id
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of the points when the file was first read."""
+        return self.known.fingerprint
+
+    def load(self) -> Submap:
+        """Read the file.
+
+        Raises:
+            InputError: If it cannot be read any more, or its content has changed.
+        """
+        submap, _ = load_cloud_with_notes(self.path)
+        if submap.fingerprint != self.fingerprint:
+            raise InputError(f"{self.path}: has changed since the run began; start it again")
+        return _completed(submap, self.known)
+
+
+def _completed(submap: Submap, known: Submap) -> Submap:
+    """Add to a cloud what the dataset knows of the submap."""
+    return replace(
+        submap,
+        pose_true=known.pose_true,
+        pose_odometry=known.pose_odometry,
+        images=known.images,
+    )
+
+
+def open_dataset(
+    path: Path | str,
+    progress: Progress = silent,
+    *,
+    check: Callable[[Submap], None] | None = None,
+    most_bytes: int = MOST_LOADED,
+) -> tuple[Dataset, tuple[SubmapSource, ...]]:
+    """Read a dataset of any size: all clouds are read once, and only some are kept in memory.
+
+    So a broken cloud is found before the work begins, as by `load_dataset`.
+
+    Args:
+        path: Folder or file, as for `load_dataset`.
+        progress: Called once per cloud.
+        check: Called with each submap; an error that it raises ends the reading.
+        most_bytes: Bytes of points to keep in memory; all further submaps are read again from
+            their files when they are needed.
+
+    Returns:
+        The dataset, whose submaps lack their points, and the sources of its submaps.
+
+    Raises:
+        InputError: See `load_dataset`.
+    """
+    outline = outline_dataset(path)
+    sources: list[SubmapSource] = []
+    notes, held = list(outline.dataset.notes), 0
+    for k, cloud in enumerate(outline.clouds):
+        submap, of_cloud = outline.load(k)
+        if check is not None:
+            check(submap)
+        notes += of_cloud
+        held += array_bytes(submap)
+        if held <= most_bytes:
+            sources.append(submap)
+        else:
+            bare = replace(submap, points=NO_POINTS, colors=None, noise_std=None, ranges=None)
+            sources.append(SubmapFile(cloud.absolute(), bare, submap.num_points))
+        progress((k + 1) / len(outline.clouds))
+    return replace(outline.dataset, notes=tuple(notes)), tuple(sources)
 
 
 def load_dataset(path: Path | str, progress: Progress = silent) -> Dataset:
@@ -154,7 +241,7 @@ def _outline_folder(path: Path) -> Outline:
 
 
 def _without_points(name: str) -> Submap:
-    return Submap(name, np.empty((0, 3)), fingerprint="")
+    return Submap(name, NO_POINTS, fingerprint="")
 
 
 def _find_images(folder: Path, index: int) -> tuple[Path, ...]:

@@ -1,11 +1,11 @@
 from .closure_table import write_closure_table
+from .closure_writer import ClosureWriter, write_closures
 from .closures import (
     ClosureReport,
     PairRecord,
     read_closures,
     report_closures,
     restore_closures,
-    write_closures,
 )
 from .files import check_apart, check_output, replacing
 from .fitted import write_fitted
@@ -15,6 +15,7 @@ from .shortlists import read_shortlist, resume_shortlist, write_shortlist
 __all__ = [
     "MAP_ENDINGS",
     "ClosureReport",
+    "ClosureWriter",
     "PairRecord",
     "check_apart",
     "check_output",

@@ -1,6 +1,5 @@
 """``closures.json``: the verdict on every compared pair of submaps, and how it was reached."""
 
-import json
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, fields
@@ -12,11 +11,18 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.outputs.files import replacing
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.reading.json_files import Record, is_number, read_json
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import MAX_COORDINATE, Agreement, Array, Dataset, LoopClosure, Registration
+from gpgrad_core.types import (
+    MAX_COORDINATE,
+    Agreement,
+    Array,
+    Dataset,
+    LoopClosure,
+    Registration,
+    SubmapSource,
+)
 from gpgrad_core.version import VERSION
 
 MOST_INLIERS = 10_000_000
@@ -101,7 +107,12 @@ class ClosureReport:
 
 
 def report_closures(
-    dataset: Dataset, result: DetectionResult, params: PipelineParams, *, method: str = "gradient"
+    dataset: Dataset,
+    result: DetectionResult,
+    params: PipelineParams,
+    *,
+    method: str = "gradient",
+    sources: Sequence[SubmapSource] | None = None,
 ) -> ClosureReport:
     """Make the content of the file from a detection.
 
@@ -111,9 +122,10 @@ def report_closures(
             file has these.
         params: The parameters of the detection.
         method: The name of the method.
+        sources: Where the submaps were loaded from, if the dataset does not have their points.
 
     Returns:
-        The content of ``closures.json``.
+        The content of ``closures.json``, with the pairs that the result has.
     """
     params = result.params or params
     return ClosureReport(
@@ -123,46 +135,17 @@ def report_closures(
         params=asdict(params),
         versions={"gpgrad": VERSION, "numpy": np.__version__, "opencv": cv2.__version__},
         seconds={stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
-        submaps={submap.id: len(submap.points) for submap in dataset.submaps},
-        pairs=tuple(_record(closure) for closure in result.closures),
+        submaps={
+            submap.id: submap.num_points
+            for submap in (dataset.submaps if sources is None else sources)
+        },
+        pairs=tuple(record_of(closure) for closure in result.closures),
         num_pairs_skipped=math.comb(len(dataset.submaps), 2) - len(result.closures),
     )
 
 
-def write_closures(path: Path | str, report: ClosureReport) -> None:
-    """Write a report as JSON, completely or not at all.
-
-    Args:
-        path: The file.
-        report: Its content, such as `report_closures` makes.
-
-    Raises:
-        InputError: If the file cannot be written there.
-        OSError: If writing fails.
-    """
-    content = {
-        "dataset": report.dataset,
-        "method": report.method,
-        "seed": report.seed,
-        "params": report.params,
-        "versions": report.versions,
-        "seconds": report.seconds,
-        "submaps": [{"id": name, "num_points": count} for name, count in report.submaps.items()],
-        "num_pairs_skipped": report.num_pairs_skipped,
-        "pairs": [
-            asdict(pair)
-            | {"dissimilarity": pair.dissimilarity if math.isfinite(pair.dissimilarity) else None}
-            for pair in report.pairs
-        ],
-    }
-    with replacing(path) as unfinished:
-        # NaN and Infinity are not JSON; an error here is better than one in a reader.
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        unfinished.write_text(text + "\n", encoding="utf-8")
-
-
 def read_closures(path: Path | str) -> ClosureReport:
-    """Read a file that `write_closures` wrote.
+    """Read a file that `closure_writer.write_closures` wrote.
 
     Args:
         path: The file; any tool may have written it in the same format.
@@ -259,7 +242,8 @@ def _closure(pair: PairRecord) -> LoopClosure:
     return LoopClosure(pair.query, pair.database, registration, pair.accepted, pair.reason)
 
 
-def _record(closure: LoopClosure) -> PairRecord:
+def record_of(closure: LoopClosure) -> PairRecord:
+    """Make the record of a verdict."""
     registration = closure.registration
     motion, covariance = registration.T_database_query, _usable(registration.covariance)
     return PairRecord(

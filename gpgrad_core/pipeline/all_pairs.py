@@ -1,5 +1,6 @@
 """Pairs of submaps through a detector, side by side over any executor."""
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -7,10 +8,10 @@ from math import ceil, sqrt
 from time import perf_counter
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
-from gpgrad_core.run.parallel import Work, run_jobs
+from gpgrad_core.run.parallel import Work, take_in_turn
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.threads import at_most_workers, num_workers, single_threaded_blas
-from gpgrad_core.types import Features, LoopDetector, Registration, Submap
+from gpgrad_core.types import Features, LoopDetector, Registration, Submap, SubmapSource
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -28,8 +29,13 @@ STAGES = {"maps": (0.0, 0.4), "features": (0.4, 0.5), "pairs": (0.5, 1.0)}
 BLOCKS_A_WORKER = 12
 """Pairs are compared in blocks. There are many blocks, so that no worker waits long for the last
 one, and they are square, so that few submaps are sent to another process for many pairs."""
+MOST_SIDE = 100
+"""A block has at most this many submaps on either side, because its results are kept together."""
 MOST_PAIRS_A_BLOCK = 500
 """If pairs were chosen, a block has no more of them, because each may need other submaps."""
+MADE_TOGETHER = 32
+"""Number of submaps whose maps are made before their features are extracted; so there are never
+more maps to keep."""
 
 
 @runtime_checkable
@@ -68,6 +74,15 @@ class OrderedDetector(StagedDetector, Protocol):
 
 
 @runtime_checkable
+class SourceDetector(StagedDetector, Protocol):
+    """A `StagedDetector` that loads a submap only if it needs its points."""
+
+    def infer_source(self, source: SubmapSource, progress: Progress = silent) -> Any:
+        """Do ``infer`` for a submap that may not be loaded yet."""
+        ...
+
+
+@runtime_checkable
 class SearchableDetector(StagedDetector, Protocol):
     """A `StagedDetector` with keypoints, by which a shortlist finds the pairs worth comparing."""
 
@@ -77,61 +92,136 @@ class SearchableDetector(StagedDetector, Protocol):
 
 
 def compare_all(
-    submaps: Sequence[Submap],
+    submaps: Sequence[SubmapSource],
     detector: LoopDetector,
+    take: Callable[[Pair, Registration], None],
     executor: Executor | None = None,
     progress: Progress = silent,
     choose: Choose | None = None,
-) -> tuple[list[tuple[Pair, Registration]], dict[str, float]]:
+) -> dict[str, float]:
     """Register every submap to all earlier ones, or to those that are chosen.
 
     The result does not depend on the executor or the number of threads. BLAS runs on one thread,
     because its sums would depend on their number.
 
     Args:
-        submaps: The submaps in order.
+        submaps: The submaps in order, or where to load them.
         detector: Any detector; with a `StagedDetector` each submap is prepared only once.
+        take: Called from this thread with each pair, ordered by query and then by database.
         executor: Threads or processes; None does everything in this thread.
         progress: Called from this thread; may raise Cancelled.
         choose: Chooses the pairs; None compares all. It needs a `StagedDetector`.
 
     Returns:
-        The registrations, sorted by query and then by database, and the seconds of each stage.
+        The seconds of each stage.
     """
-    extracted, seconds = list(submaps), dict.fromkeys(STAGES, 0.0)
-    compare: Compare = detector
-    start = perf_counter()
+    extracted: list[Any] = list(submaps)
+    seconds = dict.fromkeys(STAGES, 0.0)
+    compare: Compare = _Loaded(detector)
     if isinstance(detector, StagedDetector):
-        compare = detector.compare
-        for name, stage in (("maps", detector.infer), ("features", detector.extract)):
-            extracted = side_by_side(stage, extracted, executor, part(progress, *STAGES[name]))
-            if name == "features" and isinstance(detector, OrderedDetector):
-                extracted = detector.gather(extracted)
-            seconds[name], start = perf_counter() - start, perf_counter()
+        compare, until_pairs = detector.compare, part(progress, 0.0, STAGES["features"][1])
+        extracted = _extract_all(extracted, detector, executor, until_pairs, seconds)
+    start = perf_counter()
     first, last = STAGES["pairs"]
     if choose is None:
-        together = _blocks(len(extracted), executor)
+        rows = _rows_of_blocks(len(extracted), executor)
     else:
         chosen = choose(extracted, part(progress, first, first + CHOICE_SHARE))
-        together = _chosen_blocks(chosen, executor)
+        rows = [[block] for block in _chosen_blocks(chosen, executor)]
         first += CHOICE_SHARE
         seconds["shortlist"], start = perf_counter() - start, perf_counter()
-    blocks = [_Block.of(extracted, pairs) for pairs in together]
-    found = side_by_side(_ComparedBlock(compare), blocks, executor, part(progress, first, last))
+    ordered = _Ordered([len(row) for row in rows], take)
+    blocks = (_Block.of(extracted, pairs) for row in rows for pairs in row)
+    side_by_side(
+        _ComparedBlock(compare), list(blocks), executor, part(progress, first, last), ordered.take
+    )
     seconds["pairs"] = perf_counter() - start
     seconds["total"] = sum(seconds.values())
-    return sorted(
-        (result for block in found for result in block), key=lambda result: result[0]
-    ), seconds
+    return seconds
+
+
+def _extract_all(
+    submaps: list[SubmapSource],
+    detector: StagedDetector,
+    executor: Executor | None,
+    progress: Progress,
+    seconds: dict[str, float],
+) -> list[Any]:
+    """Do the stages of single submaps, some submaps at a time, and add up their seconds."""
+    extracted: list[Any] = []
+    for first in range(0, len(submaps), MADE_TOGETHER):
+        some: list[Any] = submaps[first : first + MADE_TOGETHER]
+        of_some = part(progress, first / len(submaps), (first + len(some)) / len(submaps))
+        for name, stage in (("maps", _Inferred(detector)), ("features", detector.extract)):
+            low, high = (share / STAGES["features"][1] for share in STAGES[name])
+            start = perf_counter()
+            some = side_by_side(stage, some, executor, part(of_some, low, high))
+            seconds[name] += perf_counter() - start
+        extracted += some
+    if isinstance(detector, OrderedDetector):
+        start = perf_counter()
+        extracted = detector.gather(extracted)
+        seconds["features"] += perf_counter() - start
+    return extracted
 
 
 def side_by_side(
-    work: Work[J, R], jobs: list[J], executor: Executor | None, progress: Progress
+    work: Work[J, R],
+    jobs: list[J],
+    executor: Executor | None,
+    progress: Progress,
+    take: Callable[[R], None] | None = None,
 ) -> list[R]:
-    """Do all jobs like `run_jobs`, with results that do not depend on the executor."""
+    """Do all jobs like `take_in_turn`, with results that do not depend on the executor.
+
+    Returns:
+        The results; an empty list if they were handed to ``take``.
+    """
     # A single job may use all cores; jobs side by side share them.
     beside = 1 if executor is None else max(1, len(jobs))
-    return run_jobs(_Sharing(work, max(1, num_workers() // beside)), jobs, executor, progress)
+    sharing, found = _Sharing(work, max(1, num_workers() // beside)), list[R]()
+    take_in_turn(sharing, jobs, found.append if take is None else take, executor, progress)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Loaded:
+    """A detector without stages, for submaps that may have to be loaded."""
+
+    detector: LoopDetector
+
+    def __call__(self, query: SubmapSource, database: SubmapSource) -> Registration:
+        return self.detector(query.load(), database.load())
+
+
+@dataclass(frozen=True, eq=False)
+class _Inferred:
+    """The first stage of a detector, for submaps that may have to be loaded."""
+
+    detector: StagedDetector
+
+    def __call__(self, job: SubmapSource, progress: Progress) -> Any:
+        if isinstance(self.detector, SourceDetector):
+            return self.detector.infer_source(job, progress)
+        return self.detector.infer(job.load(), progress)
+
+
+class _Ordered:
+    """Hands over the pairs of each row of blocks in their order, as soon as the row is complete."""
+
+    def __init__(self, blocks_a_row: list[int], take: Callable[[Pair, Registration], None]) -> None:
+        self._left, self._take = deque(blocks_a_row), take
+        self._found: list[tuple[Pair, Registration]] = []
+
+    def take(self, block: list[tuple[Pair, Registration]]) -> None:
+        """Take the results of the next block."""
+        self._found += block
+        self._left[0] -= 1
+        if self._left[0] == 0:
+            self._left.popleft()
+            for pair, registration in sorted(self._found, key=lambda one: one[0]):
+                self._take(pair, registration)
+            self._found = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,23 +261,23 @@ class _ComparedBlock:
         return found
 
 
-def _blocks(count: int, executor: Executor | None) -> list[tuple[Pair, ...]]:
-    """Divide the pairs of all submaps into square blocks of neighbours."""
+def _rows_of_blocks(count: int, executor: Executor | None) -> list[list[tuple[Pair, ...]]]:
+    """Divide the pairs of all submaps into square blocks of neighbours, query by query."""
     num_pairs = count * (count - 1) // 2
     workers = 1 if executor is None else num_workers()
-    side = max(1, ceil(sqrt(num_pairs / (BLOCKS_A_WORKER * workers))))
-    starts = range(0, count, side)
-    blocks = [
-        tuple(
-            (i, j)
-            for i in range(query, min(query + side, count))
-            for j in range(database, min(database + side, i))
-        )
-        for query in starts
-        for database in starts
-        if database <= query
+    side = min(MOST_SIDE, max(1, ceil(sqrt(num_pairs / (BLOCKS_A_WORKER * workers)))))
+    rows = [
+        [
+            tuple(
+                (i, j)
+                for i in range(query, min(query + side, count))
+                for j in range(database, min(database + side, i))
+            )
+            for database in range(0, query + 1, side)
+        ]
+        for query in range(0, count, side)
     ]
-    return [block for block in blocks if block]
+    return [row for row in ([block for block in row if block] for row in rows) if row]
 
 
 def _chosen_blocks(pairs: list[Pair], executor: Executor | None) -> list[tuple[Pair, ...]]:

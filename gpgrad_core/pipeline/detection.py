@@ -1,6 +1,6 @@
 """The order of the stages, which only this file knows."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import check_detector, detect_features, select_trusted
+from gpgrad_core.fitting import representative
 from gpgrad_core.gp.inference import Posterior
 from gpgrad_core.gradient_map import fit_terrain, map_grid, sample_map
 from gpgrad_core.loop_closure import classify
@@ -38,6 +39,7 @@ from gpgrad_core.types import (
     Matches,
     Registration,
     Submap,
+    SubmapSource,
 )
 
 FIT_SHARE = 0.1
@@ -73,7 +75,7 @@ class DetectionResult:
 
     Attributes:
         closures: Every unordered pair that was compared once; the database submap is the earlier
-            one.
+            one. Empty if they were handed over one by one.
         seconds: Time of each stage [s]: maps, features, pairs and total; fit, if parameters were
             fitted; and shortlist, if pairs were chosen.
         params: The parameters that the pipeline used, with numbers for all automatic ones; None
@@ -301,6 +303,8 @@ def detect_loop_closures(
     executor: Executor | None = None,
     memo: Memo | None = None,
     progress: Progress = silent,
+    sources: Sequence[SubmapSource] | None = None,
+    take: Callable[[LoopClosure], None] | None = None,
 ) -> DetectionResult:
     """Compare every submap with earlier ones: with all of them, or with those worth comparing.
 
@@ -318,6 +322,10 @@ def detect_loop_closures(
         memo: Shares results with other calls; None keeps what this call needs. Other processes do
             not fill it.
         progress: Called from this thread from time to time; may raise Cancelled.
+        sources: Where the submaps are loaded from, as `open_dataset` gives them; None if the
+            dataset has them.
+        take: Called with each verdict in place of collecting them, so that memory does not grow
+            with their number.
 
     Returns:
         The verdict on every compared pair, sorted by query and then by database.
@@ -326,16 +334,18 @@ def detect_loop_closures(
         InputError: If a submap's map cannot be made, if the number of candidates is none that is
             allowed, or if the detector has no keypoints to choose them by.
     """
-    params, submaps = params or PipelineParams(), dataset.submaps
+    params = params or PipelineParams()
+    submaps: Sequence[SubmapSource] = dataset.submaps if sources is None else sources
     check_searchable(candidates, detector)
     used: PipelineParams | None = None
     seconds: dict[str, float] = {}
     if detector is None:
         for submap in submaps:
-            check_affordable(submap, params)
+            check_affordable(submap.load(), params)
         memo, start = memo or Memo(), perf_counter()
         if submaps and not is_resolved(params):
-            params = resolve_parameters(submaps, params, memo, part(progress, 0.0, FIT_SHARE))
+            some = [submaps[k].load() for k in representative(len(submaps))]
+            params = resolve_parameters(some, params, memo, part(progress, 0.0, FIT_SHARE))
             seconds["fit"] = perf_counter() - start
             progress = part(progress, FIT_SHARE, 1.0)
         detector, used = MapDetector(params, memo), params
@@ -345,18 +355,17 @@ def detect_loop_closures(
     ):
         names = [submap.id for submap in submaps]
         choice = _Choice(names, detector, candidates, params.registration.seed)
-    found, spent = compare_all(submaps, detector, executor, progress, choice)
+    closures: list[LoopClosure] = []
+    take = take or closures.append
+
+    def judge(pair: Pair, registration: Registration) -> None:
+        query, database = (submaps[k].id for k in pair)
+        take(classify(registration, params.closure, query_id=query, database_id=database))
+
+    spent = compare_all(submaps, detector, judge, executor, progress, choice)
     spent["total"] += seconds.get("fit", 0.0)
-    closures = tuple(
-        classify(
-            registration,
-            params.closure,
-            query_id=submaps[query].id,
-            database_id=submaps[database].id,
-        )
-        for (query, database), registration in found
-    )
-    return DetectionResult(closures, spent | seconds, used, choice.shortlists if choice else {})
+    shortlists = choice.shortlists if choice else {}
+    return DetectionResult(tuple(closures), spent | seconds, used, shortlists)
 
 
 def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> None:

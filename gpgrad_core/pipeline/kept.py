@@ -3,12 +3,20 @@
 from dataclasses import dataclass
 from typing import TypeVar
 
-from gpgrad_core.pipeline.all_pairs import StagedDetector
+from gpgrad_core.pipeline.all_pairs import SourceDetector
 from gpgrad_core.pipeline.detection import ExtractedSubmap, MapDetector, infer_map
+from gpgrad_core.registration import Prepared
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.store import Store, key_of
-from gpgrad_core.types import Features, GradientMap, LoopDetector, Registration, Submap
+from gpgrad_core.types import (
+    Features,
+    GradientMap,
+    LoopDetector,
+    Registration,
+    Submap,
+    SubmapSource,
+)
 
 D = TypeVar("D", bound=LoopDetector)
 
@@ -21,12 +29,12 @@ class View:
     """A submap as the comparison sees it: in the store, or here if the store could not take it.
 
     Attributes:
-        submap: The submap, from which the view can be made anew.
+        source: The submap, from which the view can be made anew.
         key: Key of the view in the store.
         made: What the comparison needs; None if the store has it.
     """
 
-    submap: Submap
+    source: SubmapSource
     key: str
     made: ExtractedSubmap | None = None
 
@@ -35,13 +43,13 @@ class View:
 class _Mapped:
     """A submap with its map, until its view is made."""
 
-    submap: Submap
+    source: SubmapSource
     key: str
     gradient_map: GradientMap
 
 
 @dataclass(frozen=True, eq=False)
-class KeptDetector(StagedDetector):
+class KeptDetector(SourceDetector):
     """A `MapDetector` that keeps views and registrations in a store, and takes them from there.
 
     So a run that was killed goes on where it was, and a second run with another threshold compares
@@ -58,12 +66,16 @@ class KeptDetector(StagedDetector):
 
     def infer(self, submap: Submap, progress: Progress = silent) -> View | _Mapped:
         """Make the map, unless the view is in the store."""
+        return self.infer_source(submap, progress)
+
+    def infer_source(self, source: SubmapSource, progress: Progress = silent) -> View | _Mapped:
+        """Load the submap and make its map, unless the view is in the store."""
         params = self.detector.params
-        key = key_of("view", submap, params.map, params.features)
-        if self.store.holds(key):
+        key = key_of("view", source, params.map, params.features)
+        if all(self.store.holds(part) for part in _parts(key)):
             progress(1.0)
-            return View(submap, key)
-        return _Mapped(submap, key, self.detector.infer(submap, progress))
+            return View(source, key)
+        return _Mapped(source, key, self.detector.infer(source.load(), progress))
 
     def extract(self, made: View | _Mapped, progress: Progress = silent) -> View:
         """Make the view of a map, and put it into the store."""
@@ -71,11 +83,14 @@ class KeptDetector(StagedDetector):
             progress(1.0)
             return made
         view = self.detector.extract(made.gradient_map, progress)
-        is_kept = self.store.put(made.key, view)
-        return View(made.submap, made.key, None if is_kept else view)
+        return View(made.source, made.key, None if self._put(made.key, view) else view)
 
     def keypoints(self, extracted: View) -> Features:
         """Give the keypoints of a view."""
+        if extracted.made is None:
+            kept = self.store.get(_parts(extracted.key)[0])
+            if isinstance(kept, Features):
+                return kept
         return self._load(extracted).features
 
     def compare(self, query: View, database: View) -> Registration:
@@ -89,16 +104,26 @@ class KeptDetector(StagedDetector):
     def _load(self, view: View) -> ExtractedSubmap:
         if view.made is not None:
             return view.made
-        return LOADED(self._from_store, view.key, submap=view.submap)
+        return LOADED(self._from_store, view.key, source=view.source)
 
-    def _from_store(self, key: str, *, submap: Submap) -> ExtractedSubmap:
-        kept = self.store.get(key)
-        if isinstance(kept, ExtractedSubmap):
-            return kept
+    def _from_store(self, key: str, *, source: SubmapSource) -> ExtractedSubmap:
+        features, prepared = (self.store.get(part) for part in _parts(key))
+        if isinstance(features, Features) and isinstance(prepared, Prepared):
+            return ExtractedSubmap(features, prepared)
         # It was damaged, or another process needed its room.
-        made = self.detector.extract(self.detector.infer(submap))
-        self.store.put(key, made)
+        made = self.detector.extract(self.detector.infer(source.load()))
+        self._put(key, made)
         return made
+
+    def _put(self, key: str, view: ExtractedSubmap) -> bool:
+        """Keep a view: the keypoints apart, because a shortlist needs nothing else."""
+        features, prepared = _parts(key)
+        return self.store.put(features, view.features) and self.store.put(prepared, view.prepared)
+
+
+def _parts(key: str) -> tuple[str, str]:
+    """Give the keys of a view's two parts: its keypoints, and what is prepared."""
+    return key_of(key, "features"), key_of(key, "prepared")
 
 
 def keeping(detector: D, store: Store | None) -> "D | KeptDetector":

@@ -6,6 +6,7 @@ import shutil
 import signal
 import tempfile
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -33,6 +34,9 @@ Work: TypeAlias = Callable[[J, Progress], R]
 
 LOOK_EVERY = 0.05
 """Seconds between two reports while workers are busy."""
+AHEAD = 256
+"""Largest number of jobs that are begun before the first of them is done. So there is never more
+to keep, however many jobs there are."""
 SOCKETS = "gpgrad-w-"
 LONGEST_FOLDER = 50
 """Longest name of a folder for the socket: macOS allows 103 bytes for its whole name."""
@@ -139,16 +143,30 @@ def run_jobs(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> list[R]:
-    """Do all jobs and return their results in the order of the jobs.
+    """Do all jobs and return their results in the order of the jobs; see `take_in_turn`."""
+    found: list[R] = []
+    take_in_turn(work, jobs, found.append, executor, progress)
+    return found
 
-    The progress hook is called only from the calling thread. If it raises, a job raises or Ctrl-C
-    is pressed, jobs that have not begun are dropped. Running ones stop at their next report, or in
-    other processes at their end. After that the error is raised. The executor stays open; closing
-    it is up to the caller.
+
+def take_in_turn(
+    work: Work[J, R],
+    jobs: Iterable[J],
+    take: Callable[[R], None],
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> None:
+    """Do all jobs, and hand over their results in the order of the jobs as they are ready.
+
+    ``take`` and the progress hook are called only from the calling thread. If one of them raises,
+    a job raises or Ctrl-C is pressed, jobs that have not begun are dropped. Running ones stop at
+    their next report, or in other processes at their end. After that the error is raised. The
+    executor stays open; closing it is up to the caller.
 
     Args:
         work: The function that does a job.
         jobs: Jobs of similar length.
+        take: Called with each result.
         executor: Threads or processes; None does all jobs in this thread, one after the other.
         progress: Called with the fraction done; may raise Cancelled.
 
@@ -157,35 +175,39 @@ def run_jobs(
     """
     jobs = list(jobs)
     if executor is None:
-        return [work(job, part(progress, *_share(k, len(jobs)))) for k, job in enumerate(jobs)]
+        for k, job in enumerate(jobs):
+            take(work(job, part(progress, *_share(k, len(jobs)))))
+        return
     tally = _Tally(len(jobs))
-    futures: list[Future[R]] = []
+    begun: deque[tuple[int, Future[R]]] = deque()  # in the order of the jobs, not yet taken
+    waiting = deque(enumerate(jobs))
 
     def begin() -> None:
-        for k, job in enumerate(jobs):
-            if not tally.stop.is_set():
-                futures.append(executor.submit(work, job, tally.of(k)))
+        while waiting and len(begun) < AHEAD and not tally.stop.is_set():
+            k, job = waiting.popleft()
+            begun.append((k, executor.submit(work, job, tally.of(k))))
 
     try:
-        _undisturbed(begin, tally.stop)
-        pending: set[Future[R]] = set(futures)
-        while pending:
-            done, pending = wait(pending, LOOK_EVERY, FIRST_COMPLETED)
-            for future in done:
+        while waiting or begun:
+            if waiting and len(begun) <= AHEAD // 2:
+                _undisturbed(begin, tally.stop)
+            wait([future for _, future in begun if not future.done()], LOOK_EVERY, FIRST_COMPLETED)
+            done = [(k, future) for k, future in begun if future.done()]
+            for _, future in done:
                 future.result()  # raises an error at once, not only when its turn comes
-            if done:
-                tally.finish([k for k, future in enumerate(futures) if future.done()])
+            tally.finish([k for k, _ in done])
+            while begun and begun[0][1].done():
+                take(begun.popleft()[1].result())
             progress(tally.fraction)
     except BaseException as error:
         tally.stop.set()
-        wait([future for future in futures if not future.cancel()])
+        wait([future for _, future in begun if not future.cancel()])
         if isinstance(error, BrokenProcessPool):
             raise OSError(
                 "a worker process has died: it was killed, or the memory did not suffice "
                 "(GPGRAD_THREADS=1 takes least)"
             ) from error
         raise
-    return [future.result() for future in futures]
 
 
 def _share(k: int, count: int) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import os
+import shutil
 import sqlite3
 import tempfile
 from collections.abc import Callable, Generator
@@ -79,6 +80,15 @@ class Store:
         self._added: int | None = None  # bytes since there was room for sure
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(f"{self.folder}: is a file; name a folder for the kept results")
+
+    def with_room(self, num_bytes: int) -> "Store":
+        """Give this store with a limit of at least so many bytes, if half of the disk has them."""
+        try:
+            above = next(one for one in (self.folder, *self.folder.parents) if one.exists())
+            free = shutil.disk_usage(above).free // 2
+        except OSError:
+            free = 0
+        return Store(self.folder, max(self.max_bytes, min(num_bytes, free)))
 
     def __reduce__(self) -> tuple[type["Store"], tuple[Path, int]]:
         """Become the same store in another process."""

@@ -1,6 +1,7 @@
 """Dataset folders: what belongs together is found, what contradicts itself is refused."""
 
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.datasets import load_dataset, write_dataset
+from gpgrad_core.datasets import SubmapFile, load_dataset, open_dataset, write_dataset
 from gpgrad_core.datasets.folder import index_of
+from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap
@@ -250,3 +252,39 @@ def test_the_real_sets_load(name: str, real_data: Path) -> None:
         assert 3 < len(submap.points) <= 30_000
         assert submap.pose_true is not None
         assert submap.pose_odometry is not None
+
+
+@pytest.mark.parametrize("most_bytes", [0, 1000, 10**9])
+def test_a_dataset_is_opened_without_all_its_points(folder: Path, most_bytes: int) -> None:
+    whole, checked = load_dataset(folder), list[str]()
+    opened, sources = open_dataset(
+        folder, check=lambda submap: checked.append(submap.id), most_bytes=most_bytes
+    )
+    assert checked == [source.id for source in sources] == [one.id for one in whole.submaps]
+    assert opened.notes == whole.notes
+    held = sum(not isinstance(source, SubmapFile) for source in sources)
+    assert held == {0: 0, 1000: 1, 10**9: 3}[most_bytes]
+    for source, outlined, submap in zip(sources, opened.submaps, whole.submaps, strict=True):
+        loaded = source.load()
+        assert len(outlined.points) == 0
+        assert source.num_points == loaded.num_points == 30
+        assert source.fingerprint == loaded.fingerprint == submap.fingerprint
+        assert loaded.pose_true is not None
+        assert submap.pose_true is not None
+        assert np.array_equal(loaded.pose_true.translation, submap.pose_true.translation)
+        assert np.array_equal(loaded.points, submap.points)
+
+
+def test_a_cloud_that_changes_during_a_run_is_refused(folder: Path) -> None:
+    _, sources = open_dataset(folder, most_bytes=0)
+    other = replace(dataset(1).submaps[0], points=cloud(9))
+    write_dataset(Dataset("other", (other,)), folder.parent / "other")
+    (folder.parent / "other" / "submaps" / "000.ply").replace(folder / "submaps" / "000.ply")
+    with pytest.raises(InputError, match=r"000\.ply: has changed since the run began"):
+        sources[0].load()
+
+
+def test_a_broken_cloud_is_found_when_a_dataset_is_opened(folder: Path) -> None:
+    (folder / "submaps" / "002.ply").write_bytes(b"ply\n")
+    with pytest.raises(InputError, match=r"002\.ply"):
+        open_dataset(folder, most_bytes=0)

@@ -41,9 +41,10 @@ def test_any_detector_is_shown_every_pair_once(count: int, parallel: bool) -> No
     submaps = [replace(DATASET.submaps[0], id=str(k)) for k in range(count)]
     detector = Noting()
     with ThreadPoolExecutor(3) if parallel else nullcontext() as executor:
-        found, _ = compare_all(submaps, detector, executor)
+        found: list[tuple[int, int]] = []
+        compare_all(submaps, detector, lambda pair, _: found.append(pair), executor)
     expected = [(i, j) for i in range(count) for j in range(i)]
-    assert [pair for pair, _ in found] == expected
+    assert found == expected
     assert sorted(detector.seen) == sorted((str(i), str(j)) for i, j in expected)
 
 

@@ -3,12 +3,13 @@
 import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gpgrad_core.datasets import load_dataset, open_dataset, write_dataset
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.methods import METHODS
 from gpgrad_core.pipeline import (
@@ -25,7 +26,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset, GradientMap, Registration, Submap
+from gpgrad_core.types import Dataset, GradientMap, LoopClosure, Registration, Submap, SubmapSource
 from tests.core.ground import Ground
 
 PARAMS = PipelineParams(
@@ -58,6 +59,30 @@ class Counting(MapDetector):
     def compare(self, query: object, database: object) -> Registration:
         Counting.made.append("pair")
         return super().compare(query, database)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class Noted:
+    """A source that notes when it is loaded."""
+
+    source: SubmapSource
+    loaded: list[str]
+
+    @property
+    def id(self) -> str:
+        return self.source.id
+
+    @property
+    def fingerprint(self) -> str:
+        return self.source.fingerprint
+
+    @property
+    def num_points(self) -> int:
+        return self.source.num_points
+
+    def load(self) -> Submap:
+        self.loaded.append(self.id)
+        return self.source.load()
 
 
 @pytest.fixture(autouse=True)
@@ -104,6 +129,28 @@ def test_a_second_run_is_the_same_and_makes_nothing(tmp_path: Path) -> None:
     assert any(closure.accepted for closure in without.closures)
 
 
+def test_verdicts_are_handed_over_and_submaps_loaded_only_if_needed(tmp_path: Path) -> None:
+    folder, taken, loaded = tmp_path / "data", list[LoopClosure](), list[str]()
+    write_dataset(DATASET, folder)
+    outlined, sources = open_dataset(folder, most_bytes=0)
+    noted = [Noted(source, loaded) for source in sources]
+    for loads in (["0", "1", "2", "3"], []):
+        detector = keeping(Counting(PARAMS, Memo()), Store(tmp_path / "kept"))
+        result = detect_loop_closures(
+            outlined, PARAMS, detector=detector, sources=noted, take=taken.append
+        )
+        assert result.closures == ()
+        assert loaded == loads
+        loaded.clear()
+    assert_same(
+        replace(result, closures=tuple(taken[6:])), replace(result, closures=tuple(taken[:6]))
+    )
+    # A detector that keeps nothing loads them itself.
+    plain = detect_loop_closures(outlined, PARAMS, sources=sources)
+    assert_same(plain, replace(result, closures=tuple(taken[6:])))
+    assert_same(plain, detect_loop_closures(load_dataset(folder), PARAMS))
+
+
 def test_another_threshold_compares_nothing_and_another_radius_makes_no_map(tmp_path: Path) -> None:
     run(Store(tmp_path))
     ran()
@@ -140,13 +187,13 @@ def test_damaged_views_are_made_anew_and_counted(tmp_path: Path) -> None:
     run(store)
     ran()
     views = sorted(tmp_path.rglob("*.npz"))
-    assert len(views) == 4
+    assert len(views) == 8  # keypoints, and what is prepared
     for file in views:
         file.write_bytes(file.read_bytes()[:10_000])
     wider = replace(PARAMS, registration=RegistrationParams(inlier_radius=0.5))
     assert_same(run(store, wider), run(None, wider))
     assert ran() == 8 * ["map"] + 12 * ["pair"]
-    assert store.take_damaged() == 4
+    assert store.take_damaged() == 8
 
 
 def test_a_store_that_is_too_small_changes_nothing(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from gpgrad_core.run.parallel import run_jobs
+from gpgrad_core.run.parallel import AHEAD, run_jobs, take_in_turn
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 
 
@@ -49,6 +49,44 @@ def test_progress_rises_to_one_and_is_heard_in_the_callers_thread(
     assert fractions == sorted(fractions)
     assert fractions[-1] == pytest.approx(1.0)
     assert {thread for _, thread in heard} == {threading.current_thread()}
+
+
+def test_results_are_handed_over_as_they_are_ready(threads: ThreadPoolExecutor) -> None:
+    begun, taken, caller = list[int](), list[int](), threading.current_thread()
+    most_ahead = 0
+
+    def work(job: int, _: Progress) -> int:
+        nonlocal most_ahead
+        begun.append(job)
+        most_ahead = max(most_ahead, job - len(taken))
+        time.sleep(0.02 if job == 0 else 0)  # the first is the last to end
+        return job
+
+    def take(result: int) -> None:
+        assert threading.current_thread() is caller
+        taken.append(result)
+
+    take_in_turn(work, range(3 * AHEAD), take, threads)
+    assert taken == list(range(3 * AHEAD))
+    assert sorted(begun) == taken
+    assert most_ahead <= AHEAD
+
+
+def test_one_who_takes_may_stop_the_rest(threads: ThreadPoolExecutor) -> None:
+    done: list[int] = []
+
+    def work(job: int, _: Progress) -> int:
+        done.append(job)
+        return job
+
+    def take(result: int) -> None:
+        if result == 2:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        take_in_turn(work, range(10 * AHEAD), take, threads)
+    assert len(done) <= AHEAD + 3
+    assert threads.submit(int, "7").result(timeout=5) == 7
 
 
 class Endless:
