@@ -14,7 +14,7 @@ from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
-from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES
+from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES, FEWEST_CANDIDATES
 from gpgrad_core.types import Dataset, Submap, SubmapSource
 
 DatasetPath: TypeAlias = Annotated[
@@ -34,8 +34,8 @@ CandidatesFlag: TypeAlias = Annotated[
     str,
     Doc(
         "With how many earlier submaps each submap is compared: a number, all, or automatic. "
-        f"automatic is all of up to {ALL_UP_TO} earlier submaps, and the {DEFAULT_CANDIDATES} most "
-        "promising ones of more."
+        f"automatic is all of up to {ALL_UP_TO} earlier submaps, and the {FEWEST_CANDIDATES} to "
+        f"{DEFAULT_CANDIDATES} most promising ones of more."
     ),
     tyro.conf.arg(metavar="K|all|automatic"),
 ]

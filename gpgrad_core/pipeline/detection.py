@@ -29,7 +29,14 @@ from gpgrad_core.registration import (
 from gpgrad_core.run.helper import Helper, beside
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
-from gpgrad_core.shortlist import Candidate, Candidates, Shortlist, check_candidates, num_wanted
+from gpgrad_core.shortlist import (
+    Candidate,
+    Candidates,
+    Shortlist,
+    check_candidates,
+    num_certain,
+    num_wanted,
+)
 from gpgrad_core.types import (
     Dataset,
     Features,
@@ -315,8 +322,9 @@ def detect_loop_closures(
         params: Parameters of all stages; with a detector, only those of the verdict are used.
         detector: Another way to register pairs; None uses the pipeline.
         candidates: With how many earlier submaps a submap is compared: a number, ``all``, or
-            ``automatic``, which is all of up to 200 earlier ones, and 30 of more. The `Shortlist`
-            chooses them by the keypoints; ``automatic`` is ``all`` for a detector without any.
+            ``automatic``, which is all of up to 200 earlier ones, and 10 to 30 of more. The
+            `Shortlist` chooses them by the keypoints; ``automatic`` is ``all`` for a detector
+            without any.
         executor: Threads or processes that share the work; None does everything in this thread.
             The result is the same. For processes the detector must be picklable.
         memo: Shares results with other calls; None keeps what this call needs. Other processes do
@@ -398,7 +406,7 @@ class _Choice:
         self.shortlists: dict[str, tuple[Candidate, ...]] = {}
         self._ids, self._detector = ids, detector
         self._candidates: Candidates = candidates
-        self._shortlist = Shortlist(seed)
+        self._certain, self._shortlist = num_certain(candidates), Shortlist(seed)
 
     def __call__(self, extracted: list[Any], progress: Progress) -> list[Pair]:
         places = {name: place for place, name in enumerate(self._ids)}
@@ -409,7 +417,7 @@ class _Choice:
             if wanted == query:
                 pairs += [(query, database) for database in range(query)]
             else:
-                best = self._shortlist.candidates(features, wanted)
+                best = self._shortlist.candidates(features, wanted, certain=self._certain)
                 self.shortlists[name] = best
                 pairs += sorted((query, places[candidate.id]) for candidate in best)
             self._shortlist.add(name, features)

@@ -3,9 +3,11 @@
 from gpgrad_core.shortlist.candidates import (
     ALL_UP_TO,
     DEFAULT_CANDIDATES,
+    FEWEST_CANDIDATES,
     Candidate,
     Candidates,
     check_candidates,
+    num_certain,
     num_wanted,
     read_candidates,
 )
@@ -15,12 +17,14 @@ from gpgrad_core.shortlist.vocabulary import Vocabulary
 __all__ = [
     "ALL_UP_TO",
     "DEFAULT_CANDIDATES",
+    "FEWEST_CANDIDATES",
     "Candidate",
     "Candidates",
     "Shortlist",
     "ShortlistState",
     "Vocabulary",
     "check_candidates",
+    "num_certain",
     "num_wanted",
     "read_candidates",
 ]

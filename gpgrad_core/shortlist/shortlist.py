@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.threads import num_workers, single_threaded_blas
-from gpgrad_core.shortlist.candidates import Candidate
+from gpgrad_core.shortlist.candidates import BEYOND_CHANCE, Candidate
 from gpgrad_core.shortlist.vocabulary import Vocabulary, learn_vocabulary
 from gpgrad_core.shortlist.votes import Voters, count_votes
 from gpgrad_core.types import Array, Features, as_vectors
@@ -177,7 +177,11 @@ class Shortlist:
             self._waiting = []
 
     def candidates(
-        self, features: Features, count: int, among: Collection[str] | None = None
+        self,
+        features: Features,
+        count: int,
+        among: Collection[str] | None = None,
+        certain: int | None = None,
     ) -> tuple[Candidate, ...]:
         """Find the submaps that are most likely to show the same place.
 
@@ -185,6 +189,8 @@ class Shortlist:
             features: Keypoints of the submap to compare; it need not have been added.
             count: Largest number of candidates.
             among: Ids of the submaps that may be chosen; None takes all.
+            certain: After this many, candidates are given only if they have clearly more votes
+                than chance gives (`BEYOND_CHANCE`); None gives all.
 
         Returns:
             The candidates: most votes first, then by similarity, then in the order of adding.
@@ -206,10 +212,12 @@ class Shortlist:
                 voted = np.argsort(-similarity, kind="stable")[: max(MOST_VOTED, count)]
             votes = np.zeros(len(rows), np.intp)
             votes[voted] = _count_side_by_side(voters, [self._voters[rows[k]] for k in voted])
-        ids = self.ids
+        ids, best = self.ids, np.lexsort((-similarity, -votes))[:count]
+        if certain is not None and len(best) > certain:
+            worthwhile = np.count_nonzero(votes[best] > BEYOND_CHANCE * np.median(votes[voted]))
+            best = best[: max(certain, int(worthwhile))]
         return tuple(
-            Candidate(ids[rows[k]], int(votes[k]), round(float(similarity[k]), 6))
-            for k in np.lexsort((-similarity, -votes))[:count]
+            Candidate(ids[rows[k]], int(votes[k]), round(float(similarity[k]), 6)) for k in best
         )
 
     def _row(self, id: str) -> int:

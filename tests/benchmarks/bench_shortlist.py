@@ -20,9 +20,16 @@ from gpgrad_core.evaluation import EvaluationParams, measure_pairs
 from gpgrad_core.features.slope_field import RINGS, SPOKES
 from gpgrad_core.fitting import representative
 from gpgrad_core.params.files import preferred_parameters
-from gpgrad_core.pipeline import PipelineParams, infer_features, resolve_parameters
+from gpgrad_core.pipeline import (
+    PipelineParams,
+    detect_loop_closures,
+    infer_features,
+    resolve_parameters,
+)
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.shortlist import Shortlist
+from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.threads import num_workers
+from gpgrad_core.shortlist import DEFAULT_CANDIDATES, FEWEST_CANDIDATES, Shortlist
 from gpgrad_core.types import Dataset, Features
 from tests.core.shortlist.places import features as any_features
 
@@ -62,10 +69,12 @@ class Bench:
 
 @dataclass(frozen=True, eq=False)
 class Keypoints:
-    """The keypoints of a set, and its true pairs (query, database), without neighbours."""
+    """The keypoints of a set, its true pairs (query, database) without neighbours, and the pairs
+    that are accepted when all are compared."""
 
     features: list[Features]
     true: list[tuple[int, int]]
+    accepted: list[tuple[int, int]]
 
 
 def main() -> None:
@@ -81,15 +90,36 @@ def main() -> None:
     shortlist = Shortlist()
     for k, one in enumerate(pot):
         shortlist.add(f"distractor {k}", one)
-    print(f"| set, among {len(pot):,} distractors | true pairs | K = 10 | K = 30 | K = 50 |")
-    print("|---|---|---|---|---|")
-    every: list[int] = []
+    columns = "".join(f" K = {count} |" for count in COUNTS)
+    print(
+        f"| set, among {len(pot):,} distractors | true pairs |{columns} automatic: true pairs | "
+        "accepted of all pairs | of automatic | candidates |"
+    )
+    print("|---" * (6 + len(COUNTS)) + "|")
+    every: list[Found] = []
     for name, held in sets.items():
-        ranks = _ranks(shortlist, name, held)
-        every += ranks
-        print(_row(name, ranks))
+        found = [_find(shortlist, name, held, k) for k in range(len(held.features))]
+        every += found
+        print(_row(name, found))
     print(_row("all", every))
     _time()
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a shortlist holds of a query's pairs.
+
+    Attributes:
+        ranks: Rank of each true pair.
+        automatic: Whether the automatic shortlist has each true pair.
+        accepted: Whether it has each pair that is accepted when all are compared.
+        count: Length of the automatic shortlist.
+    """
+
+    ranks: list[int]
+    automatic: list[bool]
+    accepted: list[bool]
+    count: int
 
 
 def _loader(folder: Path) -> Callable[[], Dataset]:
@@ -100,24 +130,34 @@ def _simulator(params: SimulationParams) -> Callable[[], Dataset]:
     return lambda: simulate_dataset(params)
 
 
-def _row(name: str, ranks: list[int]) -> str:
-    shares = " | ".join(f"{np.mean(np.array(ranks) < count):.3f}" for count in COUNTS)
-    return f"| {name} | {len(ranks)} | {shares} |"
+def _row(name: str, found: list[Found]) -> str:
+    ranks = np.array([rank for one in found for rank in one.ranks])
+    shares = " | ".join(f"{np.mean(ranks < count):.3f}" for count in COUNTS)
+    automatic = np.mean([held for one in found for held in one.automatic])
+    accepted = [held for one in found for held in one.accepted]
+    return (
+        f"| {name} | {len(ranks)} | {shares} | {automatic:.3f} | {len(accepted)} | "
+        f"{sum(accepted)} | {np.mean([one.count for one in found]):.1f} |"
+    )
 
 
-def _ranks(shortlist: Shortlist, name: str, held: Keypoints) -> list[int]:
-    """Find the rank of each true pair, and add the set."""
-    ranks: list[int] = []
-    for query, one in enumerate(held.features):
-        best = shortlist.candidates(one, max(COUNTS))
-        found = {candidate.id: rank for rank, candidate in enumerate(best)}
-        ranks += [
-            found.get(f"{name} {database}", max(COUNTS))
-            for later, database in held.true
-            if later == query
-        ]
-        shortlist.add(f"{name} {query}", one)
-    return ranks
+def _find(shortlist: Shortlist, name: str, held: Keypoints, query: int) -> Found:
+    """Look for a query's pairs, and add it."""
+    features = held.features[query]
+    best = [one.id for one in shortlist.candidates(features, max(COUNTS))]
+    automatic = [
+        one.id
+        for one in shortlist.candidates(features, DEFAULT_CANDIDATES, certain=FEWEST_CANDIDATES)
+    ]
+    true = [f"{name} {database}" for later, database in held.true if later == query]
+    accepted = [f"{name} {database}" for later, database in held.accepted if later == query]
+    shortlist.add(f"{name} {query}", features)
+    return Found(
+        [best.index(one) if one in best else max(COUNTS) for one in true],
+        [one in automatic for one in true],
+        [one in automatic for one in accepted],
+        len(automatic),
+    )
 
 
 def _kept(cache: Path, name: str, make: Callable[[], Dataset]) -> Keypoints:
@@ -129,6 +169,18 @@ def _kept(cache: Path, name: str, make: Callable[[], Dataset]) -> Keypoints:
         some = [dataset.submaps[k] for k in representative(len(dataset.submaps))]
         params = resolve_parameters(some, params)
         found = [infer_features(submap, params, Memo()) for submap in dataset.submaps]
+        accepted = np.zeros((0, 2), int)
+        if not name.startswith("distractors"):
+            with workers(num_workers(), 10_000) as executor:
+                result = detect_loop_closures(dataset, params, candidates="all", executor=executor)
+            place = {submap.id: k for k, submap in enumerate(dataset.submaps)}
+            accepted = np.array(
+                [
+                    (place[one.query_id], place[one.database_id])
+                    for one in result.closures
+                    if one.accepted
+                ]
+            )
         pairs = measure_pairs(dataset)
         surface = EvaluationParams().rules[1].label(pairs).positive
         np.savez(
@@ -139,6 +191,7 @@ def _kept(cache: Path, name: str, make: Callable[[], Dataset]) -> Keypoints:
             responses=np.concatenate([one.responses for one in found]),
             descriptors=np.concatenate([one.descriptors for one in found]),
             true=np.column_stack([pairs.query, pairs.database])[surface],
+            accepted=accepted,
         )
     with np.load(file) as archive:
         held = dict(archive)
@@ -154,7 +207,11 @@ def _kept(cache: Path, name: str, make: Callable[[], Dataset]) -> Keypoints:
         )
         for row in rows
     ]
-    return Keypoints(features, [(int(query), int(database)) for query, database in held["true"]])
+    true, accepted = (
+        [(int(query), int(database)) for query, database in held[name]]
+        for name in ("true", "accepted")
+    )
+    return Keypoints(features, true, accepted)
 
 
 def _distractors(bench: Bench, sets: list[Keypoints]) -> list[Features]:

@@ -50,6 +50,21 @@ def test_a_place_seen_again_comes_first(count: int) -> None:
     assert all(other.votes < 20 for other in best[1:])
 
 
+def test_beyond_the_certain_ones_only_those_with_votes_are_given(many: Shortlist) -> None:
+    again = features(7, 100, noise=0.1, turned=2.0)
+    every = many.candidates(again, 20)
+    few = many.candidates(again, 20, certain=3)
+    assert few == every[:3]  # only one has been there
+    assert many.candidates(again, 20, certain=50) == every
+    revisited = Shortlist()
+    for k in range(MANY):  # a third of all is the same place
+        place = 7 if k % 3 == 0 else 1000 + k
+        revisited.add(f"{k:03}", features(place, 100, noise=0.1, turned=0.1 * k))
+    found = revisited.candidates(again, 20, certain=3)
+    assert len(found) == min(20, -(-MANY // 3))
+    assert all(int(one.id) % 3 == 0 for one in found)
+
+
 def test_before_and_after_the_vocabulary_is_learned() -> None:
     assert filled(LEARN_FROM - 1).state.vocabulary is None
     learned = filled(LEARN_FROM)
