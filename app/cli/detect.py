@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,12 +28,13 @@ from app.cli.inputs import (
 )
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say
-from gpgrad_core.datasets import outline_dataset
+from gpgrad_core.datasets import Outline, outline_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.fitting import representative
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import ClosureWriter, check_apart, check_output, report_closures
 from gpgrad_core.pipeline import check_affordable, detect_loop_closures, keeping
+from gpgrad_core.run.cluster import Cluster, connected
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store
@@ -70,6 +72,14 @@ class Detect:
         tyro.conf.arg(metavar="QUERY DATABASE", help_behavior_hint="(default: all pairs)"),
     ] = None
     candidates: CandidatesFlag = "automatic"
+    scheduler: Annotated[
+        str | None,
+        Doc(
+            "Address of a Dask scheduler, such as tcp://10.0.0.7:8786, to whose workers the work "
+            "is given."
+        ),
+        tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: this machine's cores)"),
+    ] = None
     overwrite: Overwrite = False
     cache: Cache = USERS_CACHE
     params: ParamsFile = None
@@ -85,41 +95,44 @@ class Detect:
             check_output(self.g2o, (".g2o",), overwrite=self.overwrite)
         check_apart([self.out, self.g2o], [self.dataset, self.params])
         store = open_store(self.cache)
-        outline = outline_dataset(self.dataset).dataset
-        asked = self.pipeline.over(base_params(outline, self.params))
+        outline = outline_dataset(self.dataset)
+        asked = self.pipeline.over(base_params(outline.dataset, self.params))
         if self.g2o:
-            odometry_poses(outline)  # refuses a dataset without odometry before the work
+            odometry_poses(outline.dataset)  # refuses a dataset without odometry before the work
         check = partial(check_affordable, params=asked) if method.fitted else None
-        dataset, sources = load_sources(self.dataset, check)
-        if method.fitted:  # to the whole dataset, so that a single pair gets the same verdict
-            some = [sources[k].load() for k in representative(len(sources))]
-            asked = settled(asked, some, dataset.name, store)
-        if self.pair:
-            dataset, sources = _only(dataset, sources, *self.pair)
-        params, accepted = method.adapt(asked), list[LoopClosure]()
-        num_pairs = sum(num_wanted(candidates, k) for k in range(len(sources)))
+        num_submaps, accepted = len(outline.clouds), list[LoopClosure]()
+        num_pairs = sum(num_wanted(candidates, k) for k in range(2 if self.pair else num_submaps))
         with (
-            _at_least_for_now(store, len(sources)) as kept,
+            _at_least_for_now(store, num_submaps) as room,
+            _workers(self.scheduler, num_pairs) as executor,
             ClosureWriter(self.out) as writer,
-            progress_bar("pairs") as progress,
-            workers(num_workers(), num_pairs) as executor,
         ):
+            shared = not isinstance(executor, Cluster) or _all_see(executor, outline, room)
+            kept = room if shared else None
+            dataset, sources = load_sources(self.dataset, check, keep_all=not shared)
+            if method.fitted:  # to the whole dataset, so that a single pair gets the same verdict
+                some = [sources[k].load() for k in representative(num_submaps)]
+                asked = settled(asked, some, dataset.name, store)
+            if self.pair:
+                dataset, sources = _only(dataset, sources, *self.pair)
+            params = method.adapt(asked)
 
             def take(closure: LoopClosure) -> None:
                 writer.add(closure)
                 if closure.accepted:
                     accepted.append(closure)
 
-            result = detect_loop_closures(
-                dataset,
-                params,
-                detector=keeping(method.detector(params, Memo()), kept),
-                candidates=candidates,
-                executor=executor,
-                progress=progress,
-                sources=sources,
-                take=take,
-            )
+            with progress_bar("pairs") as progress:
+                result = detect_loop_closures(
+                    dataset,
+                    params,
+                    detector=keeping(method.detector(params, Memo()), kept),
+                    candidates=candidates,
+                    executor=executor,
+                    progress=progress,
+                    sources=sources,
+                    take=take,
+                )
             skipped = math.comb(len(sources), 2) - writer.num_pairs
             report = report_closures(dataset, result, params, method=method.name, sources=sources)
             writer.write(replace(report, num_pairs_skipped=skipped))
@@ -132,6 +145,21 @@ class Detect:
             f"{left_out} of {count(len(sources), 'submap')}, {report.seconds['total']:.1f} s: "
             f"{self.out}"
         )
+
+
+def _workers(scheduler: str | None, num_pairs: int) -> AbstractContextManager[Executor]:
+    """Give the workers of a cluster, or this machine's."""
+    return workers(num_workers(), num_pairs) if scheduler is None else connected(scheduler)
+
+
+def _all_see(cluster: Cluster, outline: Outline, store: Store | None) -> bool:
+    """Tell whether the workers can read the clouds, and keep results where this process does.
+
+    Otherwise everything is sent to them and back.
+    """
+    if store is not None:
+        store.folder.mkdir(parents=True, exist_ok=True)
+    return store is not None and cluster.sees(store.folder) and cluster.sees(outline.clouds[0])
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """What most verbs read: a dataset, a file of parameters, and the flags that they share."""
 
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -10,11 +11,12 @@ from typing_extensions import Doc
 from app.cli.flags import Given
 from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import load_dataset, open_dataset
+from gpgrad_core.datasets.folder import MOST_LOADED
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
-from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES, FEWEST_CANDIDATES
+from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES
 from gpgrad_core.types import Dataset, Submap, SubmapSource
 
 DatasetPath: TypeAlias = Annotated[
@@ -34,8 +36,8 @@ CandidatesFlag: TypeAlias = Annotated[
     str,
     Doc(
         "With how many earlier submaps each submap is compared: a number, all, or automatic. "
-        f"automatic is all of up to {ALL_UP_TO} earlier submaps, and the {FEWEST_CANDIDATES} to "
-        f"{DEFAULT_CANDIDATES} most promising ones of more."
+        f"automatic is all of up to {ALL_UP_TO} earlier submaps, and the {DEFAULT_CANDIDATES} most "
+        "promising ones of more."
     ),
     tyro.conf.arg(metavar="K|all|automatic"),
 ]
@@ -62,19 +64,22 @@ def load(path: Path) -> Dataset:
 
 
 def load_sources(
-    path: Path, check: Callable[[Submap], None] | None = None
+    path: Path, check: Callable[[Submap], None] | None = None, *, keep_all: bool = False
 ) -> tuple[Dataset, tuple[SubmapSource, ...]]:
     """Read a dataset of any size, and report what reading left out.
 
     Args:
         path: The dataset.
         check: Called with each submap; may raise an error.
+        keep_all: Whether to keep all points in memory, however many there are.
 
     Returns:
         The dataset, whose submaps lack their points, and where they are loaded from.
     """
     with progress_bar("load") as progress:
-        dataset, sources = open_dataset(path, progress, check=check)
+        dataset, sources = open_dataset(
+            path, progress, check=check, most_bytes=sys.maxsize if keep_all else MOST_LOADED
+        )
     for note in dataset.notes:
         warn(note)
     return dataset, sources

@@ -26,7 +26,7 @@ BYTES_A_CELL: dict[DetectorName, int] = {
     "surf": 150,
 }
 """Memory that a detector takes for a cell of the map (measured on 1 to 4 million cells)."""
-MOST_BYTES = 1e9
+MOST_BYTES = 9e8
 """Largest memory that a detector may take."""
 
 

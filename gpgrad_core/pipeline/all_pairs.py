@@ -8,7 +8,7 @@ from math import ceil, sqrt
 from time import perf_counter
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
-from gpgrad_core.run.parallel import Work, take_in_turn
+from gpgrad_core.run.parallel import Work, num_side_by_side, take_in_turn
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.threads import at_most_workers, num_workers, single_threaded_blas
 from gpgrad_core.types import Features, LoopDetector, Registration, Submap, SubmapSource
@@ -149,8 +149,9 @@ def _extract_all(
 ) -> list[Any]:
     """Do the stages of single submaps, some submaps at a time, and add up their seconds."""
     extracted: list[Any] = []
-    for first in range(0, len(submaps), MADE_TOGETHER):
-        some: list[Any] = submaps[first : first + MADE_TOGETHER]
+    together = max(MADE_TOGETHER, 4 * num_side_by_side(executor))
+    for first in range(0, len(submaps), together):
+        some: list[Any] = submaps[first : first + together]
         of_some = part(progress, first / len(submaps), (first + len(some)) / len(submaps))
         for name, stage in (("maps", _Inferred(detector)), ("features", detector.extract)):
             low, high = (share / STAGES["features"][1] for share in STAGES[name])
@@ -264,7 +265,7 @@ class _ComparedBlock:
 def _rows_of_blocks(count: int, executor: Executor | None) -> list[list[tuple[Pair, ...]]]:
     """Divide the pairs of all submaps into square blocks of neighbours, query by query."""
     num_pairs = count * (count - 1) // 2
-    workers = 1 if executor is None else num_workers()
+    workers = num_side_by_side(executor)
     side = min(MOST_SIDE, max(1, ceil(sqrt(num_pairs / (BLOCKS_A_WORKER * workers)))))
     rows = [
         [
@@ -283,6 +284,6 @@ def _rows_of_blocks(count: int, executor: Executor | None) -> list[list[tuple[Pa
 def _chosen_blocks(pairs: list[Pair], executor: Executor | None) -> list[tuple[Pair, ...]]:
     """Divide chosen pairs into blocks of neighbouring queries, which often share candidates."""
     pairs = sorted(pairs)
-    workers = 1 if executor is None else num_workers()
+    workers = num_side_by_side(executor)
     size = min(MOST_PAIRS_A_BLOCK, max(1, ceil(len(pairs) / (BLOCKS_A_WORKER * workers))))
     return [tuple(pairs[start : start + size]) for start in range(0, len(pairs), size)]

@@ -34,7 +34,6 @@ from gpgrad_core.shortlist import (
     Candidates,
     Shortlist,
     check_candidates,
-    num_certain,
     num_wanted,
 )
 from gpgrad_core.types import (
@@ -322,7 +321,7 @@ def detect_loop_closures(
         params: Parameters of all stages; with a detector, only those of the verdict are used.
         detector: Another way to register pairs; None uses the pipeline.
         candidates: With how many earlier submaps a submap is compared: a number, ``all``, or
-            ``automatic``, which is all of up to 200 earlier ones, and 10 to 30 of more. The
+            ``automatic``, which is all of up to 200 earlier ones, and 30 of more. The
             `Shortlist` chooses them by the keypoints; ``automatic`` is ``all`` for a detector
             without any.
         executor: Threads or processes that share the work; None does everything in this thread.
@@ -406,7 +405,7 @@ class _Choice:
         self.shortlists: dict[str, tuple[Candidate, ...]] = {}
         self._ids, self._detector = ids, detector
         self._candidates: Candidates = candidates
-        self._certain, self._shortlist = num_certain(candidates), Shortlist(seed)
+        self._shortlist = Shortlist(seed)
 
     def __call__(self, extracted: list[Any], progress: Progress) -> list[Pair]:
         places = {name: place for place, name in enumerate(self._ids)}
@@ -417,7 +416,7 @@ class _Choice:
             if wanted == query:
                 pairs += [(query, database) for database in range(query)]
             else:
-                best = self._shortlist.candidates(features, wanted, certain=self._certain)
+                best = self._shortlist.candidates(features, wanted)
                 self.shortlists[name] = best
                 pairs += sorted((query, places[candidate.id]) for candidate in best)
             self._shortlist.add(name, features)

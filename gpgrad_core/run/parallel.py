@@ -25,6 +25,7 @@ from threading import Event, Lock
 from typing import TypeAlias, TypeVar
 
 from gpgrad_core.run.progress import Cancelled, Progress, part, silent
+from gpgrad_core.run.threads import num_workers
 from gpgrad_core.run.whole import ProcessLock, claim
 
 J = TypeVar("J")
@@ -35,8 +36,8 @@ Work: TypeAlias = Callable[[J, Progress], R]
 LOOK_EVERY = 0.05
 """Seconds between two reports while workers are busy."""
 AHEAD = 256
-"""Largest number of jobs that are begun before the first of them is done. So there is never more
-to keep, however many jobs there are."""
+"""Largest number of jobs that are begun before the first of them is done; more for a large cluster.
+So there is never more to keep, however many jobs there are."""
 SOCKETS = "gpgrad-w-"
 LONGEST_FOLDER = 50
 """Longest name of a folder for the socket: macOS allows 103 bytes for its whole name."""
@@ -180,16 +181,16 @@ def take_in_turn(
         return
     tally = _Tally(len(jobs))
     begun: deque[tuple[int, Future[R]]] = deque()  # in the order of the jobs, not yet taken
-    waiting = deque(enumerate(jobs))
+    waiting, ahead = deque(enumerate(jobs)), max(AHEAD, 4 * num_side_by_side(executor))
 
     def begin() -> None:
-        while waiting and len(begun) < AHEAD and not tally.stop.is_set():
+        while waiting and len(begun) < ahead and not tally.stop.is_set():
             k, job = waiting.popleft()
             begun.append((k, executor.submit(work, job, tally.of(k))))
 
     try:
         while waiting or begun:
-            if waiting and len(begun) <= AHEAD // 2:
+            if waiting and len(begun) <= ahead // 2:
                 _undisturbed(begin, tally.stop)
             wait([future for _, future in begun if not future.done()], LOOK_EVERY, FIRST_COMPLETED)
             done = [(k, future) for k, future in begun if future.done()]
@@ -208,6 +209,13 @@ def take_in_turn(
                 "(GPGRAD_THREADS=1 takes least)"
             ) from error
         raise
+
+
+def num_side_by_side(executor: Executor | None) -> int:
+    """Count the jobs that an executor does at a time."""
+    if executor is None:
+        return 1
+    return getattr(executor, "num_workers", None) or num_workers()
 
 
 def _share(k: int, count: int) -> tuple[float, float]:

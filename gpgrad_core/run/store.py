@@ -75,7 +75,7 @@ class Store:
         Raises:
             InputError: If the path is a file.
         """
-        self.folder = default_folder() if folder is None else folder
+        self.folder = (default_folder() if folder is None else folder).absolute()
         self.max_bytes = max_bytes
         self._added: int | None = None  # bytes since there was room for sure
         if self.folder.exists() and not self.folder.is_dir():
@@ -247,7 +247,7 @@ def key_of(*made_from: object) -> str:
     Raises:
         TypeError: If something has no stable text.
     """
-    text = "\n".join((_code(), *(_text(part) for part in made_from)))
+    text = "\n".join((code_version(), *(_text(part) for part in made_from)))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -267,8 +267,11 @@ def _text(part: object) -> str:
 
 
 @cache
-def _code() -> str:
-    """Compute a hash of this package's code, with the versions of the libraries under it."""
+def code_version() -> str:
+    """Compute a hash of this package's code, with the versions of the libraries under it.
+
+    Results of processes with the same one are the same.
+    """
     found = hashlib.sha256()
     root = Path(__file__).parents[1]
     for file in sorted(root.rglob("*.py")):

@@ -3,11 +3,9 @@
 from gpgrad_core.shortlist.candidates import (
     ALL_UP_TO,
     DEFAULT_CANDIDATES,
-    FEWEST_CANDIDATES,
     Candidate,
     Candidates,
     check_candidates,
-    num_certain,
     num_wanted,
     read_candidates,
 )
@@ -17,14 +15,12 @@ from gpgrad_core.shortlist.vocabulary import Vocabulary
 __all__ = [
     "ALL_UP_TO",
     "DEFAULT_CANDIDATES",
-    "FEWEST_CANDIDATES",
     "Candidate",
     "Candidates",
     "Shortlist",
     "ShortlistState",
     "Vocabulary",
     "check_candidates",
-    "num_certain",
     "num_wanted",
     "read_candidates",
 ]

@@ -15,16 +15,10 @@ ALL_UP_TO = 200
 200 submaps have 19,900 pairs, which take two cores a few minutes.
 """
 DEFAULT_CANDIDATES = 30
-"""With ``automatic``, a submap with more earlier ones than `ALL_UP_TO` is compared with at most
-this many.
+"""With ``automatic``, a submap with more earlier ones than `ALL_UP_TO` is compared with this many.
 
 The guide's page on the shortlist has the measured share of true pairs among them.
 """
-FEWEST_CANDIDATES = 10
-"""With ``automatic``, it is compared with at least this many of them."""
-BEYOND_CHANCE = 2.0
-"""With ``automatic``, further candidates must have more votes than this many times the median of
-all whose votes were counted. Nearly all true pairs have ten times as many."""
 MOST_CANDIDATES = 1_000_000
 
 
@@ -80,17 +74,8 @@ def check_candidates(candidates: Candidates) -> Candidates:
     return candidates
 
 
-def num_certain(candidates: Candidates) -> int | None:
-    """Count the candidates that are compared however few votes they have; None if all of them are.
-
-    Args:
-        candidates: The number of candidates, ``all`` or ``automatic``.
-    """
-    return FEWEST_CANDIDATES if candidates == "automatic" else None
-
-
 def num_wanted(candidates: Candidates, num_earlier: int) -> int:
-    """Count the earlier submaps to compare a submap with at most.
+    """Count the earlier submaps to compare a submap with.
 
     Args:
         candidates: The number of candidates, ``all`` or ``automatic``.

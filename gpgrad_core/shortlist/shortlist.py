@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.threads import num_workers, single_threaded_blas
-from gpgrad_core.shortlist.candidates import BEYOND_CHANCE, Candidate
+from gpgrad_core.shortlist.candidates import Candidate
 from gpgrad_core.shortlist.vocabulary import Vocabulary, learn_vocabulary
 from gpgrad_core.shortlist.votes import Voters, count_votes
 from gpgrad_core.types import Array, Features, as_vectors
@@ -28,6 +28,9 @@ MOST_VOTED = 300
 
 Of 2,000, they hold 99 % of the true pairs, with little difference between vocabularies.
 """
+WORTH_VOTES = 30.0
+"""Votes that a similarity of 1 is worth. Pairs that share little ground have no more votes than
+chance gives, but their vectors are a little more similar."""
 WORTH_THREADS = 50
 """From this number of submaps on, the votes take longer to count than threads take to start."""
 
@@ -177,11 +180,7 @@ class Shortlist:
             self._waiting = []
 
     def candidates(
-        self,
-        features: Features,
-        count: int,
-        among: Collection[str] | None = None,
-        certain: int | None = None,
+        self, features: Features, count: int, among: Collection[str] | None = None
     ) -> tuple[Candidate, ...]:
         """Find the submaps that are most likely to show the same place.
 
@@ -189,11 +188,10 @@ class Shortlist:
             features: Keypoints of the submap to compare; it need not have been added.
             count: Largest number of candidates.
             among: Ids of the submaps that may be chosen; None takes all.
-            certain: After this many, candidates are given only if they have clearly more votes
-                than chance gives (`BEYOND_CHANCE`); None gives all.
 
         Returns:
-            The candidates: most votes first, then by similarity, then in the order of adding.
+            The candidates, the best first: by their votes, with `WORTH_VOTES` more for a similarity
+            of 1, and then in the order of adding.
 
         Raises:
             InputError: If a submap was not added, or the descriptors have another length.
@@ -212,12 +210,10 @@ class Shortlist:
                 voted = np.argsort(-similarity, kind="stable")[: max(MOST_VOTED, count)]
             votes = np.zeros(len(rows), np.intp)
             votes[voted] = _count_side_by_side(voters, [self._voters[rows[k]] for k in voted])
-        ids, best = self.ids, np.lexsort((-similarity, -votes))[:count]
-        if certain is not None and len(best) > certain:
-            worthwhile = np.count_nonzero(votes[best] > BEYOND_CHANCE * np.median(votes[voted]))
-            best = best[: max(certain, int(worthwhile))]
+        ids, likeness = self.ids, votes + WORTH_VOTES * similarity
         return tuple(
-            Candidate(ids[rows[k]], int(votes[k]), round(float(similarity[k]), 6)) for k in best
+            Candidate(ids[rows[k]], int(votes[k]), round(float(similarity[k]), 6))
+            for k in np.lexsort((-votes, -likeness))[:count]
         )
 
     def _row(self, id: str) -> int:

@@ -27,7 +27,7 @@ from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.se2 import Pose
-from gpgrad_core.shortlist import Candidate, Candidates, Shortlist, num_certain, num_wanted
+from gpgrad_core.shortlist import Candidate, Candidates, Shortlist, num_wanted
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
 from gpgrad_core.slam.joining import place_traverses
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
@@ -202,8 +202,7 @@ class LoopCloser:
             wanted = num_wanted(self._candidates, len(earlier))
             if wanted < len(earlier):
                 keypoints = detector.keypoints(extracted)
-                certain = num_certain(self._candidates)
-                shortlist = self._shortlist.candidates(keypoints, wanted, earlier, certain)
+                shortlist = self._shortlist.candidates(keypoints, wanted, earlier)
                 chosen = {candidate.id for candidate in shortlist}
                 earlier = [name for name in earlier if name in chosen]
         found = side_by_side(

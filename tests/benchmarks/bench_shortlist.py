@@ -29,7 +29,7 @@ from gpgrad_core.pipeline import (
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.shortlist import DEFAULT_CANDIDATES, FEWEST_CANDIDATES, Shortlist
+from gpgrad_core.shortlist import Shortlist
 from gpgrad_core.types import Dataset, Features
 from tests.core.shortlist.places import features as any_features
 
@@ -91,11 +91,8 @@ def main() -> None:
     for k, one in enumerate(pot):
         shortlist.add(f"distractor {k}", one)
     columns = "".join(f" K = {count} |" for count in COUNTS)
-    print(
-        f"| set, among {len(pot):,} distractors | true pairs |{columns} automatic: true pairs | "
-        "accepted of all pairs | of automatic | candidates |"
-    )
-    print("|---" * (6 + len(COUNTS)) + "|")
+    print(f"| set, among {len(pot):,} distractors | true |{columns} accepted |{columns}")
+    print("|---" * (3 + 2 * len(COUNTS)) + "|")
     every: list[Found] = []
     for name, held in sets.items():
         found = [_find(shortlist, name, held, k) for k in range(len(held.features))]
@@ -107,19 +104,15 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Found:
-    """What a shortlist holds of a query's pairs.
+    """Where a shortlist has a query's pairs.
 
     Attributes:
-        ranks: Rank of each true pair.
-        automatic: Whether the automatic shortlist has each true pair.
-        accepted: Whether it has each pair that is accepted when all are compared.
-        count: Length of the automatic shortlist.
+        true: Rank of each true pair.
+        accepted: Rank of each pair that is accepted when all are compared.
     """
 
-    ranks: list[int]
-    automatic: list[bool]
-    accepted: list[bool]
-    count: int
+    true: list[int]
+    accepted: list[int]
 
 
 def _loader(folder: Path) -> Callable[[], Dataset]:
@@ -131,33 +124,29 @@ def _simulator(params: SimulationParams) -> Callable[[], Dataset]:
 
 
 def _row(name: str, found: list[Found]) -> str:
-    ranks = np.array([rank for one in found for rank in one.ranks])
-    shares = " | ".join(f"{np.mean(ranks < count):.3f}" for count in COUNTS)
-    automatic = np.mean([held for one in found for held in one.automatic])
-    accepted = [held for one in found for held in one.accepted]
-    return (
-        f"| {name} | {len(ranks)} | {shares} | {automatic:.3f} | {len(accepted)} | "
-        f"{sum(accepted)} | {np.mean([one.count for one in found]):.1f} |"
-    )
+    cells: list[str] = []
+    for ranks in (
+        [r for one in found for r in one.true],
+        [r for one in found for r in one.accepted],
+    ):
+        cells.append(str(len(ranks)))
+        cells += [f"{np.mean(np.array(ranks) < count):.3f}" for count in COUNTS]
+    return f"| {name} | {' | '.join(cells)} |"
 
 
 def _find(shortlist: Shortlist, name: str, held: Keypoints, query: int) -> Found:
     """Look for a query's pairs, and add it."""
-    features = held.features[query]
-    best = [one.id for one in shortlist.candidates(features, max(COUNTS))]
-    automatic = [
-        one.id
-        for one in shortlist.candidates(features, DEFAULT_CANDIDATES, certain=FEWEST_CANDIDATES)
-    ]
-    true = [f"{name} {database}" for later, database in held.true if later == query]
-    accepted = [f"{name} {database}" for later, database in held.accepted if later == query]
-    shortlist.add(f"{name} {query}", features)
-    return Found(
-        [best.index(one) if one in best else max(COUNTS) for one in true],
-        [one in automatic for one in true],
-        [one in automatic for one in accepted],
-        len(automatic),
+    best = [one.id for one in shortlist.candidates(held.features[query], max(COUNTS))]
+    true, accepted = (
+        [
+            best.index(wanted) if (wanted := f"{name} {database}") in best else max(COUNTS)
+            for later, database in pairs
+            if later == query
+        ]
+        for pairs in (held.true, held.accepted)
     )
+    shortlist.add(f"{name} {query}", held.features[query])
+    return Found(true, accepted)
 
 
 def _kept(cache: Path, name: str, make: Callable[[], Dataset]) -> Keypoints:
