@@ -3,6 +3,7 @@ from .datasets import (
     demo_path,
     load_cloud,
     load_dataset,
+    open_dataset,
     simulate_dataset,
     write_dataset,
 )
@@ -70,6 +71,7 @@ from .types import (
     Matches,
     Registration,
     Submap,
+    SubmapSource,
 )
 
 __version__: str
@@ -116,6 +118,7 @@ __all__ = [
     "SolverParams",
     "Step",
     "Submap",
+    "SubmapSource",
     "TerrainParams",
     "__version__",
     "build_dataset",
@@ -131,6 +134,7 @@ __all__ = [
     "load_cloud",
     "load_dataset",
     "match_features",
+    "open_dataset",
     "optimise_pose_graph",
     "preferred_parameters",
     "read_closures",

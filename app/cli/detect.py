@@ -109,7 +109,7 @@ class Detect:
         ):
             shared = not isinstance(executor, Cluster) or _all_see(executor, outline, room)
             kept = room if shared else None
-            dataset, sources = load_sources(self.dataset, check, keep_all=not shared)
+            dataset, sources = load_sources(outline, check, keep_all=not shared)
             if method.fitted:  # to the whole dataset, so that a single pair gets the same verdict
                 some = [sources[k].load() for k in representative(num_submaps)]
                 asked = settled(asked, some, dataset.name, store)

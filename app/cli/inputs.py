@@ -10,7 +10,7 @@ from typing_extensions import Doc
 
 from app.cli.flags import Given
 from app.cli.terminal import count, progress_bar, say, warn
-from gpgrad_core.datasets import load_dataset, open_dataset
+from gpgrad_core.datasets import Outline, load_dataset, open_dataset
 from gpgrad_core.datasets.folder import MOST_LOADED
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, describe_choice, is_resolved, resolve_parameters
@@ -64,12 +64,12 @@ def load(path: Path) -> Dataset:
 
 
 def load_sources(
-    path: Path, check: Callable[[Submap], None] | None = None, *, keep_all: bool = False
+    outline: Outline, check: Callable[[Submap], None] | None = None, *, keep_all: bool = False
 ) -> tuple[Dataset, tuple[SubmapSource, ...]]:
     """Read a dataset of any size, and report what reading left out.
 
     Args:
-        path: The dataset.
+        outline: The dataset.
         check: Called with each submap; may raise an error.
         keep_all: Whether to keep all points in memory, however many there are.
 
@@ -78,7 +78,7 @@ def load_sources(
     """
     with progress_bar("load") as progress:
         dataset, sources = open_dataset(
-            path, progress, check=check, most_bytes=sys.maxsize if keep_all else MOST_LOADED
+            outline, progress, check=check, most_bytes=sys.maxsize if keep_all else MOST_LOADED
         )
     for note in dataset.notes:
         warn(note)

@@ -108,7 +108,7 @@ def _completed(submap: Submap, known: Submap) -> Submap:
 
 
 def open_dataset(
-    path: Path | str,
+    path: Path | str | Outline,
     progress: Progress = silent,
     *,
     check: Callable[[Submap], None] | None = None,
@@ -119,7 +119,7 @@ def open_dataset(
     So a broken cloud is found before the work begins, as by `load_dataset`.
 
     Args:
-        path: Folder or file, as for `load_dataset`.
+        path: Folder or file, as for `load_dataset`, or what `outline_dataset` has read of it.
         progress: Called once per cloud.
         check: Called with each submap; an error that it raises ends the reading.
         most_bytes: Bytes of points to keep in memory; all further submaps are read again from
@@ -131,7 +131,7 @@ def open_dataset(
     Raises:
         InputError: See `load_dataset`.
     """
-    outline = outline_dataset(path)
+    outline = path if isinstance(path, Outline) else outline_dataset(path)
     sources: list[SubmapSource] = []
     notes, held = list(outline.dataset.notes), 0
     for k, cloud in enumerate(outline.clouds):

@@ -10,10 +10,19 @@ from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.html import BUSY, FAINT, message_line, paragraph
 from app.viewer.widgets.pair_list import PairList
 from app.viewer.widgets.work_bar import WorkBar
+from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES, Candidates
 
 INTRODUCTION = "Compare every submap with all earlier ones, using the present parameters."
 NO_CHOICE: str = "choose a pair …"
 ALL: str = "all"
+CANDIDATES: dict[str, Candidates] = {
+    "automatic": "automatic",
+    "all earlier ones": "all",
+    "the 10 best": 10,
+    "the 30 best": 30,
+    "the 100 best": 100,
+}
+"""By their names, how many earlier submaps a submap can be compared with."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +60,7 @@ class Findings:
         curve_caption: The figures that go with it.
         choices: All pairs, best first.
         shown: (query, database) that the scene shows.
+        reasons: Why that pair was compared, as HTML; empty if all pairs were.
     """
 
     summary: str
@@ -61,6 +71,7 @@ class Findings:
     curve_caption: str
     choices: tuple[Choice, ...]
     shown: tuple[str, str]
+    reasons: str = ""
 
 
 class AllPairsPanel:
@@ -87,6 +98,13 @@ class AllPairsPanel:
         gui = host.gui
         self._choices: tuple[Choice, ...] = ()
         gui.add_html(paragraph(INTRODUCTION, FAINT))
+        self._candidates: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+            "Compare with",
+            tuple(CANDIDATES),
+            initial_value=next(iter(CANDIDATES)),
+            hint="With how many earlier submaps each submap is compared. Automatic takes all of up "
+            f"to {ALL_UP_TO} earlier ones, and the {DEFAULT_CANDIDATES} most promising of more.",
+        )
         run = gui.add_button("Run all pairs", hint="You can use the sliders while it runs.")
         self.work_bar = WorkBar(host, "Cancel", "all-pairs", starts=(run,))
         self._summary = gui.add_html("")
@@ -108,6 +126,7 @@ class AllPairsPanel:
             on_choose=lambda pair: None if pair is None else on_pair(*pair),
         )
         self._pairs.set_visible(False)
+        self._reasons = gui.add_html("")
         self._rule = gui.add_dropdown(
             "True if",
             rules,
@@ -121,10 +140,15 @@ class AllPairsPanel:
         on_choice(self._rule, on_rule)
         on_choice(self._narrow, lambda _: self._list(self._pairs.chosen))
 
+    @property
+    def candidates(self) -> Candidates:
+        """With how many earlier submaps a submap is to be compared."""
+        return CANDIDATES[self._candidates.value]
+
     def clear(self) -> None:
         """Clear everything, because another dataset is open."""
         self._choices = ()
-        for html in (self._summary, self._matrix, self._curve):
+        for html in (self._summary, self._matrix, self._reasons, self._curve):
             html.content = ""
         self._narrow.visible = self._rule.visible = False
         self._pairs.set_visible(False)
@@ -136,6 +160,7 @@ class AllPairsPanel:
         self._summary.content = paragraph(findings.summary, "font-weight:600") + note
         self._matrix.content = _figure(findings.matrix, findings.matrix_caption)
         self._curve.content = _figure(findings.curve, findings.curve_caption)
+        self._reasons.content = findings.reasons
         self._choices = findings.choices
         outcomes = tuple(dict.fromkeys(choice.outcome for choice in findings.choices))
         self._narrow.options = (ALL, *sorted(outcomes))

@@ -19,6 +19,7 @@ from app.viewer.all_pairs.judging import (
 )
 from app.viewer.all_pairs.matrix import affinity_svg, highest_color
 from app.viewer.all_pairs.panel import AllPairsPanel, Choice, Findings
+from app.viewer.all_pairs.reasons import shortlist_html
 from app.viewer.feature import Desk, Feature
 from app.viewer.runner import Runner
 from app.viewer.state import ViewState
@@ -108,7 +109,9 @@ class AllPairsTab(Feature):
                 self._judge.submit(_Judging(compared, state, self._rule))
 
     def _compare(self, state: ViewState, progress: Progress) -> ComparedPairs:
-        return compare_pairs(state.dataset, state.params, self._desk.memo, progress)
+        return compare_pairs(
+            state.dataset, state.params, self._desk.memo, progress, self._panel.candidates
+        )
 
     def _on_compared(self, state: ViewState, compared: ComparedPairs, seconds: float) -> None:
         del seconds
@@ -145,6 +148,10 @@ def findings(judged: JudgedPairs, state: ViewState) -> Findings:
         key=lambda pair: -pair[0].registration.score,
     )
     shown = state.query_id, state.database_id
+    shortlist = compared.result.shortlists.get(state.query_id, ())
+    earlier = next(
+        (k for k, one in enumerate(compared.dataset.submaps) if one.id == state.query_id), 0
+    )
     by_motion = "" if judged.check is None else f": {_by_motion(judged)}"
     return Findings(
         summary=f"{count} {closures} in {len(judged.closures):,} pairs{skipped}{by_motion} · "
@@ -161,6 +168,7 @@ def findings(judged: JudgedPairs, state: ViewState) -> Findings:
             for closure, outcome in ranked
         ),
         shown=shown,
+        reasons=shortlist_html(*shown, shortlist, earlier),
     )
 
 

@@ -9,10 +9,12 @@ import pytest
 import tyro
 from typing_extensions import Doc
 
+import app.cli.detect
 import app.cli.inputs
 import app.cli.view
 from app.cli import FAILED, INTERRUPTED, run
 from app.cli.flags import Given, parse
+from gpgrad_core.datasets import Outline
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset, Submap
@@ -116,20 +118,19 @@ def test_view_takes_its_arguments(stage: Stage) -> None:
 def test_an_error_of_the_system_is_one_line_too(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(path: Path, progress: object) -> Dataset:
-        del progress
+    def fail(path: Path) -> Outline:
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(app.cli.inputs, "load_dataset", fail)
+    monkeypatch.setattr(app.cli.detect, "outline_dataset", fail)
     assert run(["detect", "secret", "--out", str(tmp_path / "a.json")]) == FAILED
     assert capsys.readouterr().err == "gpgrad: secret: Permission denied\n"
 
 
 def test_a_mistake_of_ours_is_not_hidden(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def fail(path: Path, progress: object) -> Dataset:
-        raise ZeroDivisionError(f"loading {path}, {progress}")
+    def fail(path: Path) -> Outline:
+        raise ZeroDivisionError(f"loading {path}")
 
-    monkeypatch.setattr(app.cli.inputs, "load_dataset", fail)
+    monkeypatch.setattr(app.cli.detect, "outline_dataset", fail)
     with pytest.raises(ZeroDivisionError):
         run(["detect", "here", "--out", str(tmp_path / "a.json")])
 

@@ -15,6 +15,7 @@ from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
+from gpgrad_core.shortlist import Candidate, Candidates
 from gpgrad_core.types import Dataset
 from tests.app.desk import Recorder, make_desk
 from tests.app.synthetic import make_compared, make_dataset
@@ -22,6 +23,12 @@ from tests.app.widgets import find, user_presses, user_sets
 
 COMPARED = make_compared()
 STATE = open_dataset(COMPARED.dataset, PipelineParams(closure=ClosureParams(0, 4.5)))
+
+
+SHORTLISTS = {
+    submap.id: (Candidate("another <one>", 40, 0.5), Candidate(STATE.database_id, 12, 0.25))
+    for submap in STATE.dataset.submaps
+}
 
 
 class Comparer:
@@ -38,13 +45,17 @@ class Comparer:
         params: PipelineParams,
         memo: Memo,  # noqa: ARG002
         progress: Progress,
+        candidates: Candidates,
     ) -> ComparedPairs:
+        self.candidates = candidates
         progress(0.25)
         while not self.go.wait(0.005):
             progress(0.5)
         if self.error is not None:
             raise self.error
-        return replace(COMPARED, dataset=dataset, params=params)
+        shortlists = {} if candidates in ("automatic", "all") else SHORTLISTS
+        result = replace(COMPARED.result, shortlists=shortlists)
+        return replace(COMPARED, dataset=dataset, params=params, result=result)
 
 
 @pytest.fixture
@@ -173,3 +184,26 @@ def test_another_dataset_forgets_what_was_found_and_ends_what_runs(
     assert "loop closure" not in said(tab)
     assert "affinity" not in said(tab)
     assert not find(server, "Pair").visible
+
+
+def test_why_a_pair_was_looked_at_is_shown(
+    tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
+) -> None:
+    run(tab, server)
+    assert comparer.candidates == "automatic"
+    assert tab._panel._reasons.content == ""  # all were compared
+    user_sets(find(server, "Compare with"), "the 10 best")
+    run(tab, server)
+    assert comparer.candidates == 10
+    shown = tab._panel._reasons.content
+    assert "Why was this pair looked at?" in shown
+    assert f"{STATE.database_id} is number 2 among the candidates" in shown
+    assert "another &lt;one&gt;" in shown
+    other = next(
+        one.id for one in STATE.dataset.submaps if one.id not in (STATE.query_id, STATE.database_id)
+    )
+    tab.follow(with_pair(STATE, query_id=STATE.query_id, database_id=other))
+    assert tab.wait_idle(10)
+    assert (
+        f"{other} is not among them, so this pair was not compared" in tab._panel._reasons.content
+    )

@@ -1,0 +1,285 @@
+# ruff: noqa: T201 - a command that prints tables
+"""A long simulated traverse through `detect`: ``python -m tests.benchmarks.bench_traverse``.
+
+It makes the traverse (`gpgrad simulate --route roaming`), compares its submaps as `gpgrad detect`
+does, and prints times, memory, precision and recall. With ``--kills 2`` it runs the command itself
+as well, kills it twice on the way, and compares the file with that of a run that was left alone.
+"""
+
+import json
+import math
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import tyro
+from scipy.spatial import cKDTree
+
+from gpgrad_core.datasets import open_dataset
+from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
+from gpgrad_core.fitting import representative
+from gpgrad_core.outputs import ClosureWriter, report_closures
+from gpgrad_core.pipeline import (
+    MapDetector,
+    PipelineParams,
+    detect_loop_closures,
+    keeping,
+    resolve_parameters,
+)
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.store import Store
+from gpgrad_core.run.threads import num_workers
+from gpgrad_core.types import Dataset, LoopClosure, SubmapSource
+
+STAGES = {"maps and keypoints": (0.0, 0.5), "shortlist": (0.5, 0.6), "pairs": (0.6, 1.0)}
+"""The part of the progress that each stage takes; see `pipeline.all_pairs`."""
+NEIGHBOURS = 3
+"""Submaps whose numbers differ by no more than this are no revisit."""
+WINDOW = 0.1
+"""Share of the submaps over which a time is averaged."""
+GPGRAD = (sys.executable, "-m", "app")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Arguments.
+
+    Attributes:
+        submaps: Number of submaps.
+        points: Points of a submap.
+        early: Number of a submap near which times are compared with those at the end.
+        folder: Where the traverse and the results are kept.
+        kills: How often another run is killed before it may end.
+        simulate_only: Whether to make the traverse only.
+    """
+
+    submaps: int = 1_000
+    points: int = 5_000
+    early: int = 1_000
+    folder: Path = Path("build/bench_traverse")
+    kills: int = 0
+    simulate_only: bool = False
+
+
+@dataclass
+class Watch:
+    """What is seen of a run while it goes on.
+
+    Attributes:
+        progress: Fractions done, with the time of each [s].
+        memory: Memory of the process and its children, with the time of each [s, bytes].
+    """
+
+    progress: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+    memory: list[tuple[float, int]] = field(default_factory=list[tuple[float, int]])
+
+    def __call__(self, fraction: float) -> None:
+        """Note the progress."""
+        self.progress.append((time.monotonic(), fraction))
+
+    @contextmanager
+    def watching(self) -> Generator[None]:
+        """Look at the memory twice a second."""
+        ended, own = threading.Event(), psutil.Process()
+
+        def look() -> None:
+            while not ended.wait(0.5):
+                family = [own, *own.children(recursive=True)]
+                self.memory.append((time.monotonic(), sum(map(_unique, family))))
+
+        thread = threading.Thread(target=look)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+
+    def seconds_at(self, stage: str, share: float, count: int) -> float:
+        """Compute the time that a stage took for a submap near a share of all [s]."""
+        low, high = STAGES[stage]
+        times, fractions = np.array(self.progress).T
+        first, last = max(share - WINDOW, 0.0), share
+        when = np.interp([low + first * (high - low), low + last * (high - low)], fractions, times)
+        return float(np.diff(when)[0] / ((last - first) * count))
+
+
+def _unique(process: psutil.Process) -> int:
+    """Read the memory that a process shares with no other [bytes]."""
+    try:
+        return int(process.memory_full_info().uss)
+    except psutil.Error:
+        return 0
+
+
+def main() -> None:
+    """Measure."""
+    bench = tyro.cli(Bench)
+    bench.folder.mkdir(parents=True, exist_ok=True)
+    data = bench.folder / f"traverse_{bench.submaps}"
+    if not data.exists():
+        start = time.monotonic()
+        route = ("--route", "roaming", "--num-submaps", bench.submaps, "--max-points", bench.points)
+        _run("simulate", data, *route)
+        print(f"simulated {bench.submaps:,} submaps in {time.monotonic() - start:.0f} s")
+    if bench.simulate_only:
+        return
+    out = bench.folder / f"closures_{bench.submaps}.json"
+    with tempfile.TemporaryDirectory(dir=bench.folder) as cache:
+        watch, closures = Watch(), list[LoopClosure]()
+        start = time.monotonic()
+        with watch.watching():
+            dataset, sources, counted = _detect(data, out, Store(Path(cache)), watch, closures)
+        print(f"compared {counted:,} pairs in {time.monotonic() - start:.0f} s")
+        _tell_times(watch, bench)
+        _tell_quality(dataset, sources, closures)
+    if bench.kills:
+        _kill(bench, data, out)
+
+
+def _detect(
+    data: Path, out: Path, store: Store, watch: Watch, accepted: list[LoopClosure]
+) -> tuple[Dataset, tuple[SubmapSource, ...], int]:
+    """Do what `gpgrad detect` does, and watch it."""
+    dataset, sources = open_dataset(data)
+    some = [sources[k].load() for k in representative(len(sources))]
+    params = resolve_parameters(some, PipelineParams())
+    with (
+        ClosureWriter(out) as writer,
+        workers(num_workers(), len(sources) ** 2) as executor,
+    ):
+
+        def take(closure: LoopClosure) -> None:
+            writer.add(closure)
+            if closure.accepted:
+                accepted.append(closure)
+
+        result = detect_loop_closures(
+            dataset,
+            params,
+            detector=keeping(
+                MapDetector(params, Memo()), store.with_room(2_000_000 * len(sources))
+            ),
+            executor=executor,
+            progress=watch,
+            sources=sources,
+            take=take,
+        )
+        report = report_closures(dataset, result, params, sources=sources)
+        skipped = math.comb(len(sources), 2) - writer.num_pairs
+        writer.write(replace(report, num_pairs_skipped=skipped))
+    print("stages: " + ", ".join(f"{name} {spent:.0f} s" for name, spent in result.seconds.items()))
+    return dataset, sources, writer.num_pairs
+
+
+def _tell_times(watch: Watch, bench: Bench) -> None:
+    print(f"| stage | ms a submap at {bench.early:,} | at {bench.submaps:,} |\n|---|---|---|")
+    for stage in STAGES:
+        cells = [
+            f"{1000 * watch.seconds_at(stage, min(at / bench.submaps, 1.0), bench.submaps):.0f}"
+            for at in (bench.early, bench.submaps)
+        ]
+        print(f"| {stage} | {' | '.join(cells)} |")
+    times, memory = np.array(watch.memory).T
+    done = np.interp(times, *np.array(watch.progress).T)
+    for low, high in STAGES.values():
+        part = memory[(done >= low) & (done <= high)]
+        print(f"memory while {low:.0%} to {high:.0%}: at most {part.max() / 1e6:.0f} MB")
+
+
+def _tell_quality(
+    dataset: Dataset, sources: tuple[SubmapSource, ...], accepted: list[LoopClosure]
+) -> None:
+    """Compare what was accepted with the true poses."""
+    places = {submap.id: k for k, submap in enumerate(dataset.submaps)}
+    poses = [submap.pose_true for submap in dataset.submaps]
+    where = np.array([pose.translation[:2] for pose in poses if pose is not None])
+    first = sources[0].load().points[:, :2]
+    radius = float(np.percentile(np.linalg.norm(first - np.median(first, axis=0), axis=1), 95))
+    right = wrong = apart = 0
+    found: set[tuple[int, int]] = set()
+    for one in accepted:
+        query, database = places[one.query_id], places[one.database_id]
+        of_query, of_database = poses[query], poses[database]
+        motion = one.registration.T_database_query
+        assert of_query is not None
+        assert of_database is not None
+        assert motion is not None
+        true = of_database.planar.inverse() @ of_query.planar
+        error = true.inverse() @ motion
+        found.add((query, database))
+        if np.linalg.norm(where[query] - where[database]) > 2 * radius:
+            apart += 1
+        elif np.hypot(error.x, error.y) <= MAX_OFFSET and abs(error.yaw) <= math.radians(MAX_TURN):
+            right += 1
+        else:
+            wrong += 1
+    print(f"accepted: {right:,} right, {wrong} with a wrong motion, {apart} far apart")
+    pairs = cKDTree(where).query_pairs(2 * radius, output_type="ndarray")
+    query, database = pairs.max(axis=1), pairs.min(axis=1)
+    revisit = query - database > NEIGHBOURS
+    query, database = query[revisit], database[revisit]
+    share = _overlap(np.linalg.norm(where[query] - where[database], axis=1) / radius)
+    held = np.array([pair in found for pair in zip(query.tolist(), database.tolist(), strict=True)])
+    print("| common ground | revisits | found |\n|---|---|---|")
+    for low, high in ((0.0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 1.01)):
+        inside = (share >= low) & (share < high)
+        if inside.any():
+            found_share = held[inside].mean()
+            print(f"| {low:.0%} to {min(high, 1):.0%} | {inside.sum():,} | {found_share:.3f} |")
+
+
+def _overlap(distance: Any) -> Any:
+    """Compute the share of a disc of radius 1 that another one covers at some distance."""
+    half = np.clip(distance / 2, 0, 1)
+    return 2 / np.pi * (np.arccos(half) - half * np.sqrt(1 - half**2))
+
+
+def _kill(bench: Bench, data: Path, out: Path) -> None:
+    """Kill a run some times on the way, and compare what it makes in the end."""
+    again = bench.folder / "killed.json"
+    again.unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory(dir=bench.folder) as cache:
+        command = [*GPGRAD, "detect", str(data), "--out", str(again), "--cache", cache]
+        for _ in range(bench.kills):
+            run = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+            wait = random.uniform(15, 0.12 * bench.submaps)
+            try:
+                run.wait(wait)
+            except subprocess.TimeoutExpired:
+                run.send_signal(signal.SIGKILL)
+                run.wait()
+                print(f"killed after {wait:.0f} s; a file was left: {again.exists()}")
+        start = time.monotonic()
+        subprocess.run(command, check=True)
+        print(f"the last run took {time.monotonic() - start:.0f} s")
+        start = time.monotonic()
+        again.rename(bench.folder / "first.json")
+        for flags in (("--closure.min-score", "5"), ("--registration.inlier-radius", "0.4")):
+            start = time.monotonic()
+            subprocess.run([*command, *flags, "--overwrite"], check=True)
+            print(f"again with {' '.join(flags)}: {time.monotonic() - start:.0f} s")
+    contents = [json.loads(path.read_text()) for path in (out, bench.folder / "first.json")]
+    for content in contents:
+        content.pop("seconds")
+    print(f"the same content: {contents[0] == contents[1]}")
+
+
+def _run(*arguments: object) -> None:
+    subprocess.run([*GPGRAD, *map(str, arguments)], check=True)
+
+
+if __name__ == "__main__":
+    main()
