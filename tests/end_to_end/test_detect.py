@@ -2,13 +2,18 @@
 
 import json
 import math
+import tempfile
 from pathlib import Path
 
 import pytest
 
+import app.cli.detect
+from app.cli import run
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.outputs import read_closures
+from gpgrad_core.pipeline import keeping
 from gpgrad_core.run.parallel import WORTH_PROCESSES
+from gpgrad_core.run.store import Store
 from tests.end_to_end.process import Run, run_on_terminal
 
 
@@ -122,3 +127,25 @@ def test_an_interrupt_ends_all_workers_and_leaves_nothing(tmp_path: Path) -> Non
     assert "gpgrad: interrupted" in seen
     assert "Traceback" not in seen
     assert not out.exists()
+
+
+def test_without_a_cache_the_results_of_many_lie_in_a_folder_that_goes_with_the_run(
+    traverse: Path, detected: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app.cli.detect, "ALL_UP_TO", 2)  # as if four submaps were many
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    folders: list[str] = []
+
+    def noted(detector: object, store: Store | None) -> object:
+        assert store is not None
+        folders.append(str(store.folder))
+        return keeping(detector, store)  # type: ignore[type-var]
+
+    monkeypatch.setattr(app.cli.detect, "keeping", noted)
+    out = tmp_path / "closures.json"
+    assert run(["detect", str(traverse), "--out", str(out), "--cache", "none"]) == 0
+    assert read_closures(out).pairs == read_closures(detected / "closures.json").pairs
+    assert len(folders) == 1
+    assert folders[0].startswith(str(tmp_path / "gpgrad-results-"))
+    assert list(tmp_path.iterdir()) == [out]

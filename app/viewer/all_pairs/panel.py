@@ -18,6 +18,7 @@ ALL: str = "all"
 CANDIDATES: dict[str, Candidates] = {
     "automatic": "automatic",
     "all earlier ones": "all",
+    "the 5 best": 5,
     "the 10 best": 10,
     "the 30 best": 30,
     "the 100 best": 100,

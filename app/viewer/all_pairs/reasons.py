@@ -33,14 +33,19 @@ def shortlist_html(
         "the candidates whose keypoints fit best: by votes, which are associations that keep "
         "their distances, and by the similarity of all descriptors."
     )
-    head = "".join(
-        f'<th style="{FAINT};text-align:right;font-weight:400">{h}</th>' for h in HEADINGS
-    )
+    vectors = any(one.similarity for one in shortlist)  # of few submaps there are none
+    look = "padding-left:1em;text-align:right;font-weight:inherit"
+    head = "".join(f'<th style="{FAINT};{look}">{heading}</th>' for heading in HEADINGS)
     rows = "".join(
         f'<tr style="{"font-weight:700" if one.id == database else ""}">'
         + "".join(
-            f'<td style="padding-left:1em;text-align:right">{escape(cell)}</td>'
-            for cell in (str(k), one.id, str(one.votes), f"{one.similarity:.2f}")
+            f'<td style="{look}">{escape(cell)}</td>'
+            for cell in (
+                str(k),
+                one.id,
+                str(one.votes),
+                f"{one.similarity:.2f}" if vectors else "—",
+            )
         )
         + "</tr>"
         for k, one in enumerate(shortlist, start=1)
@@ -50,6 +55,6 @@ def shortlist_html(
         '<details><summary style="cursor:pointer">Why was this pair looked at?</summary>'
         f'<div style="line-height:1.45;margin:.3em 0">{escape(lead)}</div>'
         f'<table style="border-collapse:collapse;font-variant-numeric:tabular-nums">'
-        f"<tr>{head}</tr>{rows}</table></details>",
+        f'<tr style="font-weight:400">{head}</tr>{rows}</table></details>',
         "font-size:.85em",
     )

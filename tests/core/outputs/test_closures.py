@@ -10,6 +10,7 @@ import pytest
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs import (
+    ClosureWriter,
     read_closures,
     report_closures,
     restore_closures,
@@ -67,6 +68,25 @@ def test_the_file_has_what_the_contract_promises(
     # Nothing was compared: null, for JSON has no infinity.
     assert content["pairs"][0]["dissimilarity"] is None
     assert content["pairs"][0]["T_database_query"] is None
+
+
+def test_pairs_are_written_as_they_come_and_nothing_is_left_of_half_a_file(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    report = report_closures(dataset, result, PipelineParams())
+    write_closures(tmp_path / "whole.json", report)
+    with ClosureWriter(tmp_path / "streamed.json") as writer:
+        for closure in result.closures:
+            writer.add(closure)
+        writer.write(replace(report, pairs=()))
+    assert writer.num_pairs == len(result.closures)
+    files = [tmp_path / "streamed.json", tmp_path / "whole.json"]
+    assert files[0].read_bytes() == files[1].read_bytes()
+    with ClosureWriter(tmp_path / "half.json") as writer:
+        writer.add(result.closures[0])  # and then something fails
+    assert sorted(tmp_path.iterdir()) == files
+    write_closures(tmp_path / "none.json", replace(report, pairs=()))
+    assert read_closures(tmp_path / "none.json").pairs == ()
 
 
 def test_what_is_written_is_read(dataset: Dataset, result: DetectionResult, tmp_path: Path) -> None:
