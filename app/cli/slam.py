@@ -1,14 +1,24 @@
 """``gpgrad slam``: correct a traverse by its loop closures."""
 
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 from typing_extensions import Doc
 
+from app.cli.comparing import (
+    SchedulerFlag,
+    at_least_for_now,
+    compare,
+    must_send,
+    shared,
+    workers_for,
+)
 from app.cli.flags import Given
 from app.cli.inputs import (
     ALL_PARAMS,
@@ -18,6 +28,7 @@ from app.cli.inputs import (
     CandidatesFlag,
     ParamsFile,
     base_params,
+    load_sources,
     open_store,
     settled,
     tell_damaged,
@@ -28,6 +39,7 @@ from gpgrad_core.datasets import outline_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import check_directory
 from gpgrad_core.fitting import representative
+from gpgrad_core.methods import find_method
 from gpgrad_core.outputs import (
     check_apart,
     read_closures,
@@ -35,12 +47,12 @@ from gpgrad_core.outputs import (
     restore_closures,
     write_closures,
 )
-from gpgrad_core.pipeline import DetectionResult, PipelineParams
+from gpgrad_core.pipeline import DetectionResult, PipelineParams, check_affordable
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.run.whole import whole_folder
-from gpgrad_core.shortlist import Candidates, read_candidates
+from gpgrad_core.shortlist import Candidates, num_wanted, read_candidates
 from gpgrad_core.slam import (
     GraphParams,
     JoinedDatasets,
@@ -100,6 +112,7 @@ class Slam:
         SolverParams
     )
     merged: Annotated[Given[MergeParams], Doc("The merged cloud and map.")] = Given(MergeParams)
+    scheduler: SchedulerFlag = None
     overwrite: Overwrite = False
     cache: Cache = USERS_CACHE
     params: ParamsFile = None
@@ -109,6 +122,11 @@ class Slam:
         """Detect, solve, judge and write."""
         check_directory(self.out)
         candidates = read_candidates(self.candidates)
+        if self.search_radius is not None and self.scheduler is not None:
+            raise InputError(
+                "--scheduler does not go with --search-radius, which compares submap after submap; "
+                "leave one of them out"
+            )
         if self.search_radius is not None and not self.search_radius > 0:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
         store = open_store(self.cache)
@@ -118,16 +136,20 @@ class Slam:
         odometry_poses(dataset)  # refuses what lacks it before the work
         given = restore_closures(read_closures(self.closures)) if self.closures else None
         check_solver()
-        for note in dataset.notes:
-            warn(note)
         params = self.pipeline.over(base_params(dataset, self.params))
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
         some = [joined.load(k)[0] for k in representative(len(dataset.submaps))]
         params = settled(params, some, dataset.name, store)
         with whole_folder(self.out, earlier=self._names(joined)) as folder:
             self._check_out(joined)  # another process may just have ended
-            closures = given
-            if closures is None:
+            closures: Sequence[LoopClosure]
+            if given is not None:
+                for note in dataset.notes:
+                    warn(note)
+                closures = given
+            elif self.search_radius is None:
+                closures = self._compare(joined, params, folder, candidates, store)
+            else:
                 closures = self._detect(joined, params, graph, solver, folder, candidates, store)
             tell_damaged(store)
             solution = solve_datasets(joined, closures, graph, solver)
@@ -155,6 +177,37 @@ class Slam:
             [self.out / name for name in names], [*self.datasets, self.closures, self.params]
         )
 
+    def _compare(
+        self,
+        joined: JoinedDatasets,
+        params: PipelineParams,
+        folder: Path,
+        candidates: Candidates,
+        store: Store | None,
+    ) -> tuple[LoopClosure, ...]:
+        """Find the closures as `gpgrad detect` does, and write them beside the results."""
+        count_all = len(joined.outline.clouds)
+        num_pairs = sum(num_wanted(candidates, k) for k in range(count_all))
+        with (
+            at_least_for_now(store, count_all) as room,
+            workers_for(self.scheduler, num_pairs) as executor,
+        ):
+            kept = shared(room, executor, joined.outline)
+            check = partial(check_affordable, params=params)
+            dataset, sources = load_sources(
+                joined.outline, check, keep_all=must_send(kept, executor)
+            )
+            return compare(
+                dataset,
+                sources,
+                params,
+                folder / "closures.json",
+                method=find_method("gradient"),
+                store=kept,
+                candidates=candidates,
+                executor=executor,
+            ).accepted
+
     def _detect(
         self,
         joined: JoinedDatasets,
@@ -165,7 +218,9 @@ class Slam:
         candidates: Candidates,
         store: Store | None,
     ) -> tuple[LoopClosure, ...]:
-        """Find the closures submap by submap, and keep them beside the results."""
+        """Find the closures submap by submap, among those that are near by the estimate so far."""
+        for note in joined.outline.dataset.notes:
+            warn(note)
         total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
         with (
             progress_bar("closures") as progress,
@@ -189,7 +244,7 @@ class Slam:
                     submap,
                     part(progress, (k / total) ** 2, ((k + 1) / total) ** 2),
                     starts_traverse=submap.id in joined.starts,
-                    solve=self.search_radius is not None,
+                    solve=True,
                 )
             closures = closer.closures
         seconds = {"total": time.perf_counter() - start}

@@ -101,6 +101,7 @@ def _completed(submap: Submap, known: Submap) -> Submap:
     """Add to a cloud what the dataset knows of the submap."""
     return replace(
         submap,
+        id=known.id,
         pose_true=known.pose_true,
         pose_odometry=known.pose_odometry,
         images=known.images,

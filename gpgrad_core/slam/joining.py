@@ -54,12 +54,8 @@ class JoinedDatasets:
         return tuple(names[0] for names in self.traverses.values())[1:]
 
     def load(self, k: int) -> tuple[Submap, tuple[str, ...]]:
-        """Load submap number k and give it its id among the joined datasets.
-
-        See `Outline.load`.
-        """
-        submap, notes = self.outline.load(k)
-        return replace(submap, id=self.outline.dataset.submaps[k].id), notes
+        """Load submap number k, with its id among the joined datasets; see `Outline.load`."""
+        return self.outline.load(k)
 
 
 def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
