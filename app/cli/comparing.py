@@ -1,6 +1,7 @@
 """Compares the pairs of a dataset of any size, on this machine or on a cluster."""
 
 import math
+import sys
 from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager
@@ -13,6 +14,7 @@ from typing_extensions import Doc
 
 from app.cli.terminal import progress_bar
 from gpgrad_core.datasets import Outline
+from gpgrad_core.datasets.folder import MOST_LOADED
 from gpgrad_core.methods import Method
 from gpgrad_core.outputs import ClosureWriter, report_closures
 from gpgrad_core.pipeline import PipelineParams, detect_loop_closures, keeping
@@ -136,6 +138,13 @@ def shared(store: Store | None, executor: Executor, outline: Outline) -> Store |
     return store if sees else None
 
 
-def must_send(store: Store | None, executor: Executor) -> bool:
-    """Tell whether clouds must be sent to the workers, so that all of them are needed here."""
-    return isinstance(executor, Cluster) and store is None
+def kept_in_memory(store: Store | None, executor: Executor) -> int:
+    """Give the bytes of points to keep here: all to be sent to a cluster, or none if it sees them.
+
+    Args:
+        store: The store that the workers share, if they do.
+        executor: The workers.
+    """
+    if not isinstance(executor, Cluster):
+        return MOST_LOADED
+    return sys.maxsize if store is None else 0

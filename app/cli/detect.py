@@ -13,7 +13,7 @@ from app.cli.comparing import (
     SchedulerFlag,
     at_least_for_now,
     compare,
-    must_send,
+    kept_in_memory,
     shared,
     workers_for,
 )
@@ -96,7 +96,9 @@ class Detect:
             workers_for(self.scheduler, num_pairs) as executor,
         ):
             kept = shared(room, executor, outline)
-            dataset, sources = load_sources(outline, check, keep_all=must_send(kept, executor))
+            dataset, sources = load_sources(
+                outline, check, most_bytes=kept_in_memory(kept, executor)
+            )
             if method.fitted:  # to the whole dataset, so that a single pair gets the same verdict
                 some = [sources[k].load() for k in representative(num_submaps)]
                 asked = settled(asked, some, dataset.name, store)

@@ -1,6 +1,5 @@
 """What most verbs read: a dataset, a file of parameters, and the flags that they share."""
 
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -64,22 +63,23 @@ def load(path: Path) -> Dataset:
 
 
 def load_sources(
-    outline: Outline, check: Callable[[Submap], None] | None = None, *, keep_all: bool = False
+    outline: Outline,
+    check: Callable[[Submap], None] | None = None,
+    *,
+    most_bytes: int = MOST_LOADED,
 ) -> tuple[Dataset, tuple[SubmapSource, ...]]:
     """Read a dataset of any size, and report what reading left out.
 
     Args:
         outline: The dataset.
         check: Called with each submap; may raise an error.
-        keep_all: Whether to keep all points in memory, however many there are.
+        most_bytes: Bytes of points to keep in memory.
 
     Returns:
         The dataset, whose submaps lack their points, and where they are loaded from.
     """
     with progress_bar("load") as progress:
-        dataset, sources = open_dataset(
-            outline, progress, check=check, most_bytes=sys.maxsize if keep_all else MOST_LOADED
-        )
+        dataset, sources = open_dataset(outline, progress, check=check, most_bytes=most_bytes)
     for note in dataset.notes:
         warn(note)
     return dataset, sources

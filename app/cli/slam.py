@@ -15,7 +15,7 @@ from app.cli.comparing import (
     SchedulerFlag,
     at_least_for_now,
     compare,
-    must_send,
+    kept_in_memory,
     shared,
     workers_for,
 )
@@ -195,7 +195,7 @@ class Slam:
             kept = shared(room, executor, joined.outline)
             check = partial(check_affordable, params=params)
             dataset, sources = load_sources(
-                joined.outline, check, keep_all=must_send(kept, executor)
+                joined.outline, check, most_bytes=kept_in_memory(kept, executor)
             )
             return compare(
                 dataset,

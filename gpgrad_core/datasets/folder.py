@@ -26,8 +26,8 @@ ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first one that exists is
 ABOUT_FILE = "dataset.toml"
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
 NO_POINTS = np.empty((0, 3))
-MOST_LOADED = 300_000_000
-"""Bytes of points that `open_dataset` keeps in memory."""
+MOST_LOADED = 100_000_000
+"""Bytes of points that `open_dataset` keeps in memory, and that processes send each other."""
 JOURNAL = "build.jsonl"
 """Name of the journal of a build; it tells what the submaps were made of."""
 SIMULATED = "gpgrad simulate"

@@ -35,9 +35,9 @@ Work: TypeAlias = Callable[[J, Progress], R]
 
 LOOK_EVERY = 0.05
 """Seconds between two reports while workers are busy."""
-AHEAD = 256
-"""Largest number of jobs that are begun before the first of them is done; more for a large cluster.
-So there is never more to keep, however many jobs there are."""
+AHEAD_A_WORKER = 16
+"""Largest number of jobs for each worker that are begun before the first of them is done. So there
+is never more to keep, however many jobs there are."""
 SOCKETS = "gpgrad-w-"
 LONGEST_FOLDER = 50
 """Longest name of a folder for the socket: macOS allows 103 bytes for its whole name."""
@@ -181,7 +181,7 @@ def take_in_turn(
         return
     tally = _Tally(len(jobs))
     begun: deque[tuple[int, Future[R]]] = deque()  # in the order of the jobs, not yet taken
-    waiting, ahead = deque(enumerate(jobs)), max(AHEAD, 4 * num_side_by_side(executor))
+    waiting, ahead = deque(enumerate(jobs)), AHEAD_A_WORKER * num_side_by_side(executor)
 
     def begin() -> None:
         while waiting and len(begun) < ahead and not tally.stop.is_set():

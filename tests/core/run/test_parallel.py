@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from gpgrad_core.run.parallel import AHEAD, run_jobs, take_in_turn
+from gpgrad_core.run.parallel import AHEAD_A_WORKER, num_side_by_side, run_jobs, take_in_turn
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 
 
@@ -53,7 +53,7 @@ def test_progress_rises_to_one_and_is_heard_in_the_callers_thread(
 
 def test_results_are_handed_over_as_they_are_ready(threads: ThreadPoolExecutor) -> None:
     begun, taken, caller = list[int](), list[int](), threading.current_thread()
-    most_ahead = 0
+    ahead, most_ahead = AHEAD_A_WORKER * num_side_by_side(threads), 0
 
     def work(job: int, _: Progress) -> int:
         nonlocal most_ahead
@@ -66,10 +66,10 @@ def test_results_are_handed_over_as_they_are_ready(threads: ThreadPoolExecutor) 
         assert threading.current_thread() is caller
         taken.append(result)
 
-    take_in_turn(work, range(3 * AHEAD), take, threads)
-    assert taken == list(range(3 * AHEAD))
+    take_in_turn(work, range(3 * ahead), take, threads)
+    assert taken == list(range(3 * ahead))
     assert sorted(begun) == taken
-    assert most_ahead <= AHEAD
+    assert most_ahead <= ahead
 
 
 def test_one_who_takes_may_stop_the_rest(threads: ThreadPoolExecutor) -> None:
@@ -84,8 +84,8 @@ def test_one_who_takes_may_stop_the_rest(threads: ThreadPoolExecutor) -> None:
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        take_in_turn(work, range(10 * AHEAD), take, threads)
-    assert len(done) <= AHEAD + 3
+        take_in_turn(work, range(100 * AHEAD_A_WORKER), take, threads)
+    assert len(done) <= AHEAD_A_WORKER * num_side_by_side(threads) + 3
     assert threads.submit(int, "7").result(timeout=5) == 7
 
 
