@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-import app.cli.detect
+import app.cli.comparing
 from app.cli import run
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.outputs import read_closures
@@ -132,7 +132,7 @@ def test_an_interrupt_ends_all_workers_and_leaves_nothing(tmp_path: Path) -> Non
 def test_without_a_cache_the_results_of_many_lie_in_a_folder_that_goes_with_the_run(
     traverse: Path, detected: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(app.cli.detect, "ALL_UP_TO", 2)  # as if four submaps were many
+    monkeypatch.setattr(app.cli.comparing, "ALL_UP_TO", 2)  # as if four submaps were many
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
     folders: list[str] = []
@@ -142,7 +142,7 @@ def test_without_a_cache_the_results_of_many_lie_in_a_folder_that_goes_with_the_
         folders.append(str(store.folder))
         return keeping(detector, store)  # type: ignore[type-var]
 
-    monkeypatch.setattr(app.cli.detect, "keeping", noted)
+    monkeypatch.setattr(app.cli.comparing, "keeping", noted)
     out = tmp_path / "closures.json"
     assert run(["detect", str(traverse), "--out", str(out), "--cache", "none"]) == 0
     assert read_closures(out).pairs == read_closures(detected / "closures.json").pairs

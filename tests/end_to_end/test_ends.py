@@ -274,7 +274,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("it began to work")
 
     for place in (
-        *("gpgrad_core.datasets.simulate.run_jobs", "app.cli.detect.detect_loop_closures"),
+        *("gpgrad_core.datasets.simulate.run_jobs", "app.cli.comparing.detect_loop_closures"),
         *("app.cli.detect.settled", "app.cli.evaluate.run_methods", "app.cli.slam.settled"),
         *("app.cli.fit.fit_parameters", "app.cli.map.infer_gradient_map"),
         *("gpgrad_core.scans.simulate.make_terrain", "gpgrad_core.scans.build.open_recording"),
