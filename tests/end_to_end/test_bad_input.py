@@ -87,6 +87,7 @@ def test_one_broken_cloud_of_a_dataset_is_named(
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_broken_rows_are_dropped_and_counted_aloud(
     gpgrad: Run, traverse: Path, tmp_path: Path
 ) -> None:

@@ -119,6 +119,7 @@ def session(number: int) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 @linux
 def test_the_viewer_takes_its_uploads_along(traverse: Path, tmp_path: Path) -> None:
     """Under SIGTERM it left them in the temporary folder."""
