@@ -12,7 +12,7 @@ from app.viewer.widgets.pair_list import PairList
 from app.viewer.widgets.work_bar import WorkBar
 from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES, Candidates
 
-INTRODUCTION = "Compare every submap with all earlier ones, using the present parameters."
+INTRODUCTION = "Compare every submap with earlier ones, using the present parameters."
 NO_CHOICE: str = "choose a pair …"
 ALL: str = "all"
 CANDIDATES: dict[str, Candidates] = {
