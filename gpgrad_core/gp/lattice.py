@@ -48,7 +48,7 @@ BYTES_A_POINT = 1300
 MAX_STEPS = 50
 MAX_STRIPS = 1024
 MANY_STEPS = 1e5
-"""Information from which a fit is taken to need twice as long; up to a hundredth of it, no longer."""
+"""Information from which a fit is taken to need twice as long; up to a hundredth of it, as long."""
 SECONDS_A_PRODUCT, SECONDS_A_BLOCK, SECONDS_A_POINT, SECONDS = 6.2e-11, 9e-4, 2.0e-5, 0.011
 """Seconds of a fit and its samples on two cores of 2.8 GHz: for the cube of the nodes in a block,
 for a block, for a point, and constant (fitted to 90 clouds and length-scales, within 25 %)."""
