@@ -25,6 +25,7 @@ from app.viewer.state import (
     with_params,
     with_probe,
 )
+from app.viewer.widgets.bridge import Bridge
 from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.run.memo import Memo
@@ -105,6 +106,7 @@ class Desk:
 
     Attributes:
         host: Whose GUI and scene the session fills.
+        bridge: Hears the HTML of the session.
         memo: Results of the pipeline, shared by all sessions.
         capacity: What a worker must hold while it computes, shared by all sessions.
         permissions: What may be read and written.
@@ -120,6 +122,7 @@ class Desk:
     ) -> None:
         """Begin at a state, without features."""
         self.host = host
+        self.bridge = Bridge(host)
         self.memo = memo
         self.capacity = capacity
         self.permissions = permissions

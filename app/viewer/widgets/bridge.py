@@ -1,0 +1,137 @@
+"""The bridge from the viewer's own HTML to Python: a click on a cell of a picture, for instance.
+
+viser shows HTML, but tells nothing of what happens in it. Its pages do run inline handlers, though,
+and send what is typed into a text box. So the bridge has a text box that nobody sees: a script
+writes a message into it, and viser brings that here like any other input, past the same checks.
+This depends on how viser builds its pages, so nothing else does it, and a browser test watches it.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from html import escape
+from typing import TypeAlias
+
+import msgspec
+import viser
+
+from app.viewer.host import Host
+from app.viewer.widgets.actions import on_choice_by
+
+Value: TypeAlias = str | float | bool | None
+Data: TypeAlias = Mapping[str, Value]
+"""What a page says: plain values by name. They come from outside: whoever takes them checks them.
+"""
+Act: TypeAlias = Callable[[viser.ClientHandle, Data], None]
+
+BETWEEN_MS = 70
+"""viser's pages send only the last of the inputs that come within 50 ms."""
+
+# `say` queues its messages. `newest` replaces what waits under the same name, as a drag needs it.
+SCRIPT = """
+(box => {
+  if (!window.gpgrad) {
+    const waiting = [];
+    let number = 0, busy = false;
+    const send = () => {
+      let row = document.querySelector(`label[for="${window.gpgrad.box}"]`);
+      while (row && !row.querySelector('input')) row = row.parentElement;
+      const input = row && row.querySelector('input');
+      if (!waiting.length || !input) { busy = false; return; }
+      busy = true;
+      const text = JSON.stringify({number: ++number, ...waiting.shift()});
+      Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(input, text);
+      input.dispatchEvent(new Event('input', {bubbles: true}));
+      setTimeout(send, BETWEEN_MS);
+    };
+    window.gpgrad = {
+      say(name, data = {}, newest = false) {
+        const same = newest ? waiting.find(one => one.name === name) : null;
+        if (same) same.data = data; else waiting.push({name, data});
+        if (!busy) send();
+      },
+    };
+  }
+  window.gpgrad.box = box;
+})(BOX)
+""".replace("BETWEEN_MS", str(BETWEEN_MS))
+
+
+class _Said(msgspec.Struct, forbid_unknown_fields=True):
+    """A message from a page. Its number makes it differ from the message before."""
+
+    number: int
+    name: str
+    data: dict[str, Value]
+
+
+class Bridge:
+    """Takes what the viewer's own HTML says, and hands it on by name."""
+
+    def __init__(self, host: Host) -> None:
+        """Put the text box and the script into the current container, unseen.
+
+        Args:
+            host: Whose pages they join.
+        """
+        # In a folder of its own, because the boxes of a container delay each other's values.
+        self._folder = host.gui.add_folder("Bridge")
+        with self._folder:
+            self._box = host.gui.add_text("bridge", "")
+        self._script = host.gui.add_html("")
+        self._script.content = self._hidden_script()
+        self._acts: dict[str, Act] = {}
+        on_choice_by(self._box, self._take)
+
+    def hear(self, name: str, act: Act) -> None:
+        """Call something whenever a page says a name.
+
+        Args:
+            name: Given to `say`.
+            act: Given the page and what it said; must be quick, and check what it is given.
+        """
+        self._acts[name] = act
+
+    def _take(self, page: viser.ClientHandle, text: str) -> None:
+        said = read_said(text)
+        if said is not None and said[0] in self._acts:
+            self._acts[said[0]](page, said[1])
+
+    def _hidden_script(self) -> str:
+        """Write the script and the style that hides the folder."""
+        box = self._box._impl.uuid  # pyright: ignore[reportPrivateUsage]
+        script = escape(SCRIPT.replace("BOX", json.dumps(box)))
+        inside = f'label[for="{box}"]'
+        folder = f".mantine-Paper-root:has({inside}):not(:has(.mantine-Paper-root {inside}))"
+        # A picture that cannot be loaded runs its handler each time the HTML is put into a page.
+        return (
+            f"<style>{folder}{{display:none}}</style>"
+            f'<div data-testid="bridge" style="display:none">'
+            f'<img alt="" src="data:," onerror="{script}"></div>'
+        )
+
+
+def read_said(text: str) -> tuple[str, Data] | None:
+    """Read a name and what goes with it; None for a text that no script of ours writes."""
+    try:
+        said = msgspec.json.decode(text, type=_Said)
+    except (msgspec.MsgspecError, UnicodeEncodeError, RecursionError):
+        return None
+    return said.name, said.data
+
+
+def say(name: str, /, *, newest: bool = False, **data: Value) -> str:
+    """Write an inline handler that says something, for an attribute such as ``onclick``.
+
+    >>> say("open", query="003")
+    'gpgrad.say(&quot;open&quot;,{&quot;query&quot;:&quot;003&quot;},false)'
+
+    Args:
+        name: What `Bridge.hear` listens for.
+        newest: Whether it may take the place of the same that has not been sent yet.
+        data: Values that go with it.
+
+    Returns:
+        JavaScript, escaped for an attribute in double quotes.
+    """
+    words = (json.dumps(name), json.dumps(data, separators=(",", ":")), json.dumps(newest))
+    return escape(f"gpgrad.say({','.join(words)})")

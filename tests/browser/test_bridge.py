@@ -1,0 +1,48 @@
+"""The bridge from the viewer's own HTML to Python, in a real page of viser's."""
+
+import pytest
+import viser
+
+from app.viewer.widgets.actions import on_choice
+from app.viewer.widgets.bridge import Bridge, Data, say
+
+pytest.importorskip("playwright")
+
+
+def test_what_html_says_arrives_once_and_in_order(browser: object) -> None:
+    heard: list[tuple[str, Data]] = []
+    slid: list[float] = []
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    bridge = Bridge(server)
+    bridge.hear("cell", lambda _, data: heard.append(("cell", data)))
+    bridge.hear("drag", lambda _, data: heard.append(("drag", data)))
+    slider = server.gui.add_slider("Slider", 0.0, 1.0, 0.1, 0.0)
+    on_choice(slider, slid.append)
+    name = "a \"quoted\" 'name' <b> & é"
+    server.gui.add_html(
+        f'<svg width="20" height="20"><rect data-testid="cell" width="20" height="20" '
+        f'onclick="{say("cell", query=name, row=3)}"/></svg>'
+    )
+    try:
+        page = browser.new_page()  # type: ignore[attr-defined]
+        page.goto(f"http://127.0.0.1:{server.get_port()}/")
+        cell = page.get_by_test_id("cell")
+        cell.click(timeout=60_000)
+        cell.click()  # the same words again are another message
+        page.evaluate("for (let k = 0; k < 9; k++) gpgrad.say('drag', {to: k}, true)")
+        page.evaluate("gpgrad.say('nobody hears this', {})")
+        page.evaluate("gpgrad.say('cell', {query: 'last', row: 0})")
+        end = 100
+        while not (heard and heard[-1][1].get("query") == "last") and end:
+            page.wait_for_timeout(100)
+            end -= 1
+        cells = [data for what, data in heard if what == "cell"]
+        assert cells == [{"query": name, "row": 3}, {"query": name, "row": 3}, cells[-1]]
+        drags = [data["to"] for what, data in heard if what == "drag"]
+        assert drags[-1] == 8
+        assert len(drags) <= 3
+        assert not page.get_by_text("bridge").first.is_visible()
+        assert slid == []
+        page.close()
+    finally:
+        server.stop()
