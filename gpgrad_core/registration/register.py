@@ -1,6 +1,6 @@
 """Algorithm 1, and what gpgrad adds to it: more candidate motions, alignment, one score."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,7 +13,7 @@ from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.placement import Sharp, place, sharpen
 from gpgrad_core.registration.ransac import find_motions, one_to_one
 from gpgrad_core.registration.relief import Relief, make_relief
-from gpgrad_core.registration.search import Spectra, make_spectra, search_motions
+from gpgrad_core.registration.search import search_motions
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import (
@@ -48,17 +48,11 @@ class Prepared:
         relief: The elevation, smoothed over the scale of comparison.
         sharp: The elevation without smoothing, and its long waves, for the final alignment.
         thin: The cells for the dense check.
-        spectra: Fourier transforms of the relief, for the exhaustive search.
     """
 
     relief: Relief
     sharp: Sharp
     thin: ThinMap
-    spectra: Spectra = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Compute the transforms once."""
-        object.__setattr__(self, "spectra", make_spectra(self.relief))
 
 
 def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Prepared:
@@ -116,7 +110,7 @@ def register_prepared(
     if not all(relief.trusted.any() for relief in maps):
         return _nothing(len(matches), progress, nothing_trusted=True)
     starts = find_motions(matches, params, params.radius(maps[1].scale))
-    starts += search_motions(*maps, (query.spectra, database.spectra), params.searched)
+    starts += search_motions(*maps, params.searched)
     progress(0.3)
     best: _Candidate | None = None
     if starts:

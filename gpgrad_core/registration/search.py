@@ -1,6 +1,7 @@
 """Exhaustive search over all yaws and shifts: candidate motions that need no keypoints."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil, cos, sin
 
 import cv2
@@ -32,7 +33,7 @@ APART = 2
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Fourier transforms of one map at all yaws, for the search.
+    """Fourier transforms of one map at some yaws, for the search.
 
     Attributes:
         cell: Side of a cell [m].
@@ -53,11 +54,18 @@ class Spectra:
         return self.values.shape[2]
 
 
-def make_spectra(relief: Relief, cell: float | None = None, size: int | None = None) -> Spectra:
-    """Rotate a map by all yaws and transform it, once for all pairs that it is in.
+@lru_cache(maxsize=16)
+def make_spectra(
+    relief: Relief, num_yaws: int, cell: float | None = None, size: int | None = None
+) -> Spectra:
+    """Rotate a map by the first yaws and transform it.
+
+    The last results are kept, because a query is compared with many databases in a row. They are
+    too large to be kept with each map.
 
     Args:
         relief: The map.
+        num_yaws: `NUM_YAWS` for the query; 1 for the database, which is not rotated.
         cell: Side of a cell [m]; None chooses it by the map's extent.
         size: Side of the images [cells]; None chooses the smallest that serves two maps of this
             extent.
@@ -78,7 +86,8 @@ def make_spectra(relief: Relief, cell: float | None = None, size: int | None = N
         size = next((one for one in SIZES if one >= 4 * half - 3), SIZES[-1])
     terrain = relief.terrain if cell == finest else level_octaves(relief, cell / 2)
     images = np.dstack([terrain, relief.trusted.astype(np.float32)])
-    turned = np.stack([_turn(images, relief, middle, yaw, cell, half) for yaw in _yaws()])
+    yaws = _yaws()[:num_yaws]
+    turned = np.stack([_turn(images, relief, middle, yaw, cell, half) for yaw in yaws])
     mask = (turned[..., 1] > 0.99).astype(np.float32)
     masked = turned[..., 0] * mask
     fields = np.stack([masked, mask, masked * masked], axis=1)
@@ -86,18 +95,12 @@ def make_spectra(relief: Relief, cell: float | None = None, size: int | None = N
     return Spectra(cell, middle, half, values.astype(np.complex64, copy=False))
 
 
-def search_motions(
-    query: Relief,
-    database: Relief,
-    spectra: tuple[Spectra, Spectra],
-    wanted: int,
-) -> list[SE2]:
+def search_motions(query: Relief, database: Relief, wanted: int) -> list[SE2]:
     """Find the distinct motions under which the terrain of two maps correlates best.
 
     Args:
         query: The map to be placed.
         database: The map on which it is placed.
-        spectra: The spectra of the query and of the database.
         wanted: Number of motions to find.
 
     Returns:
@@ -105,10 +108,11 @@ def search_motions(
     """
     if wanted == 0 or not query.trusted.any() or not database.trusted.any():
         return []
-    of_query, of_database = _comparable(query, database, spectra)
+    of_query, of_database = _comparable(query, database)
     size, cell = of_query.size, of_query.cell
-    turned, fixed = np.conj(of_query.values), of_database.values[0]
-    terrain, mask, squared = (turned[:, k] for k in range(3))
+    # The conjugate of the other factor gives the mirrored correlation, but it is the larger one.
+    fixed = np.conj(of_database.values[0])
+    terrain, mask, squared = (of_query.values[:, k] for k in range(3))
     common, product, energy, energy_database = (
         scipy.fft.irfft2(spectrum, s=(size, size), workers=1, overwrite_x=True)
         for spectrum in (mask * fixed[1], terrain * fixed[0], squared * fixed[1], mask * fixed[2])
@@ -121,7 +125,7 @@ def search_motions(
         row, column = divmod(int(best.argmax()), size)
         if best[row, column] <= 0:
             break
-        shift = np.array([column, row])
+        shift = -np.array([column, row])
         shift = (shift + size // 2) % size - size // 2 + of_query.half - of_database.half
         yaw = float(_yaws()[score[:, row, column].argmax()])
         offset = of_database.middle + cell * shift - SE2(yaw=yaw).rotation @ of_query.middle
@@ -148,7 +152,10 @@ def _score(
     np.maximum(common, 0.0, out=common)
     # The small addition keeps flat ground and rounding errors from correlating.
     np.maximum(energy, 0.0, out=energy)
-    energy += 1e-3 * common * common + np.float32(1e-6)
+    floor = np.multiply(common, common)
+    floor *= np.float32(1e-3)
+    floor += np.float32(1e-6)
+    energy += floor
     np.maximum(product, 0.0, out=product)
     product *= product
     product /= energy
@@ -163,14 +170,14 @@ def _yaws() -> Float[Array, "yaws"]:
     return 2 * np.pi / NUM_YAWS * np.arange(NUM_YAWS, dtype=np.float64)
 
 
-def _comparable(
-    query: Relief, database: Relief, spectra: tuple[Spectra, Spectra]
-) -> tuple[Spectra, Spectra]:
-    """Bring two spectra to the same cell and size; mostly they have these already."""
-    cell, size = max(s.cell for s in spectra), max(s.size for s in spectra)
+def _comparable(query: Relief, database: Relief) -> tuple[Spectra, Spectra]:
+    """Transform two maps with the same cell and size; mostly they have these already."""
+    wanted = (query, NUM_YAWS), (database, 1)
+    both = [make_spectra(*one) for one in wanted]
+    cell, size = max(one.cell for one in both), max(one.size for one in both)
     of_query, of_database = (
-        one if (one.cell, one.size) == (cell, size) else make_spectra(relief, cell, size)
-        for relief, one in zip((query, database), spectra, strict=True)
+        one if (one.cell, one.size) == (cell, size) else make_spectra(*again, cell, size)
+        for again, one in zip(wanted, both, strict=True)
     )
     return of_query, of_database
 

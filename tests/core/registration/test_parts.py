@@ -18,7 +18,7 @@ from gpgrad_core.registration.evidence import (
 )
 from gpgrad_core.registration.placement import sharpen
 from gpgrad_core.registration.relief import make_relief
-from gpgrad_core.registration.search import make_spectra, search_motions
+from gpgrad_core.registration.search import NUM_YAWS, make_spectra, search_motions
 from gpgrad_core.registration.uncertainty import NUM_BANDS, BandNoise, band_edges
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, GradientMap, Grid
@@ -26,7 +26,6 @@ from tests.core.ground import Ground
 from tests.core.registration.synthetic import DATABASE, GRID, GROUND, map_of
 
 RELIEF = make_relief(DATABASE)
-SPECTRA = make_spectra(RELIEF)
 
 
 def distance(found: SE2, true: SE2) -> float:
@@ -35,27 +34,35 @@ def distance(found: SE2, true: SE2) -> float:
 
 
 @pytest.mark.parametrize("yaw", [-3.0, -1.1, 0.0, 0.7, 2.4])
-@pytest.mark.parametrize("size", [None, 128])
-def test_the_search_finds_any_turn_and_shift(yaw: float, size: int | None) -> None:
+def test_the_search_finds_any_turn_and_shift(yaw: float) -> None:
     true = SE2(1.3, -2.1, yaw)
-    relief = make_relief(map_of(true))
-    spectra = make_spectra(relief, size=size)  # of another size: it is made anew for the pair
-    found = search_motions(relief, RELIEF, (spectra, SPECTRA), 3)
+    found = search_motions(make_relief(map_of(true)), RELIEF, 3)
     assert len(found) == 3
     assert distance(found[0], true) < 0.6  # a cell
     assert abs(math.remainder(found[0].yaw - yaw, math.tau)) <= math.radians(5) + 1e-9
 
 
+def test_the_search_transforms_a_smaller_map_like_the_larger_one() -> None:
+    true = SE2(0.3, -0.4, 0.7)
+    whole = make_relief(map_of(true))
+    rows, columns = whole.grid.shape
+    inner = np.zeros((rows, columns), bool)
+    inner[rows // 5 : -rows // 5, columns // 5 : -columns // 5] = True
+    part = replace(whole, trusted=whole.trusted & inner)
+    assert make_spectra(part, NUM_YAWS).size < make_spectra(RELIEF, 1).size
+    assert distance(search_motions(part, RELIEF, 3)[0], true) < 0.6
+
+
 def test_the_search_on_plain_ground_finds_nothing() -> None:
     plain = make_relief(map_of(SE2(), Ground.random(0, std=0.0)))
-    assert search_motions(plain, RELIEF, (make_spectra(plain), SPECTRA), 3) == []
+    assert search_motions(plain, RELIEF, 3) == []
 
 
 def test_cells_grow_on_wide_maps() -> None:
     grid = Grid((0.0, 0.0), 0.5, (160, 160))
     zero = np.zeros(grid.shape)
     wide = make_relief(GradientMap(grid, zero, zero, np.zeros((160, 160, 2)), 0.15, 0.3))
-    spectra = make_spectra(wide)
+    spectra = make_spectra(wide, NUM_YAWS)
     assert spectra.cell >= 1.2
     assert 2 * spectra.half <= 70
 
