@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from playwright.sync_api import Browser, BrowserContext, Locator, Page, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Locator, Page, Playwright, sync_playwright
 
 from app.viewer.modes.tab import PANEL_WIDTH
 from gpgrad_core.arrays import NDArray
@@ -52,14 +52,22 @@ def find_chromium() -> str | None:
 @contextmanager
 def launch(executable: str, flags: tuple[str, ...] = ()) -> Iterator[Browser]:
     """Start the browser, with further flags, and end it."""
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=executable, headless=True, args=[*FLAGS, *flags]
-        )
-        try:
-            yield browser
-        finally:
-            browser.close()
+    with sync_playwright() as playwright, launch_in(playwright, executable, flags) as browser:
+        yield browser
+
+
+@contextmanager
+def launch_in(
+    playwright: Playwright, executable: str, flags: tuple[str, ...] = ()
+) -> Iterator[Browser]:
+    """Do the same where a driver runs already: a process can have one only."""
+    browser = playwright.chromium.launch(
+        executable_path=executable, headless=True, args=[*FLAGS, *flags]
+    )
+    try:
+        yield browser
+    finally:
+        browser.close()
 
 
 class ViewerPage:

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import pytest
 
@@ -23,9 +24,12 @@ def unavailable(why: str) -> None:
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[object]:
+def start_browser() -> Iterator[Callable[..., object]]:
+    """Start browsers with further flags, from one driver: a process can have no second one."""
     try:
-        from tests.browser.chromium import find_chromium, launch  # noqa: PLC0415
+        from playwright.sync_api import sync_playwright  # noqa: PLC0415
+
+        from tests.browser.chromium import find_chromium, launch_in  # noqa: PLC0415
     except ModuleNotFoundError as error:
         unavailable(f"{error.name} is not installed")
         return
@@ -33,7 +37,13 @@ def browser() -> Iterator[object]:
     if executable is None:
         unavailable("no Chromium was found")
         return
-    with launch(executable) as launched:
+    with sync_playwright() as playwright:
+        yield partial(launch_in, playwright, executable)
+
+
+@pytest.fixture(scope="session")
+def browser(start_browser: Callable[..., object]) -> Iterator[object]:
+    with start_browser() as launched:  # type: ignore[attr-defined]
         yield launched
 
 

@@ -6,7 +6,7 @@ import viser
 from app.viewer.widgets.actions import on_choice
 from app.viewer.widgets.bridge import Bridge, Data, say
 
-pytest.importorskip("playwright")
+pytestmark = pytest.mark.browser
 
 
 def test_what_html_says_arrives_once_and_in_order(browser: object) -> None:

@@ -6,7 +6,7 @@ rebinds would tell it. The hostile page is served from another port.
 
 import http.server
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -15,7 +15,6 @@ import viser
 from app.viewer.door.admission import Admission
 from app.viewer.door.limits import Limits
 from app.viewer.door.server import Told, open_server
-from tests.browser.conftest import unavailable
 
 pytestmark = pytest.mark.browser
 
@@ -71,20 +70,9 @@ def evil() -> Iterator[int]:
 
 
 @pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
+def chromium(start_browser: Callable[..., Any]) -> Iterator[Any]:
     """A browser that believes the hostile names to be here."""
-    try:
-        from playwright.sync_api import sync_playwright  # noqa: PLC0415, F401
-    except ModuleNotFoundError as error:
-        unavailable(f"{error.name} is not installed")
-    from tests.browser.chromium import find_chromium, launch  # noqa: PLC0415
-
-    executable = find_chromium()
-    if executable is None:
-        unavailable("no Chromium was found")
-        return
-    names = "MAP *.test 127.0.0.1"
-    with launch(executable, (f"--host-resolver-rules={names}",)) as browser:
+    with start_browser(("--host-resolver-rules=MAP *.test 127.0.0.1",)) as browser:
         yield browser
 
 
