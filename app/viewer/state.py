@@ -47,6 +47,7 @@ class ViewOptions:
         keypoints: Draw the keypoints.
         inlier_lines: Join the associations that agree with the registration.
         outlier_lines: Join those that do not.
+        all_lines: Join all of either kind; else at most forty that are spread over the ground.
         point_size: Side of a drawn cloud point [m].
         dark: Light words on a dark page.
     """
@@ -63,6 +64,7 @@ class ViewOptions:
     keypoints: bool = True
     inlier_lines: bool = True
     outlier_lines: bool = False
+    all_lines: bool = False
     point_size: Annotated[float, Bounds(0.005, 0.2, 0.005, "m")] = 0.03
     dark: bool = False
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from app.viewer.draw.associations import inlier_color, residuals, step_match
+from app.viewer.draw.associations import MOST_LINES, inlier_color, residuals, step_match
 from app.viewer.draw.colors import DATABASE, OUTLIER, QUERY, UNMATCHED, css
 from app.viewer.draw.picking import Ray
 from app.viewer.draw.placement import z_offset_of
@@ -198,10 +198,14 @@ def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
         key += [Key(css(QUERY), "the query alone"), Key(css(DATABASE), "the database alone")]
     else:
         key.append(Key(css(MASKED), "masked: no points nearby"))
-    hidden = "" if options.inlier_lines else " (lines are off)"
-    key.append(Key(css(inlier_color(result)), f"{inliers:,} inliers{hidden}"))
-    hidden = "" if options.outlier_lines else " (lines are off)"
-    key.append(Key(css(OUTLIER), f"{total - inliers:,} outliers{hidden}"))
+    for color, count, kind, drawn in (
+        (inlier_color(result), inliers, "inliers", options.inlier_lines),
+        (OUTLIER, total - inliers, "outliers", options.outlier_lines),
+    ):
+        note = "" if drawn else " (lines are off)"
+        if drawn and not options.all_lines and count > MOST_LINES:
+            note = f" ({MOST_LINES} lines drawn)"
+        key.append(Key(css(color), f"{count:,} {kind}{note}"))
     if options.keypoints:
         alone = sum(
             len(features) - len(np.unique(indices))

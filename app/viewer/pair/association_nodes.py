@@ -87,7 +87,14 @@ class AssociationNodes:
                 continue
 
             def lines(inliers: bool = inliers) -> LinePoints:
-                return match_lines(result, at_query, at_database, inliers=inliers, lift=lift)
+                return match_lines(
+                    result,
+                    at_query,
+                    at_database,
+                    inliers=inliers,
+                    lift=lift,
+                    everything=options.all_lines,
+                )
 
             segments.show(
                 (
@@ -98,6 +105,7 @@ class AssociationNodes:
                     at_query,
                     at_database,
                     lift,
+                    options.all_lines,
                 ),
                 lines,
             )

@@ -155,6 +155,15 @@ class ViewPanel:
                 hint="Associations that do not agree with it (red).",
             ),
         )
+        self._bind(
+            "all_lines",
+            gui.add_checkbox(
+                "All lines",
+                options.all_lines,
+                hint="Draws a line for every association. Otherwise at most forty of each kind are "
+                "drawn, spread over the ground.",
+            ),
+        )
         camera = gui.add_button("Show both submaps", hint="Moves the camera back to both submaps.")
         with gui.add_folder("More view options", expand_by_default=False):
             self._bind(

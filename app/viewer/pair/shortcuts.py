@@ -82,6 +82,7 @@ def add_shortcuts(
     _add_pairs(commands, pair)
     switch("Inlier lines", "I", "inlier_lines")
     switch("Outlier lines", "O", "outlier_lines")
+    switch("All lines, or forty of each kind", "G", "all_lines")
     switch("Keypoints", "K", "keypoints")
     switch("Point clouds", "C", "clouds")
     switch("Surfaces", None, "surfaces")
