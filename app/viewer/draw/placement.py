@@ -1,5 +1,6 @@
 """Where the two submaps stand in the scene, and from where the camera sees both."""
 
+import weakref
 from dataclasses import dataclass
 from math import cos, sin, tan
 
@@ -17,11 +18,11 @@ HOP = 0.12
 """How high a submap that glides into place goes, as a share of its width."""
 MAX_OVERLAP_SAMPLES = 5_000
 FIELD_OF_VIEW = np.deg2rad(45.0)
-MIN_TILT, MAX_TILT = np.deg2rad(48.0), np.deg2rad(68.0)
+MIN_TILT, MAX_TILT = np.deg2rad(58.0), np.deg2rad(70.0)
 """How far the camera looks down."""
 TALL = 0.85
 """Canvases whose width over height is less have the submaps one behind the other."""
-MARGINS = (28.0, 64.0, 28.0, 72.0)
+MARGINS = (24.0, 76.0, 24.0, 68.0)
 """Left, top, right and bottom of a canvas that are kept free for names and scale [pixels]."""
 MOST_MARGIN = 0.1
 """Of a canvas that any of these margins may take."""
@@ -61,9 +62,12 @@ class Extent:
 
     @classmethod
     def of(cls, submap: Submap) -> "Extent":
-        """Measure a submap."""
-        low, high = submap.points.min(axis=0), submap.points.max(axis=0)
-        return cls((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+        """Measure a submap, once: the cameras ask again and again."""
+        known = _measured.get(submap)
+        if known is None:
+            low, high = submap.points.min(axis=0), submap.points.max(axis=0)
+            known = _measured[submap] = cls((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+        return known
 
     @property
     def center(self) -> Float[Array, "3"]:
@@ -88,6 +92,9 @@ class Extent:
         lows, highs = self.corners.copy(), self.corners.copy()
         lows[:, 2], highs[:, 2] = self.low[2], self.high[2]
         return np.concatenate([lows, highs])
+
+
+_measured: weakref.WeakKeyDictionary[Submap, Extent] = weakref.WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -124,9 +131,7 @@ class Canvas:
     @property
     def is_tall(self) -> bool:
         """Whether two submaps fill it better one behind the other than side by side."""
-        return (self.width - self.left - self.right) / (
-            self.height - self.top - self.bottom
-        ) < TALL
+        return (self.width - self.left - self.right) / (self.height - self.top - self.bottom) < TALL
 
     @property
     def free_bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from app.viewer.draw.cameras import set_view
-from app.viewer.feature import Desk
+from app.viewer.feature import Desk, Feature
 from app.viewer.pair.panel import LAYER_NAMES
 from app.viewer.pair.tab import PairTab
 from app.viewer.state import LAYERS, Role, ViewOptions, registered
@@ -49,14 +49,14 @@ def add_shortcuts(
 
     commands.add_for_page(
         "View",
-        "Both submaps in view",
-        lambda page: set_view(page, pair.scene.camera(desk.state)),
+        "All of it in view",
+        lambda page: desk.tell(Feature.frame, page),
         key="R",
     )
     commands.add_for_page(
         "View",
         "View from above",
-        lambda page: set_view(page, pair.scene.camera_above(desk.state)),
+        lambda page: set_view(page, pair.scene.camera_above(desk.state, desk.canvases.of(page))),
         key="T",
     )
     commands.add("View", "Side by side or registered", other_layout, key="L")

@@ -26,6 +26,8 @@ Act: TypeAlias = Callable[[viser.ClientHandle, Data], None]
 
 BETWEEN_MS = 70
 """viser's pages send only the last of the inputs that come within 50 ms."""
+AWAY_MS = 500
+"""While the panels are put away, so is the box; messages wait until it is back."""
 
 # `say` queues its messages. `newest` replaces what waits under the same name, as a drag needs it.
 # `acts` are what scripts of ours do when Python calls them by name; see `Bridge.call`.
@@ -38,8 +40,9 @@ SCRIPT = """
       let row = document.querySelector(`label[for="${window.gpgrad.box}"]`);
       while (row && !row.querySelector('input')) row = row.parentElement;
       const input = row && row.querySelector('input');
-      if (!waiting.length || !input) { busy = false; return; }
-      busy = true;
+      busy = waiting.length > 0;
+      if (!busy) return;
+      if (!input) { setTimeout(send, AWAY_MS); return; }
       const text = JSON.stringify({number: ++number, ...waiting.shift()});
       Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(input, text);
       input.dispatchEvent(new Event('input', {bubbles: true}));
@@ -57,7 +60,7 @@ SCRIPT = """
   }
   window.gpgrad.box = box;
 })(BOX)
-""".replace("BETWEEN_MS", str(BETWEEN_MS))
+""".replace("BETWEEN_MS", str(BETWEEN_MS)).replace("AWAY_MS", str(AWAY_MS))
 
 
 class _Said(msgspec.Struct, forbid_unknown_fields=True):

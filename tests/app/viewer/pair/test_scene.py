@@ -8,11 +8,11 @@ import viser
 
 from app.viewer.draw.associations import ARC_PIECES
 from app.viewer.draw.colors import UNTRUSTED_GREY
+from app.viewer.draw.overlay import round_length
 from app.viewer.draw.picking import Ray
 from app.viewer.pair import association_nodes as association_module
 from app.viewer.pair import blinker
 from app.viewer.pair import scene as scene_module
-from app.viewer.pair.annotations import round_length
 from app.viewer.pair.scene import PairScene
 from app.viewer.state import (
     Probe,
