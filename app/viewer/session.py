@@ -8,6 +8,7 @@ never asks which.
 import viser
 
 from app.viewer.all_pairs.tab import AllPairsTab
+from app.viewer.canvas.cursor import Cursor
 from app.viewer.canvas.framing import Framing
 from app.viewer.capacity import Capacity
 from app.viewer.data.tab import DataTab
@@ -81,7 +82,7 @@ class Session:
         desk.join(ParamsTab(desk, opened.params, commands, on_error=self.pair.refuse))
         scene = self.pair.scene
         with tune.add_tab("Inspect"):
-            self.inspect = desk.join(InspectTab(desk, scene.pick))
+            self.inspect = desk.join(InspectTab(desk, scene.pick, scene.show_ruler))
         with tune.add_tab("All pairs"):
             desk.join(AllPairsTab(desk))
         with tune.add_tab("Data"):
@@ -100,6 +101,7 @@ class Session:
             desk.join(DemoTab(desk, scene, self.world))
         panels: dict[Mode, viser.PanelHandle] = {"Explore": explore, "Tune": tune, "Demo": demo}
         desk.join(Framing(desk, scene, self.world))
+        desk.join(Cursor(desk, scene))
         modes.arrange(scene, self.world, panels, commands)
         add_shortcuts(commands, desk, self.pair, self.inspect.step)
         desk.change()  # the first picture

@@ -15,7 +15,7 @@ from app.viewer.host import pages
 from app.viewer.opened import Opened
 from app.viewer.pacer import Pacer
 from app.viewer.pair import PairScene
-from app.viewer.state import ViewState, same_pair
+from app.viewer.state import FROM_ABOVE, ViewState, same_pair
 from app.viewer.world import WorldTab
 from gpgrad_core.pipeline import PairResult
 
@@ -197,7 +197,7 @@ class Framing(Feature):
         if self._subject == "world":
             count = len(state.dataset.submaps)
             title = f"{state.dataset.name}: {count} {'submap' if count == 1 else 'submaps'}"
-            return {"title": title, "line": "", "frame": "frame of the poses"}
+            return {"title": title, "line": "", "frame": "frame of the poses", "cursor": ""}
         line = ""
         if self._shown is not None and same_pair(self._shown[0], state):
             result = self._shown[1]
@@ -206,10 +206,12 @@ class Framing(Feature):
             if self._outdated:
                 line = OUTDATED + line
         together = state.options.layout == "registered" and self._pair.knows_motion(state)
+        above = state.options.layout == FROM_ABOVE
         return {
             "title": f"Query {state.query_id} → database {state.database_id}",
             "line": line,
             "frame": "frame of the database" if together else "frame of each submap",
+            "cursor": "followed" if above else "",
         }
 
     def _draw_over(self, page: viser.ClientHandle) -> None:

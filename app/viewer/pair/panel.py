@@ -68,7 +68,8 @@ class ViewPanel:
                 LAYOUTS,
                 initial_value=options.layout,
                 hint="Each submap by itself, or the query laid onto the database as the "
-                "registration says.",
+                "registration says, or the gradient of each from above: there the cursor shows "
+                "the same place in both.",
             ),
         )
         self._bind_choice(

@@ -25,13 +25,16 @@ from app.viewer.draw.placement import (
     place,
     z_offset_of,
 )
+from app.viewer.draw.readout import other_place
+from app.viewer.draw.ruler import Ruler
 from app.viewer.draw.surfels import make_surfels, stride_for
 from app.viewer.host import Host, pages
 from app.viewer.pair.annotations import Annotations
 from app.viewer.pair.association_nodes import AssociationNodes
 from app.viewer.pair.blinker import Blinker
 from app.viewer.pair.ground import ROLES, Difference, Ground, shown_roles
-from app.viewer.state import Layout, Probe, ViewState, same_pair
+from app.viewer.pair.ruler_nodes import RulerNodes
+from app.viewer.state import FROM_ABOVE, Layout, Probe, ViewState, as_drawn, same_pair
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.types import GradientMap, Registration, Submap
@@ -111,6 +114,7 @@ class PairScene:
         self._database = SubmapNode(host, PAIR, "database", DATABASE, "left")
         self._annotations = Annotations(host, PAIR)
         self._associations = AssociationNodes(host, PAIR, (self._query, self._database))
+        self._ruler = RulerNodes(host, PAIR)
         self._blinker = Blinker(host, (self._query, self._database))
         # The registration last found, and the state whose pair it is of.
         self._registered: tuple[ViewState, Registration] | None = None
@@ -221,6 +225,32 @@ class PairScene:
         """Find the place of a surface that a line of sight meets first, if it meets one."""
         return None if self._ground is None or not self.visible else self._ground.pick(ray)
 
+    def spots(self, probe: Probe) -> tuple[Float[NDArray[np.float64], "3"], ...]:
+        """Give where a place is seen in the scene [m], and the same place of the other submap.
+
+        The other is left out without a motion, and where the other submap saw no ground.
+        """
+        with self._lock:
+            ground, known = self._ground, self._registered
+        if ground is None:
+            return ()
+        found = [ground.spot(probe)]
+        motion = None
+        if known is not None and same_pair(known[0], ground.state):
+            motion = known[1].T_database_query
+        if motion is not None:
+            of_query = probe.role == "query"
+            x, y = other_place(motion, probe.x, probe.y, of_query=of_query)
+            found.append(ground.spot(Probe("database" if of_query else "query", x, y)))
+        return tuple(spot for spot in found if spot is not None)
+
+    def show_ruler(self, ruler: Ruler | None) -> None:
+        """Show a measured line where the submaps stand; None shows none."""
+        with self._lock, self._host.atomic():
+            if self._ground is not None:
+                self._ruler.show(ruler, self._ground)
+        self._host.flush()
+
     def close(self) -> None:
         """Stop blinking."""
         self._blinker.close()
@@ -231,6 +261,7 @@ class PairScene:
         maps: tuple[GradientMap, GradientMap],
         registration: Registration | None,
     ) -> tuple[Shown, "_Layout"]:
+        state = as_drawn(state)
         options, ratio = state.options, state.params.features.max_std_ratio
         motion = None if registration is None else registration.T_database_query
         registered = _is_registered(state, registration)
@@ -289,13 +320,16 @@ class PairScene:
         Args:
             state: Whose pair, and whose layout.
             canvas: Of the page.
-            forward: Direction of sight; None chooses what fills the canvas.
+            forward: Direction of sight; None chooses what fills the canvas, and suits the layout.
             layout: Instead of the state's.
         """
         boxes = Extent.of(state.query), Extent.of(state.database)
         found = self._known_registration(state)
         motion = None if found is None else found.T_database_query
-        placed = place(*boxes, layout or state.options.layout, motion, 0.0, tall=self.tall)
+        layout = layout or state.options.layout
+        placed = place(*boxes, layout, motion, 0.0, tall=self.tall)
+        if forward is None and layout == FROM_ABOVE:
+            forward = DOWN
         return frame_camera(tuple(zip(boxes, placed, strict=True)), canvas, forward=forward)
 
     def camera_above(self, state: ViewState, canvas: Canvas = UNKNOWN_CANVAS) -> Camera:

@@ -7,7 +7,7 @@ from app.viewer.draw.cameras import set_view
 from app.viewer.feature import Desk, Feature
 from app.viewer.pair.panel import LAYER_NAMES
 from app.viewer.pair.tab import PairTab
-from app.viewer.state import LAYERS, Role, ViewOptions, registered
+from app.viewer.state import FROM_ABOVE, LAYERS, Role, ViewOptions, registered
 from app.viewer.widgets.commands import Commands
 
 
@@ -60,6 +60,7 @@ def add_shortcuts(
         key="T",
     )
     commands.add("View", "Side by side or registered", other_layout, key="L")
+    choose("View", "Gradient of both from above", None, layout=FROM_ABOVE)
     choose("Compare", "Blink: one after the other", "B", layout="registered", compare="blink")
     choose("Compare", "Swipe: left and right of a line", "V", layout="registered", compare="swipe")
     choose(

@@ -35,7 +35,7 @@ by hand."""
 SCRIPT = """
 (() => {
   if (window.gpgradCanvas) { window.gpgradCanvas.last = ''; return; }
-  const own = window.gpgradCanvas = {last: '', height: 0};
+  const own = window.gpgradCanvas = {last: '', height: 0, left: 0, top: 0};
   const make = (parent, style, tag = 'div') => {
     const made = document.createElement(tag);
     made.style.cssText = style;
@@ -86,7 +86,28 @@ SCRIPT = """
     title.textContent = data.title; line.textContent = data.line; note.textContent = data.frame;
     line.style.display = data.line ? '' : 'none';
     caption.style.visibility = data.title ? '' : 'hidden';
+    own.cursor = data.cursor;
+    if (!own.cursor) gpgrad.acts.marks({places: []});
   };
+  const rings = [0, 1].map(() => make(over, 'position:absolute;width:18px;height:18px;' +
+    'margin:-11px 0 0 -11px;border-radius:50%;border:2px solid;box-shadow:0 0 0 1.5px #000,' +
+    'inset 0 0 0 1.5px #000;visibility:hidden'));
+  for (const ring of rings) ring.dataset.testid = 'cursor-mark';
+  gpgrad.acts.marks = data => rings.forEach((ring, k) => {
+    const place = own.cursor && data.places[k];
+    ring.style.visibility = place ? '' : 'hidden';
+    if (!place) return;
+    ring.style.borderColor = data.color;
+    ring.style.left = place[0] - own.left + 'px'; ring.style.top = place[1] - own.top + 'px';
+  });
+  addEventListener('pointermove', event => {
+    const canvas = document.querySelector('canvas');
+    if (!own.cursor || !canvas) return;
+    const box = canvas.getBoundingClientRect();
+    const inside = canvas.parentElement.contains(event.target);
+    const [x, y] = inside ? [event.clientX - box.left, event.clientY - box.top] : [-1e4, -1e4];
+    gpgrad.say('cursor', {x, y}, true);
+  });
   // The bar is a share of the canvas's height, so that it is true while the canvas changes.
   own.stretch = () => { bar.style.width = (own.share || 0) * own.height + 'px'; };
   gpgrad.acts.camera = data => {
@@ -125,7 +146,7 @@ SCRIPT = """
     const now = JSON.stringify(found);
     if (now === own.last) return;
     own.last = now;
-    own.height = box.height; own.stretch();
+    own.height = box.height; own.left = found.left; own.top = found.top; own.stretch();
     over.style.left = box.left + found.left + 'px'; over.style.top = box.top + found.top + 'px';
     over.style.width = box.width - found.left - found.right + 'px';
     over.style.height = box.height - found.top - found.bottom + 'px';
@@ -189,7 +210,7 @@ class Canvases:
         return all(not _is_near(now, camera) for camera in brought)
 
     def show(self, page: viser.ClientHandle, act: str, data: object) -> None:
-        """Write something over a page's canvas: ``caption`` or ``camera``."""
+        """Write something over a page's canvas: ``caption``, ``camera`` or ``marks``."""
         self._bridge.call(page, act, data)
 
     def measure(self, page: viser.ClientHandle) -> None:
