@@ -185,8 +185,10 @@ class SubmapNode:
         # On the edge that a camera looking along y sees as the far one, at the outer corner, so
         # that two names do not meet.
         outer = extent.low if self._outer == "left" else extent.high
-        side = "left" if self._outer == "left" else "right"
-        self._label.anchor = f"top-{side}" if before else f"bottom-{side}"
+        if self._outer == "left":
+            self._label.anchor = "top-left" if before else "bottom-left"
+        else:
+            self._label.anchor = "top-right" if before else "bottom-right"
         y, z = (extent.low[1], extent.low[2]) if before else (extent.high[1], extent.high[2])
         self._label.position = (outer[0], y, z)
         self.outline.show(
