@@ -9,7 +9,10 @@ import threading
 from collections.abc import Callable
 from typing import Concatenate, Literal, ParamSpec, TypeAlias, TypeVar
 
+import viser
+
 from app.viewer.capacity import Capacity
+from app.viewer.draw.placement import Camera
 from app.viewer.host import Host
 from app.viewer.opened import Opened
 from app.viewer.permissions import READ_ALL, Permissions
@@ -26,6 +29,7 @@ from app.viewer.state import (
     with_probe,
 )
 from app.viewer.widgets.bridge import Bridge
+from app.viewer.widgets.canvas import Canvases
 from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.run.memo import Memo
@@ -59,6 +63,12 @@ class Feature:
     def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
         """Take all pairs of a dataset, as the present thresholds judge them."""
 
+    def outdated(self) -> None:
+        """Take that what is seen is not what is set: it failed, or was cancelled."""
+
+    def turned(self, subject: Subject) -> None:
+        """Take that the scene shows the pair, or the world, from now on."""
+
     # What another feature asks for; the feature that can do it answers.
 
     def compare_pairs(self) -> None:
@@ -78,6 +88,18 @@ class Feature:
 
     def turn_to(self, subject: Subject) -> None:
         """Show the pair or the world."""
+
+    def frame(self, page: viser.ClientHandle | None) -> None:
+        """Bring the camera of a page to all that is shown; None means those of all pages."""
+
+    def look(self, page: viser.ClientHandle, camera: Camera) -> None:
+        """Show a page what is shown from where a link has the camera."""
+
+    def explore(self) -> None:
+        """Go to the mode in which all submaps are looked at."""
+
+    def keep_cameras(self) -> None:
+        """Leave the cameras where they are when what is shown changes next."""
 
     def set_full_screen(self, full_screen: bool) -> None:
         """Put the panels away, or back."""
@@ -107,6 +129,7 @@ class Desk:
     Attributes:
         host: Whose GUI and scene the session fills.
         bridge: Hears the HTML of the session.
+        canvases: What is known of the pages' canvases.
         memo: Results of the pipeline, shared by all sessions.
         capacity: What a worker must hold while it computes, shared by all sessions.
         permissions: What may be read and written.
@@ -123,6 +146,7 @@ class Desk:
         """Begin at a state, without features."""
         self.host = host
         self.bridge = Bridge(host)
+        self.canvases = Canvases(host, self.bridge)
         self.memo = memo
         self.capacity = capacity
         self.permissions = permissions

@@ -8,12 +8,15 @@ never asks which.
 import viser
 
 from app.viewer.all_pairs.tab import AllPairsTab
+from app.viewer.canvas.cursor import Cursor
+from app.viewer.canvas.framing import Framing
 from app.viewer.capacity import Capacity
 from app.viewer.data.tab import DataTab
 from app.viewer.demo.tab import DemoTab
 from app.viewer.feature import Desk
 from app.viewer.host import Host
 from app.viewer.inspect.tab import InspectTab
+from app.viewer.links.links import Links, add_script
 from app.viewer.modes.panel import Mode
 from app.viewer.modes.tab import Modes
 from app.viewer.nudge.tab import NudgeTab
@@ -71,6 +74,7 @@ class Session:
         gui.set_panel_label("Loop closure")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(CONTROL_WIDTH)
+        add_script(host)
         modes = desk.join(Modes(desk))
         self._presence = PresenceLine(host)
         tune, explore, demo = gui.add_panel(), gui.add_panel(), gui.add_panel()
@@ -78,7 +82,7 @@ class Session:
         desk.join(ParamsTab(desk, opened.params, commands, on_error=self.pair.refuse))
         scene = self.pair.scene
         with tune.add_tab("Inspect"):
-            self.inspect = desk.join(InspectTab(desk, scene.pick))
+            self.inspect = desk.join(InspectTab(desk, scene.pick, scene.show_ruler))
         with tune.add_tab("All pairs"):
             desk.join(AllPairsTab(desk))
         with tune.add_tab("Data"):
@@ -86,6 +90,7 @@ class Session:
         with tune.add_tab("Save"):
             desk.join(SaveTab(desk))
             desk.join(Exports(desk))
+            desk.join(Links(desk, commands))
         with tune.add_tab("Nudge"):
             desk.join(NudgeTab(desk, scene))
         with explore.add_tab("World"):
@@ -95,6 +100,8 @@ class Session:
         with demo.add_tab("Demo"):
             desk.join(DemoTab(desk, scene, self.world))
         panels: dict[Mode, viser.PanelHandle] = {"Explore": explore, "Tune": tune, "Demo": demo}
+        desk.join(Framing(desk, scene, self.world))
+        desk.join(Cursor(desk, scene))
         modes.arrange(scene, self.world, panels, commands)
         add_shortcuts(commands, desk, self.pair, self.inspect.step)
         desk.change()  # the first picture

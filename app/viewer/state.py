@@ -17,7 +17,7 @@ Layer: TypeAlias = Literal[
 ColorMap: TypeAlias = Literal[
     "automatic", "viridis", "cividis", "magma", "turbo", "grey", "blue-white-red"
 ]
-Layout: TypeAlias = Literal["side by side", "registered"]
+Layout: TypeAlias = Literal["side by side", "registered", "gradient from above"]
 Untrusted: TypeAlias = Literal["hidden", "grey", "shown"]
 Compare: TypeAlias = Literal["both", "query", "database", "swipe", "blink"]
 Role: TypeAlias = Literal["query", "database"]
@@ -27,6 +27,8 @@ COLOR_MAPS: tuple[ColorMap, ...] = get_args(ColorMap)
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 UNTRUSTED: tuple[Untrusted, ...] = get_args(Untrusted)
 COMPARE: tuple[Compare, ...] = get_args(Compare)
+FROM_ABOVE: Layout = "gradient from above"
+"""Side by side like two maps, whatever the layer."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,8 @@ class ViewOptions:
     Attributes:
         layer: Field of the gradient map that colours the surfaces.
         color_map: Colours of that field; "automatic" chooses by layer.
-        layout: Each submap by itself, or the query laid onto the database.
+        layout: Each submap by itself, or the query laid onto the database; or the gradient of each
+            submap by itself, seen from above.
         compare: Of the registered maps, both at once, one of them, or one beside or after the
             other: left and right of a line, or in turn.
         swipe: Where that line stands, as a share of the width of both.
@@ -47,6 +50,7 @@ class ViewOptions:
         keypoints: Draw the keypoints.
         inlier_lines: Join the associations that agree with the registration.
         outlier_lines: Join those that do not.
+        all_lines: Join all of either kind; else at most forty that are spread over the ground.
         point_size: Side of a drawn cloud point [m].
         dark: Light words on a dark page.
     """
@@ -63,6 +67,7 @@ class ViewOptions:
     keypoints: bool = True
     inlier_lines: bool = True
     outlier_lines: bool = False
+    all_lines: bool = False
     point_size: Annotated[float, Bounds(0.005, 0.2, 0.005, "m")] = 0.03
     dark: bool = False
 
@@ -158,6 +163,15 @@ def with_options(state: ViewState, options: ViewOptions) -> ViewState:
 def registered(options: ViewOptions) -> ViewOptions:
     """Show both submaps, the query laid onto the database."""
     return replace(options, layout="registered", compare="both")
+
+
+def as_drawn(state: ViewState) -> ViewState:
+    """Give the state with the options that its layout implies."""
+    if state.options.layout != FROM_ABOVE:
+        return state
+    return with_options(
+        state, replace(state.options, layer="gradient", surfaces=True, clouds=False)
+    )
 
 
 def with_match(state: ViewState, number: int) -> ViewState:

@@ -96,7 +96,10 @@ class DemoTab(Feature):
             return
         self._desk.tell(Feature.turn_to, "pair")
         if client is not None:
-            self._to(client, self._pair.camera(self._desk.state))
+            # Both while they are apart; where they come together is in the middle of that.
+            canvas = self._desk.canvases.of(client)
+            self._to(client, self._pair.camera(self._desk.state, canvas, layout="side by side"))
+            self._desk.tell(Feature.keep_cameras)
         with self._lock:
             self._playing = True
         self._desk.change(options=registered(self._desk.state.options))
@@ -104,7 +107,7 @@ class DemoTab(Feature):
     # Cameras.
 
     def _fly(self, client: viser.ClientHandle, name: str) -> None:
-        seen = self._whole()
+        seen = self._whole(client)
         if seen is None:
             return
         if name == "follow loop":
@@ -118,6 +121,8 @@ class DemoTab(Feature):
             return
         with self._lock:
             views = {"top": top(seen), "oblique": seen} | self._views
+        if name == "oblique":
+            self._desk.canvases.expect(client, seen)
         if name in views:
             self._to(client, views[name])
 
@@ -135,11 +140,12 @@ class DemoTab(Feature):
             names = tuple(self._views)
         self._panel.offer(names)
 
-    def _whole(self) -> Camera | None:
-        """Give the view that shows everything in the present scene."""
+    def _whole(self, page: viser.ClientHandle) -> Camera | None:
+        """Give the view that fills a page with everything in the present scene."""
+        canvas = self._desk.canvases.of(page)
         if self._world.scene.visible:
-            return self._world.camera()
-        return self._pair.camera(self._desk.state)
+            return self._world.camera(canvas)
+        return self._pair.camera(self._desk.state, canvas)
 
     # Pages.
 
@@ -173,7 +179,8 @@ def _write_closure(state: ViewState, result: PairResult, path: Path, progress: P
         shown = scene.show(together, result)
         draw = scene.gliding(together, result)
         moving = None if draw is None else gliding(draw)
-        return Composed(scene.camera(state), legend_html(shown.scale), moving)
+        camera = scene.camera(state, layout="side by side")
+        return Composed(camera, legend_html(shown.scale), moving)
 
     title = f"{state.dataset.name}: submap {state.query_id} onto {state.database_id}"
     content = save_page(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from app.viewer.draw.colors import INLIER, OUTLIER, REFUSED_INLIER, UNMATCHED, Rgb
 from app.viewer.draw.placement import Placement
@@ -12,6 +12,8 @@ from gpgrad_core.pipeline import PairResult
 from gpgrad_core.types import GradientMap
 
 ARC_PIECES = 12
+MOST_LINES = 40
+"""Of inliers, and of outliers, unless all are asked for."""
 ARC_RISE, CHOSEN_RISE = 0.12, 0.2
 """Height of an arc over its span: of any, and of the one that is pointed at."""
 
@@ -43,6 +45,7 @@ def match_lines(
     *,
     inliers: bool,
     lift: float,
+    everything: bool = True,
 ) -> Float[NDArray[np.float32], "n 2 3"]:
     """Join associated keypoints across the scene by arcs, which the ground does not hide.
 
@@ -52,12 +55,58 @@ def match_lines(
         database: Where the database stands.
         inliers: Those that agree with the registration, or else those that do not.
         lift: Height of their ends above the ground [m].
+        everything: Join all of them, or else those that `shown_matches` chooses.
 
     Returns:
         `ARC_PIECES` straight pieces an arc, arc after arc.
     """
+    chosen = shown_matches(result, inliers=inliers, everything=everything)
+    return _arcs(result, query, database, chosen, lift)
+
+
+def shown_matches(
+    result: PairResult, *, inliers: bool, everything: bool
+) -> Bool[NDArray[np.bool_], "m"]:
+    """Choose the associations of one kind whose lines are drawn.
+
+    Hundreds of lines hide the ground and each other. A few that are spread over it say as much of
+    the motion.
+
+    Args:
+        result: The pair.
+        inliers: Those that agree with the registration, or else those that do not.
+        everything: All of them, or else at most `MOST_LINES`, far from each other in the query.
+    """
     agree = result.registration.inliers
-    return _arcs(result, query, database, agree if inliers else ~agree, lift)
+    kind = agree if inliers else ~agree
+    if everything:
+        return kind
+    numbers = np.flatnonzero(kind)
+    chosen = np.zeros(len(kind), dtype=bool)
+    chosen[numbers[spread(result.matches.query_xy[numbers], MOST_LINES)]] = True
+    return chosen
+
+
+def spread(positions: Float[Array, "n 2"], most: int) -> Int[NDArray[np.intp], "k"]:
+    """Choose positions that are far from each other: always the one farthest from those chosen.
+
+    Args:
+        positions: To choose from [m].
+        most: How many to choose.
+
+    Returns:
+        Their indices in rising order; of the same positions always the same.
+    """
+    if len(positions) <= most:
+        return np.arange(len(positions))
+    middle = positions.mean(axis=0)
+    chosen = [int(np.argmax(np.linalg.norm(positions - middle, axis=1)))]
+    nearest = np.full(len(positions), np.inf)
+    while len(chosen) < most:
+        distances = np.linalg.norm(positions - positions[chosen[-1]], axis=1)
+        nearest = np.minimum(nearest, distances)
+        chosen.append(int(np.argmax(nearest)))
+    return np.unique(chosen)
 
 
 def match_arc(

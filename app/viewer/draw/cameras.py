@@ -15,6 +15,11 @@ Bookmark: TypeAlias = Literal["top", "oblique", "follow loop"]
 BOOKMARKS: tuple[Bookmark, ...] = get_args(Bookmark)
 NEARLY_DOWN = 0.002
 """Sine of the angle off the vertical from which the top view looks: north stays up."""
+DOWN = np.array([0.0, NEARLY_DOWN, -1.0])
+"""Direction of sight of the top view."""
+FAR, FAR_DISTANCES = 1000.0, 10.0
+"""What is farther away than this [m], and than so many distances of what is looked at, is cut off.
+"""
 FOLLOW_BACK = 0.5
 """How far behind the robot the camera flies, as a share of the way's extent."""
 FOLLOW_UP = 0.35
@@ -83,7 +88,9 @@ def view_of(client: viser.ClientHandle) -> Camera:
 
 def set_view(client: viser.ClientHandle, camera: Camera) -> None:
     """Bring a page to a view."""
+    distance = float(np.linalg.norm(np.array(camera.position) - np.array(camera.look_at)))
     with client.atomic():
+        client.camera.far = max(FAR, FAR_DISTANCES * distance)
         client.camera.fov = float(FIELD_OF_VIEW)
         client.camera.position = camera.position
         client.camera.look_at = camera.look_at
@@ -92,7 +99,9 @@ def set_view(client: viser.ClientHandle, camera: Camera) -> None:
 
 def set_start(server: viser.ViserServer, camera: Camera) -> None:
     """Set the view that new pages, and "reset view", begin with."""
+    distance = float(np.linalg.norm(np.array(camera.position) - np.array(camera.look_at)))
     initial = server.initial_camera
+    initial.far = max(FAR, FAR_DISTANCES * distance)
     initial.fov = float(FIELD_OF_VIEW)
     initial.position = camera.position
     initial.look_at = camera.look_at

@@ -172,14 +172,25 @@ class SubmapNode:
         self._frame.position = placement.position
         self._frame.wxyz = placement.wxyz
 
-    def name(self, submap: Submap, extent: Extent) -> None:
-        """Write its name and size beside it, and draw its outline."""
+    def name(self, submap: Submap, extent: Extent, *, before: bool = False) -> None:
+        """Write its name and size beside it, and draw its outline.
+
+        Args:
+            submap: Which it is.
+            extent: Its box.
+            before: Write the name before the near edge, because the other submap is behind.
+        """
         width, depth, _ = extent.size
         self._label.text = f"{self._role} {submap.id} · {width:.1f} m x {depth:.1f} m"
         # On the edge that a camera looking along y sees as the far one, at the outer corner, so
         # that two names do not meet.
         outer = extent.low if self._outer == "left" else extent.high
-        self._label.position = (outer[0], extent.high[1], extent.high[2])
+        if self._outer == "left":
+            self._label.anchor = "top-left" if before else "bottom-left"
+        else:
+            self._label.anchor = "top-right" if before else "bottom-right"
+        y, z = (extent.low[1], extent.low[2]) if before else (extent.high[1], extent.high[2])
+        self._label.position = (outer[0], y, z)
         self.outline.show(
             (submap,),
             lambda: outline(extent.corners),

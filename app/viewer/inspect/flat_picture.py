@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from app.viewer.draw.associations import inlier_color, keypoint_colors
+from app.viewer.draw.associations import inlier_color, keypoint_colors, shown_matches
 from app.viewer.draw.colors import CHOSEN, DATABASE, OUTLIER, QUERY, Rgb, colorize
 from app.viewer.draw.comparison import height_difference, pixel_motion, resample
 from app.viewer.draw.layers import Scale, shared_scale
@@ -257,12 +257,12 @@ def _draw_lines(
     start: Float[Array, "m 2"],
     end: Float[Array, "m 2"],
 ) -> None:
-    agree = result.registration.inliers
-    over = image.copy()
-    for wanted, chosen, color in (
-        (state.options.outlier_lines, ~agree, OUTLIER),
-        (state.options.inlier_lines, agree, inlier_color(result)),
+    options, over = state.options, image.copy()
+    for wanted, inliers, color in (
+        (options.outlier_lines, False, OUTLIER),
+        (options.inlier_lines, True, inlier_color(result)),
     ):
+        chosen = shown_matches(result, inliers=inliers, everything=options.all_lines)
         if wanted and chosen.any():
             lines = _fixed(np.stack([start[chosen], end[chosen]], axis=1))
             cv2.polylines(over, list(lines), False, color, 1, cv2.LINE_AA, SUBPIXEL_BITS)

@@ -80,7 +80,7 @@ class MatchesPanel:
         self._steps = gui.add_button_group(
             "Step association",
             (PREVIOUS, NEXT, NONE),
-            hint="Steps through the associations whose lines are shown (keys P and N).",
+            hint="Steps through the associations of the kinds that have lines (keys P and N).",
         )
         self._figures = gui.add_html(paragraph(NO_MATCH, FAINT))
         self._title = gui.add_html("")

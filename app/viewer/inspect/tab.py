@@ -6,17 +6,19 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from app.viewer.draw.associations import inlier_color, residuals, step_match
+from app.viewer.draw.associations import MOST_LINES, inlier_color, residuals, step_match
 from app.viewer.draw.colors import DATABASE, OUTLIER, QUERY, UNMATCHED, css
 from app.viewer.draw.picking import Ray
 from app.viewer.draw.placement import z_offset_of
 from app.viewer.draw.readout import Reading, other_place, read, reading_of, significant_digits
+from app.viewer.draw.ruler import Ruler, measure
 from app.viewer.feature import Desk, Feature
 from app.viewer.inspect.flat_picture import MASKED, Image, draw_pane
 from app.viewer.inspect.panel import Key, MatchesPanel, MatchFigures
+from app.viewer.inspect.profile import RulerPanel
 from app.viewer.inspect.reading import ReadingPanel
 from app.viewer.runner import Runner
-from app.viewer.state import Probe, Role, ViewState
+from app.viewer.state import Probe, Role, ViewState, same_pair
 from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.run.progress import Progress
@@ -27,18 +29,28 @@ _ShownPair = tuple[ViewState, PairResult]
 class InspectTab(Feature):
     """Shows what the session points at; the picture is drawn by a worker of its own."""
 
-    def __init__(self, desk: Desk, pick: Callable[[Ray], Probe | None]) -> None:
+    def __init__(
+        self,
+        desk: Desk,
+        pick: Callable[[Ray], Probe | None],
+        show_ruler: Callable[[Ruler | None], None],
+    ) -> None:
         """Make the panels in the current container.
 
         Args:
             desk: Of the session.
             pick: Finds the place of a surface that a line of sight meets first.
+            show_ruler: Shows a measured line in the scene, or none.
         """
         self._desk = desk
         self._pick = pick
+        self._show_ruler = show_ruler
+        self._measuring = self._ruled = False
+        self._ends: tuple[Probe, ...] = ()
         self._lock = threading.Lock()
         self._shown: _ShownPair | None = None
         self._reading = ReadingPanel(desk.host, lambda: desk.change(probe=None))
+        self._ruler = RulerPanel(desk.host, self._switch_ruler, self._clear_ruler)
         self._matches = MatchesPanel(
             desk.host, on_match=lambda number: desk.change(match=number), on_step=self.step
         )
@@ -55,7 +67,11 @@ class InspectTab(Feature):
     def show(self, state: ViewState, result: PairResult) -> None:
         """Follow what was found and what is pointed at."""
         with self._lock:
-            self._shown = state, result
+            before, self._shown = self._shown, (state, result)
+        if before is not None and not same_pair(before[0], state):
+            self._ends = ()
+        if self._ends or self._ruled:
+            self._measure()
         self._painter.submit((state, result))
         self._show_reading(state, result)
         figures = match_figures(state, result)
@@ -84,8 +100,44 @@ class InspectTab(Feature):
         probe = self._pick(ray)
         if probe is None:
             self._reading.nothing_there()
+        elif self._measuring:
+            self._ends = (*self._ends, probe) if len(self._ends) == 1 else (probe,)
+            self._measure()
         else:
             self._desk.change(probe=probe)
+
+    # The ruler.
+
+    def _switch_ruler(self, on: bool) -> None:
+        self._measuring = on
+        self._clear_ruler()
+
+    def _clear_ruler(self) -> None:
+        self._ends = ()
+        self._measure()
+
+    def _measure(self) -> None:
+        """Measure between the ends that were clicked, and show the line."""
+        with self._lock:
+            shown, ends = self._shown, self._ends
+        if shown is None or len(ends) < 2:
+            if self._ruled:
+                self._show_ruler(None)
+            self._ruled = False
+            self._ruler.wait_for(end=len(ends) if self._measuring else None)
+            return
+        self._ruled = True
+        state, result = shown
+        maps, ratio = (result.query_map, result.database_map), state.params.features.max_std_ratio
+        ruler = measure(
+            maps,
+            (ends[0], ends[1]),
+            result.registration.T_database_query,
+            z_offset_of(result.registration, maps, ratio),
+            ratio,
+        )
+        self._show_ruler(ruler)
+        self._ruler.show(ruler)
 
     def _on_drawn(self, job: _ShownPair, image: Image, seconds: float) -> None:
         del seconds
@@ -198,10 +250,14 @@ def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
         key += [Key(css(QUERY), "the query alone"), Key(css(DATABASE), "the database alone")]
     else:
         key.append(Key(css(MASKED), "masked: no points nearby"))
-    hidden = "" if options.inlier_lines else " (lines are off)"
-    key.append(Key(css(inlier_color(result)), f"{inliers:,} inliers{hidden}"))
-    hidden = "" if options.outlier_lines else " (lines are off)"
-    key.append(Key(css(OUTLIER), f"{total - inliers:,} outliers{hidden}"))
+    for color, count, kind, drawn in (
+        (inlier_color(result), inliers, "inliers", options.inlier_lines),
+        (OUTLIER, total - inliers, "outliers", options.outlier_lines),
+    ):
+        note = "" if drawn else " (lines are off)"
+        if drawn and not options.all_lines and count > MOST_LINES:
+            note = f" ({MOST_LINES} lines drawn)"
+        key.append(Key(css(color), f"{count:,} {kind}{note}"))
     if options.keypoints:
         alone = sum(
             len(features) - len(np.unique(indices))

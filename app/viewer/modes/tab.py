@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import viser
 
 from app.viewer.draw.cameras import set_start, set_view, view_of
-from app.viewer.draw.placement import Camera
+from app.viewer.draw.placement import UNKNOWN_CANVAS, Camera, Canvas
 from app.viewer.feature import Desk, Feature, Subject
 from app.viewer.host import pages
 from app.viewer.modes.panel import Mode, ModesPanel
@@ -51,7 +51,7 @@ class Modes(Feature):
             panels: Panel of each mode; one at a time is to be seen.
             commands: Get those for the full screen.
         """
-        self._scenes = pair, world
+        desk, self._scenes = self._desk, (pair, world)
         self._panels = panels
         for panel in panels.values():
             panel.dock_left()
@@ -60,7 +60,7 @@ class Modes(Feature):
         commands.add(
             "Demo",
             "Full screen, or back",
-            lambda: self.set_full_screen(not self._full_screen),
+            lambda: desk.tell(Feature.set_full_screen, not self._full_screen),
             key="F",
         )
         commands.add("Demo", "Leave full screen", self._leave_full_screen, key="escape")
@@ -74,6 +74,10 @@ class Modes(Feature):
     def tune(self) -> None:
         """Go to the mode in which a pair is tuned."""
         self.go("Tune")
+
+    def explore(self) -> None:
+        """Go to the mode in which all submaps are looked at."""
+        self.go("Explore")
 
     def go(self, mode: Mode) -> None:
         """Go to a mode; Demo keeps what is to be seen."""
@@ -94,17 +98,28 @@ class Modes(Feature):
             if subject == before:
                 return
             clients = pages(host)
+            canvases = self._desk.canvases
             for number, client in clients.items():
-                self._views[before, number] = view_of(client)
+                self._views.pop((before, number), None)
+                if canvases.is_by_hand(client):
+                    self._views[before, number] = view_of(client)
             pair.visible = subject == "pair"
             world.open(visible=subject == "world")
-            whole = world.camera() if subject == "world" else pair.camera(self._state)
+
+            def whole(canvas: Canvas = UNKNOWN_CANVAS) -> Camera | None:
+                if subject == "world":
+                    return world.camera(canvas)
+                return pair.camera(self._state, canvas)
+
             for number, client in clients.items():
-                view = self._views.get((subject, number), whole)
-                if view is not None:
-                    set_view(client, view)
-            if whole is not None and isinstance(host, viser.ViserServer):
-                set_start(host, whole)
+                view, all_of_it = self._views.get((subject, number)), whole(canvases.of(client))
+                if all_of_it is not None:
+                    canvases.expect(client, all_of_it)
+                    set_view(client, view or all_of_it)
+            start = whole()
+            if start is not None and isinstance(host, viser.ViserServer):
+                set_start(host, start)
+        self._desk.tell(Feature.turned, subject)
         host.flush()
 
     def set_full_screen(self, full_screen: bool) -> None:
@@ -119,7 +134,7 @@ class Modes(Feature):
 
     def _leave_full_screen(self) -> None:
         if self._full_screen:
-            self.set_full_screen(False)
+            self._desk.tell(Feature.set_full_screen, False)
 
     def _show_panels(self) -> None:
         with self._desk.host.atomic():

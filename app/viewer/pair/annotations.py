@@ -6,13 +6,13 @@ from jaxtyping import Float
 from app.viewer.draw.associations import outline
 from app.viewer.draw.colors import Rgb
 from app.viewer.draw.nodes import LinePoints, LinesNode
+from app.viewer.draw.overlay import round_length
 from app.viewer.draw.placement import Extent, Placement
 from app.viewer.host import Host
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.pipeline import PairResult
 
 BAR: Rgb = (120, 120, 120)  # seen on a light and on a dark page
-OUTDATED = "Out of date: "
 SCALE_BAR_SHARE = 0.4
 """Longest length of the scale bar, as a share of the database's width."""
 SWIPE_RISE = 0.05
@@ -31,11 +31,6 @@ class Annotations:
             f"{root}/verdict", "", anchor="top-center", font_screen_scale=1.3
         )
         self._swipe = LinesNode(host, f"{root}/swipe", BAR, thickness=2.0)
-
-    def outdate(self) -> None:
-        """Say that the picture is not what was asked for; the next one takes that back."""
-        if self._verdict.text and not self._verdict.text.startswith(OUTDATED):
-            self._verdict.text = OUTDATED + self._verdict.text
 
     def hide_verdict(self) -> None:
         """Say nothing of the pair."""
@@ -76,13 +71,3 @@ class Annotations:
         self._bar_label.text = f"{length:g} m"
         middle = (start + end) / 2
         self._bar_label.position = (float(middle[0]), float(middle[1]), float(middle[2]))
-
-
-def round_length(longest: float) -> float:
-    """Give the longest of 1, 2, 5, 10, … [m] that is not longer.
-
-    >>> round_length(4.7), round_length(0.3)
-    (2.0, 0.2)
-    """
-    power = 10.0 ** np.floor(np.log10(longest))
-    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= longest))

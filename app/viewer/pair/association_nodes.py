@@ -8,7 +8,7 @@ from app.viewer.draw.associations import inlier_color, keypoint_dots, match_line
 from app.viewer.draw.colors import INLIER, OUTLIER, faint
 from app.viewer.draw.nodes import LinePoints, LinesNode, SubmapNode
 from app.viewer.draw.placement import Extent, Placement
-from app.viewer.draw.readout import reading_of
+from app.viewer.draw.readout import other_place, read, reading_of
 from app.viewer.host import Host
 from app.viewer.pair.ground import Ground
 from app.viewer.pair.marks import Marks
@@ -87,7 +87,14 @@ class AssociationNodes:
                 continue
 
             def lines(inliers: bool = inliers) -> LinePoints:
-                return match_lines(result, at_query, at_database, inliers=inliers, lift=lift)
+                return match_lines(
+                    result,
+                    at_query,
+                    at_database,
+                    inliers=inliers,
+                    lift=lift,
+                    everything=options.all_lines,
+                )
 
             segments.show(
                 (
@@ -98,6 +105,7 @@ class AssociationNodes:
                     at_query,
                     at_database,
                     lift,
+                    options.all_lines,
                 ),
                 lines,
             )
@@ -111,6 +119,13 @@ class AssociationNodes:
         reading = reading_of(state, (result.query_map, result.database_map))
         of_query = state.probe is not None and state.probe.role == "query"
         self._marks.show_reading(reading, at_query if of_query else at_database, size)
+        motion, other = result.registration.T_database_query, None
+        # Registered, the same place of the other submap is the same place of the scene.
+        if reading is not None and motion is not None and state.options.layout != "registered":
+            x, y = other_place(motion, reading.x, reading.y, of_query=of_query)
+            read_map = result.database_map if of_query else result.query_map
+            other = read(read_map, x, y, state.params.features.max_std_ratio)
+        self._marks.show_other(other, at_database if of_query else at_query, size)
 
 
 def _mark_size(state: ViewState) -> float:

@@ -11,6 +11,7 @@ from app.viewer.draw.histogram import Histogram, count_values, histogram_svg, su
 from app.viewer.draw.layers import Scale, layer_values, shared_scale
 from app.viewer.draw.picking import Hit, Ray, first_hit
 from app.viewer.draw.placement import Placement
+from app.viewer.draw.readout import read
 from app.viewer.state import Layer, Probe, Role, ViewState
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import GradientMap, Registration
@@ -146,6 +147,15 @@ class Ground:
             return None
         hit, role = min(hits, key=lambda found: found[0].distance)
         return Probe(role, hit.x, hit.y)
+
+    def spot(self, probe: Probe) -> Float[NDArray[np.float64], "3"] | None:
+        """Give where a place is in the scene [m]; None where no ground is known."""
+        index = ROLES.index(probe.role)
+        ratio = self.state.params.features.max_std_ratio
+        reading = read(self.maps[index], probe.x, probe.y, ratio)
+        if reading is None or not (reading.trusted or self.state.options.untrusted != "hidden"):
+            return None
+        return self.placements[index].apply(np.array([[probe.x, probe.y, reading.elevation]]))[0]
 
     def count(self) -> Histogram:
         """Count the values that the layer shows."""

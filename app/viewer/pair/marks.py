@@ -27,6 +27,7 @@ class Marks:
             f"{root}/match/label", "", anchor="bottom-center", visible=False
         )
         self._point = PointsNode(host, f"{root}/probe/point", shape="diamond")
+        self._other = PointsNode(host, f"{root}/probe/other", shape="diamond")
         self._point_label = host.scene.add_label(
             f"{root}/probe/label", "", anchor="bottom-left", visible=False
         )
@@ -75,6 +76,7 @@ class Marks:
         """Point at nothing."""
         self.hide_match()
         self._point.hide()
+        self._other.hide()
         self._point_label.visible = False
 
     def show_reading(self, reading: Reading | None, placement: Placement, size: float) -> None:
@@ -89,14 +91,26 @@ class Marks:
             self._point.hide()
             self._point_label.visible = False
             return
-        spot = np.array([[reading.x, reading.y, reading.elevation + size / 2]])
-        there = placement.apply(spot).astype(np.float32)
-        self._point.show(
-            (reading, placement, size), lambda: (there, _painted(PROBE, 1), PROBE_SIZE * size)
-        )
+        there = _place_point(self._point, reading, placement, size)
         self._point_label.text = label_text(reading)
         self._point_label.position = _tuple(there[0])
         self._point_label.visible = True
+
+    def show_other(self, reading: Reading | None, placement: Placement, size: float) -> None:
+        """Mark the same place of the other submap; None marks none, as where it saw no ground."""
+        if reading is None or not reading.trusted:
+            self._other.hide()
+        else:
+            _place_point(self._other, reading, placement, size)
+
+
+def _place_point(
+    point: PointsNode, reading: Reading, placement: Placement, size: float
+) -> Float[NDArray[np.float32], "1 3"]:
+    spot = np.array([[reading.x, reading.y, reading.elevation + size / 2]])
+    there = placement.apply(spot).astype(np.float32)
+    point.show((reading, placement, size), lambda: (there, _painted(PROBE, 1), PROBE_SIZE * size))
+    return there
 
 
 def _painted(color: Rgb, count: int) -> UInt8[NDArray[np.uint8], "n 3"]:

@@ -68,7 +68,8 @@ class ViewPanel:
                 LAYOUTS,
                 initial_value=options.layout,
                 hint="Each submap by itself, or the query laid onto the database as the "
-                "registration says.",
+                "registration says, or the gradient of each from above: there the cursor shows "
+                "the same place in both.",
             ),
         )
         self._bind_choice(
@@ -153,6 +154,15 @@ class ViewPanel:
                 "Outlier lines",
                 options.outlier_lines,
                 hint="Associations that do not agree with it (red).",
+            ),
+        )
+        self._bind(
+            "all_lines",
+            gui.add_checkbox(
+                "All lines",
+                options.all_lines,
+                hint="Draws a line for every association. Otherwise at most forty of each kind are "
+                "drawn, spread over the ground.",
             ),
         )
         camera = gui.add_button("Show both submaps", hint="Moves the camera back to both submaps.")

@@ -9,13 +9,15 @@ import numpy as np
 import viser
 from jaxtyping import Float, UInt8
 
-from app.viewer.draw.cameras import set_start, set_view, top
+from app.viewer.draw.cameras import DOWN, set_start, set_view
 from app.viewer.draw.colors import DATABASE, QUERY
 from app.viewer.draw.layers import Scale
 from app.viewer.draw.nodes import SubmapNode
 from app.viewer.draw.picking import Ray
 from app.viewer.draw.placement import (
+    UNKNOWN_CANVAS,
     Camera,
+    Canvas,
     Extent,
     Placement,
     frame_camera,
@@ -23,13 +25,16 @@ from app.viewer.draw.placement import (
     place,
     z_offset_of,
 )
+from app.viewer.draw.readout import other_place
+from app.viewer.draw.ruler import Ruler
 from app.viewer.draw.surfels import make_surfels, stride_for
 from app.viewer.host import Host, pages
 from app.viewer.pair.annotations import Annotations
 from app.viewer.pair.association_nodes import AssociationNodes
 from app.viewer.pair.blinker import Blinker
 from app.viewer.pair.ground import ROLES, Difference, Ground, shown_roles
-from app.viewer.state import Probe, ViewState, same_pair
+from app.viewer.pair.ruler_nodes import RulerNodes
+from app.viewer.state import FROM_ABOVE, Layout, Probe, ViewState, as_drawn, same_pair
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.types import GradientMap, Registration, Submap
@@ -83,11 +88,23 @@ class _Layout:
 
 
 class PairScene:
-    """The two submaps, what joins them, and a scale bar."""
+    """The two submaps, and what joins them.
 
-    def __init__(self, host: Host) -> None:
-        """Make the nodes; nothing is shown until `show`."""
+    Attributes:
+        tall: Whether side by side means one behind the other, as fills a tall canvas.
+    """
+
+    def __init__(self, host: Host, *, standalone: bool = True) -> None:
+        """Make the nodes; nothing is shown until `show`.
+
+        Args:
+            host: Whose scene it fills.
+            standalone: Whether verdict and scale are part of the scene, because nothing is written
+                over it.
+        """
+        self.tall = False
         self._host = host
+        self._standalone = standalone
         scene = host.scene
         scene.set_up_direction("+z")
         # Lit surfaces are not used, and an environment map would tint what is.
@@ -97,6 +114,7 @@ class PairScene:
         self._database = SubmapNode(host, PAIR, "database", DATABASE, "left")
         self._annotations = Annotations(host, PAIR)
         self._associations = AssociationNodes(host, PAIR, (self._query, self._database))
+        self._ruler = RulerNodes(host, PAIR)
         self._blinker = Blinker(host, (self._query, self._database))
         # The registration last found, and the state whose pair it is of.
         self._registered: tuple[ViewState, Registration] | None = None
@@ -125,7 +143,8 @@ class PairScene:
             shown, layout = self._show_submaps(state, maps, registration)
             self._associations.show_keypoints(shown.ground, result)
             self._associations.show_lines(state, result, layout.at_query, layout.at_database)
-            self._annotations.show_verdict(result, layout.corners)
+            if self._standalone:
+                self._annotations.show_verdict(result, layout.corners)
             self._associations.show_marks(state, result, layout.at_query, layout.at_database)
         self._host.flush()
         return shown
@@ -166,7 +185,8 @@ class PairScene:
         dz = z_offset_of(result.registration, maps, state.params.features.max_std_ratio)
 
         place_pair = self.placing(state, result)
-        return lambda share: place_pair(*glide(*boxes, motion, dz, share))
+        tall = self.tall
+        return lambda share: place_pair(*glide(*boxes, motion, dz, share, tall=tall))
 
     def placing(
         self, state: ViewState, result: PairResult
@@ -205,6 +225,32 @@ class PairScene:
         """Find the place of a surface that a line of sight meets first, if it meets one."""
         return None if self._ground is None or not self.visible else self._ground.pick(ray)
 
+    def spots(self, probe: Probe) -> tuple[Float[NDArray[np.float64], "3"], ...]:
+        """Give where a place is seen in the scene [m], and the same place of the other submap.
+
+        The other is left out without a motion, and where the other submap saw no ground.
+        """
+        with self._lock:
+            ground, known = self._ground, self._registered
+        if ground is None:
+            return ()
+        found = [ground.spot(probe)]
+        motion = None
+        if known is not None and same_pair(known[0], ground.state):
+            motion = known[1].T_database_query
+        if motion is not None:
+            of_query = probe.role == "query"
+            x, y = other_place(motion, probe.x, probe.y, of_query=of_query)
+            found.append(ground.spot(Probe("database" if of_query else "query", x, y)))
+        return tuple(spot for spot in found if spot is not None)
+
+    def show_ruler(self, ruler: Ruler | None) -> None:
+        """Show a measured line where the submaps stand; None shows none."""
+        with self._lock, self._host.atomic():
+            if self._ground is not None:
+                self._ruler.show(ruler, self._ground)
+        self._host.flush()
+
     def close(self) -> None:
         """Stop blinking."""
         self._blinker.close()
@@ -215,6 +261,7 @@ class PairScene:
         maps: tuple[GradientMap, GradientMap],
         registration: Registration | None,
     ) -> tuple[Shown, "_Layout"]:
+        state = as_drawn(state)
         options, ratio = state.options, state.params.features.max_std_ratio
         motion = None if registration is None else registration.T_database_query
         registered = _is_registered(state, registration)
@@ -227,7 +274,7 @@ class PairScene:
             difference = Difference.between(maps, registration, dz, ratio, self._difference)
             self._difference = difference
         boxes = Extent.of(state.query), Extent.of(state.database)
-        layout = _Layout(boxes, *place(*boxes, options.layout, motion, dz))
+        layout = _Layout(boxes, *place(*boxes, options.layout, motion, dz, tall=self.tall))
         lift = dz if registered and options.layer == "elevation" else 0.0
         swipe_at = layout.swipe_at(options.swipe) if options.compare == "swipe" else None
         ground = self._ground = Ground.of(
@@ -242,12 +289,14 @@ class PairScene:
         for index, node in enumerate(nodes):
             submap, placement = (state.query, state.database)[index], ground.placements[index]
             node.move(placement)
-            node.name(submap, boxes[index])
+            in_front = self.tall and not registered and ROLES[index] == "database"
+            node.name(submap, boxes[index], before=in_front)
             if not self._blinker.on:
                 node.visible = not registered or ROLES[index] in shown_roles(state)
             self._show_cloud(node, submap, state)
             self._show_surface(node, ground, index)
-        self._annotations.show_bar(boxes[1], layout.at_database)
+        if self._standalone:
+            self._annotations.show_bar(boxes[1], layout.at_database)
         self._annotations.show_swipe(ground.swipe_at, layout.corners)
         shown = Shown(
             ground.scale if options.surfaces else None,
@@ -258,23 +307,34 @@ class PairScene:
         )
         return shown, layout
 
-    def outdate(self) -> None:
-        """Say in the picture that it is not what was asked for; the next one takes that back."""
-        self._annotations.outdate()
+    def camera(
+        self,
+        state: ViewState,
+        canvas: Canvas = UNKNOWN_CANVAS,
+        forward: Float[NDArray[np.float64], "3"] | None = None,
+        *,
+        layout: Layout | None = None,
+    ) -> Camera:
+        """Give the view in which both submaps fill a canvas.
 
-    def camera(self, state: ViewState) -> Camera:
-        """Give the view that shows both submaps of a state side by side."""
+        Args:
+            state: Whose pair, and whose layout.
+            canvas: Of the page.
+            forward: Direction of sight; None chooses what fills the canvas, and suits the layout.
+            layout: Instead of the state's.
+        """
         boxes = Extent.of(state.query), Extent.of(state.database)
-        at_query, at_database = place(*boxes, "side by side", None, 0.0)
-        return frame_camera(((boxes[0], at_query), (boxes[1], at_database)))
+        found = self._known_registration(state)
+        motion = None if found is None else found.T_database_query
+        layout = layout or state.options.layout
+        placed = place(*boxes, layout, motion, 0.0, tall=self.tall)
+        if forward is None and layout == FROM_ABOVE:
+            forward = DOWN
+        return frame_camera(tuple(zip(boxes, placed, strict=True)), canvas, forward=forward)
 
-    def camera_above(self, state: ViewState) -> Camera:
+    def camera_above(self, state: ViewState, canvas: Canvas = UNKNOWN_CANVAS) -> Camera:
         """Give the view from above of what is shown, y up as on a map."""
-        placed = self._ground
-        boxes = Extent.of(state.query), Extent.of(state.database)
-        if placed is None:
-            return self.camera(state)
-        return top(frame_camera(tuple(zip(boxes, placed.placements, strict=True))))
+        return self.camera(state, canvas, DOWN)
 
     def start_camera(self, camera: Camera) -> None:
         """Set the view that new pages, and "reset view", begin with."""

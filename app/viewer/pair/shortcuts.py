@@ -4,10 +4,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from app.viewer.draw.cameras import set_view
-from app.viewer.feature import Desk
+from app.viewer.feature import Desk, Feature
 from app.viewer.pair.panel import LAYER_NAMES
 from app.viewer.pair.tab import PairTab
-from app.viewer.state import LAYERS, Role, ViewOptions, registered
+from app.viewer.state import FROM_ABOVE, LAYERS, Role, ViewOptions, registered
 from app.viewer.widgets.commands import Commands
 
 
@@ -49,17 +49,18 @@ def add_shortcuts(
 
     commands.add_for_page(
         "View",
-        "Both submaps in view",
-        lambda page: set_view(page, pair.scene.camera(desk.state)),
+        "All of it in view",
+        lambda page: desk.tell(Feature.frame, page),
         key="R",
     )
     commands.add_for_page(
         "View",
         "View from above",
-        lambda page: set_view(page, pair.scene.camera_above(desk.state)),
+        lambda page: set_view(page, pair.scene.camera_above(desk.state, desk.canvases.of(page))),
         key="T",
     )
     commands.add("View", "Side by side or registered", other_layout, key="L")
+    choose("View", "Gradient of both from above", None, layout=FROM_ABOVE)
     choose("Compare", "Blink: one after the other", "B", layout="registered", compare="blink")
     choose("Compare", "Swipe: left and right of a line", "V", layout="registered", compare="swipe")
     choose(
@@ -82,6 +83,7 @@ def add_shortcuts(
     _add_pairs(commands, pair)
     switch("Inlier lines", "I", "inlier_lines")
     switch("Outlier lines", "O", "outlier_lines")
+    switch("All lines, or forty of each kind", "G", "all_lines")
     switch("Keypoints", "K", "keypoints")
     switch("Point clouds", "C", "clouds")
     switch("Surfaces", None, "surfaces")

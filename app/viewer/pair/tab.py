@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import viser
 
-from app.viewer.draw.placement import Camera
 from app.viewer.feature import Desk, Feature
 from app.viewer.host import set_theme
 from app.viewer.opened import Opened
@@ -51,7 +50,7 @@ class PairTab(Feature):
         """
         self._desk = desk
         host, state = desk.host, desk.state
-        self.scene = PairScene(host)
+        self.scene = PairScene(host, standalone=False)
         self._histogram = HistogramOf()
         self._verdict = VerdictCard(host)
         self._status = PictureStatus(host, desk.memo, self._cancel)
@@ -63,7 +62,7 @@ class PairTab(Feature):
                 host,
                 state.options,
                 lambda options: desk.change(options=options),
-                lambda: self.scene.move_cameras(self.scene.camera(desk.state)),
+                lambda: desk.tell(Feature.frame, None),
             )
         self._dark = False
         self._painted: ViewState | None = None  # whose full surfaces are to be seen
@@ -93,9 +92,10 @@ class PairTab(Feature):
     def opened(self, opened: Opened) -> None:
         """Tell what is open, and bring the cameras to it."""
         self._summary.show(opened.dataset)
-        camera = self._start_camera(opened)
-        if self.scene.visible:  # the world brings the cameras to itself
-            self.scene.move_cameras(camera)
+        self._start_camera(opened)
+        saved = None if opened.saved is None else opened.saved.camera
+        if saved is not None and self.scene.visible:
+            self.scene.move_cameras(saved)
 
     def close(self) -> None:
         """Stop working; what was shown stays until its page goes."""
@@ -176,16 +176,14 @@ class PairTab(Feature):
     def _outdate(self, tell: Callable[[], None]) -> None:
         """Say that what is seen is not what is set: on the card, in the scene, and why."""
         self._verdict.outdate("out of date")
-        self.scene.outdate()
+        self._desk.tell(Feature.outdated)
         tell()
         self._desk.host.flush()
 
-    def _start_camera(self, opened: Opened) -> Camera:
-        """Set, and give, the view that pages begin with."""
+    def _start_camera(self, opened: Opened) -> None:
+        """Set the view that pages begin with, before they say how large their canvas is."""
         saved = None if opened.saved is None else opened.saved.camera
-        camera = saved or self.scene.camera(self._desk.state)
-        self.scene.start_camera(camera)
-        return camera
+        self.scene.start_camera(saved or self.scene.camera(self._desk.state))
 
 
 def details(shown: Shown, state: ViewState) -> str:

@@ -13,6 +13,7 @@ from typing import TypeAlias
 
 import msgspec
 import viser
+from viser._messages import RunJavascriptMessage
 
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_choice_by
@@ -25,8 +26,11 @@ Act: TypeAlias = Callable[[viser.ClientHandle, Data], None]
 
 BETWEEN_MS = 70
 """viser's pages send only the last of the inputs that come within 50 ms."""
+AWAY_MS = 500
+"""While the panels are put away, so is the box; messages wait until it is back."""
 
 # `say` queues its messages. `newest` replaces what waits under the same name, as a drag needs it.
+# `acts` are what scripts of ours do when Python calls them by name; see `Bridge.call`.
 SCRIPT = """
 (box => {
   if (!window.gpgrad) {
@@ -36,8 +40,9 @@ SCRIPT = """
       let row = document.querySelector(`label[for="${window.gpgrad.box}"]`);
       while (row && !row.querySelector('input')) row = row.parentElement;
       const input = row && row.querySelector('input');
-      if (!waiting.length || !input) { busy = false; return; }
-      busy = true;
+      busy = waiting.length > 0;
+      if (!busy) return;
+      if (!input) { setTimeout(send, AWAY_MS); return; }
       const text = JSON.stringify({number: ++number, ...waiting.shift()});
       Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(input, text);
       input.dispatchEvent(new Event('input', {bubbles: true}));
@@ -49,11 +54,13 @@ SCRIPT = """
         if (same) same.data = data; else waiting.push({name, data});
         if (!busy) send();
       },
+      acts: {},
+      hear(name, data) { if (window.gpgrad.acts[name]) window.gpgrad.acts[name](data); },
     };
   }
   window.gpgrad.box = box;
 })(BOX)
-""".replace("BETWEEN_MS", str(BETWEEN_MS))
+""".replace("BETWEEN_MS", str(BETWEEN_MS)).replace("AWAY_MS", str(AWAY_MS))
 
 
 class _Said(msgspec.Struct, forbid_unknown_fields=True):
@@ -90,6 +97,22 @@ class Bridge:
             act: Given the page and what it said; must be quick, and check what it is given.
         """
         self._acts[name] = act
+
+    def call(self, page: viser.ClientHandle, name: str, data: object) -> None:
+        """Have a page do what a script of ours has put into ``gpgrad.acts``.
+
+        A page that does not know the name yet does nothing. So a script that needs something says
+        so once it is there.
+
+        Args:
+            page: Which is to do it.
+            name: Of the act.
+            data: What it takes; anything that JSON can hold.
+        """
+        words = f"{json.dumps(name)},{json.dumps(data)}"
+        source = f"window.gpgrad&&gpgrad.hear({words})"
+        connection = page._websock_connection  # pyright: ignore[reportPrivateUsage]
+        connection.queue_message(RunJavascriptMessage(source))
 
     def _take(self, page: viser.ClientHandle, text: str) -> None:
         said = read_said(text)

@@ -16,7 +16,14 @@ from app.viewer.draw.associations import outline
 from app.viewer.draw.colors import Rgb, for_lines
 from app.viewer.draw.layers import Scale
 from app.viewer.draw.nodes import LinesNode, PointsNode
-from app.viewer.draw.placement import Camera, Extent, Placement, frame_camera
+from app.viewer.draw.placement import (
+    UNKNOWN_CANVAS,
+    Camera,
+    Canvas,
+    Extent,
+    Placement,
+    frame_camera,
+)
 from app.viewer.draw.surfels import Surfels
 from app.viewer.host import Host
 from app.viewer.world.lines import (
@@ -164,8 +171,10 @@ class WorldScene:
         }
         return pick(origin + self._origin, direction, surfaces)
 
-    def camera(self) -> Camera | None:
-        """Give the view that shows all; None while nothing is shown."""
+    def camera(
+        self, canvas: Canvas = UNKNOWN_CANVAS, forward: Float[Array, "3"] | None = None
+    ) -> Camera | None:
+        """Give the view in which all fills a canvas; None while nothing is shown."""
         if self._shown is None or not self._shown.poses:
             return None
         return frame_camera(
@@ -173,15 +182,18 @@ class WorldScene:
                 (Extent.of(submap), self._placement(self._shown.poses[submap.id]))
                 for submap in self._shown.dataset.submaps
                 if submap.id in self._shown.poses
-            )
+            ),
+            canvas,
+            forward=forward,
         )
 
-    def camera_at(self, name: str) -> Camera | None:
+    def camera_at(self, name: str, canvas: Canvas = UNKNOWN_CANVAS) -> Camera | None:
         """Give the view of one submap; None if it is not shown."""
         if self._shown is None or name not in self._shown.poses:
             return None
         submap = self._shown.dataset.submap(name)
-        return frame_camera(((Extent.of(submap), self._placement(self._shown.poses[name])),))
+        placed = self._placement(self._shown.poses[name])
+        return frame_camera(((Extent.of(submap), placed),), canvas)
 
     def path(self) -> Float[Array, "n 3"]:
         """Give the trajectory along the submaps in the scene [m]."""

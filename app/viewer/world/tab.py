@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import viser
+from jaxtyping import Float
 
 from app.viewer.draw.animation import Animation, ease, play
 from app.viewer.draw.cameras import set_start, set_view
 from app.viewer.draw.layers import Scale
-from app.viewer.draw.placement import Camera
+from app.viewer.draw.placement import UNKNOWN_CANVAS, Camera, Canvas
 from app.viewer.feature import Desk, Feature
 from app.viewer.host import pages
 from app.viewer.state import ViewState
@@ -28,6 +29,7 @@ from app.viewer.world.submaps import (
     statistics_rows,
 )
 from app.viewer.world.surfaces import NEEDS_INFERENCE, Surface, inferred_surface, quick_surface
+from gpgrad_core.arrays import Array
 from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import OptimisedGraph
@@ -197,9 +199,11 @@ class WorldTab(Feature):
         """The optimised pose graph, if there is one."""
         return self._correction.graph
 
-    def camera(self) -> Camera | None:
-        """Give the view that shows all."""
-        return self.scene.camera()
+    def camera(
+        self, canvas: Canvas = UNKNOWN_CANVAS, forward: Float[Array, "3"] | None = None
+    ) -> Camera | None:
+        """Give the view in which all fills a canvas; see `frame_camera`."""
+        return self.scene.camera(canvas, forward)
 
     # What the widgets and the mouse ask for; quick.
 
@@ -248,10 +252,12 @@ class WorldTab(Feature):
 
     def _look(self, page: viser.ClientHandle) -> None:
         if self._selected is not None:
-            _bring(page, self.scene.camera_at(self._selected))
+            camera = self.scene.camera_at(self._selected, self._desk.canvases.of(page))
+            if camera is not None:
+                set_view(page, camera)
 
     def _show_all(self, page: viser.ClientHandle) -> None:
-        _bring(page, self.camera())
+        self._desk.tell(Feature.frame, page)
 
     # What the worker does.
 
@@ -306,8 +312,10 @@ class WorldTab(Feature):
             if camera is not None:
                 if isinstance(self._host, viser.ViserServer):
                     set_start(self._host, camera)
-                for client in pages(self._host).values():
-                    set_view(client, camera)
+                for page in pages(self._host).values():
+                    whole = self.camera(self._desk.canvases.of(page))
+                    assert whole is not None
+                    self._desk.canvases.bring(page, whole)
         self._host.flush()
 
     def _on_cancel(self, job: _Drawing) -> None:
@@ -334,11 +342,6 @@ class WorldTab(Feature):
 def relaxation(graph: OptimisedGraph, move: Callable[[Mapping[str, Pose]], None]) -> Animation:
     """Animate the world from odometry to the corrected poses, as the solver went."""
     return Animation(RELAXING_SECONDS, lambda share: move(graph.at(ease(share))), rest=1.5)
-
-
-def _bring(page: viser.ClientHandle, camera: Camera | None) -> None:
-    if camera is not None:
-        set_view(page, camera)
 
 
 def _summary(world: World, num_cells: int, seconds: float) -> tuple[str, ...]:

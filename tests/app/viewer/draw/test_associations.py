@@ -2,10 +2,13 @@ import numpy as np
 
 from app.viewer.draw.associations import (
     ARC_PIECES,
+    MOST_LINES,
     keypoint_dots,
     match_lines,
     on_surface,
     outline,
+    shown_matches,
+    spread,
     step_match,
 )
 from app.viewer.draw.colors import INLIER, OUTLIER, UNMATCHED
@@ -42,6 +45,27 @@ def test_inliers_and_outliers_are_joined_apart() -> None:
     np.testing.assert_array_equal(arcs[:, 1:, 0], arcs[:, :-1, 1])  # without a gap
     middle = arcs[:, ARC_PIECES // 2, 0, 2]
     assert (middle > arcs[:, 0, 0, 2]).all()  # over the ground
+
+
+def test_of_many_associations_forty_that_are_spread_are_joined() -> None:
+    many = make_result(STATE, num_inliers=150, num_outliers=30)
+    all_inliers = shown_matches(many, inliers=True, everything=True)
+    some = shown_matches(many, inliers=True, everything=False)
+    assert all_inliers.sum() == 150
+    assert some.sum() == MOST_LINES
+    assert not (some & ~all_inliers).any()
+    assert shown_matches(many, inliers=False, everything=False).sum() == 30
+    # They reach as far as all of them do, and none is far from one that is drawn.
+    places, drawn = many.matches.query_xy[all_inliers], many.matches.query_xy[some]
+    np.testing.assert_allclose(np.ptp(drawn, axis=0), np.ptp(places, axis=0), rtol=0.2)
+    missed = np.linalg.norm(places[:, None] - drawn[None], axis=2).min(axis=1)
+    assert missed.max() < np.linalg.norm(np.ptp(places, axis=0)) / 5
+
+
+def test_few_positions_are_all_chosen_and_equal_ones_are_no_error() -> None:
+    assert spread(np.zeros((3, 2)), 3).tolist() == [0, 1, 2]
+    assert len(spread(np.zeros((9, 2)), 4)) <= 4
+    assert spread(np.empty((0, 2)), 4).tolist() == []
 
 
 def test_registered_inliers_meet_and_outliers_do_not() -> None:

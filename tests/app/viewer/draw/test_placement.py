@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from app.viewer.draw.placement import (
     FIELD_OF_VIEW,
     Camera,
+    Canvas,
     Extent,
     Placement,
     frame_camera,
@@ -89,19 +90,61 @@ def project(camera: Camera, points: np.ndarray, aspect: float) -> np.ndarray:
     return np.column_stack([offset @ right / depth / (half * aspect), offset @ up / depth / half])
 
 
+canvases = st.builds(
+    Canvas,
+    width=st.floats(400.0, 2000.0),
+    height=st.floats(400.0, 1200.0),
+    left=st.floats(0.0, 150.0),
+    top=st.floats(0.0, 150.0),
+    right=st.floats(0.0, 150.0),
+    bottom=st.floats(0.0, 150.0),
+)
+
+
 @given(
     width=st.floats(1.0, 100.0),
     depth=st.floats(1.0, 100.0),
+    height=st.floats(0.0, 10.0),
     layout=st.sampled_from(["side by side", "registered"]),
-    aspect=st.floats(0.5, 2.5),
+    canvas=canvases,
+    tall=st.booleans(),
 )
-def test_the_camera_sees_both_submaps(
-    width: float, depth: float, layout: Layout, aspect: float
+def test_the_camera_sees_both_submaps_in_the_free_part_of_the_canvas(
+    width: float, depth: float, height: float, layout: Layout, canvas: Canvas, tall: bool
 ) -> None:
-    box = Extent((0.0, 0.0, 0.0), (width, depth, 1.0))
-    query, database = place(box, box, layout, T_DATABASE_QUERY, 0.0)
-    camera = frame_camera(((box, query), (box, database)), aspect)
-    corners = np.concatenate([query.apply(box.corners), database.apply(box.corners)])
-    seen = np.abs(project(camera, corners, aspect))
-    assert seen.max() <= 1.0  # nothing is cut off …
-    assert seen.max() >= 0.5  # … and the window is not wasted
+    box = Extent((0.0, 0.0, 0.0), (width, depth, height))
+    query, database = place(box, box, layout, T_DATABASE_QUERY, 0.0, tall=tall)
+    camera = frame_camera(((box, query), (box, database)), canvas)
+    corners = np.concatenate([query.apply(box.all_corners), database.apply(box.all_corners)])
+    seen = project(camera, corners, canvas.aspect)
+    (left, right), (bottom, top) = canvas.free_bounds
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    assert (low >= (left - 1e-6, bottom - 1e-6)).all()  # nothing is cut off …
+    assert (high <= (right + 1e-6, top + 1e-6)).all()
+    filled = (high - low) / (right - left, top - bottom)
+    assert filled.max() == pytest.approx(1.0, abs=1e-6)  # … and the window is not wasted
+    np.testing.assert_allclose(  # nor is it to one side
+        (low + high)[filled.argmin()], ((left + right), (bottom + top))[filled.argmin()], atol=0.3
+    )
+
+
+def test_from_any_side_all_of_it_is_seen() -> None:
+    box, canvas = Extent((0.0, 0.0, 0.0), (8.0, 3.0, 1.0)), Canvas(900.0, 600.0)
+    for forward in ((0.0, 1.0, -1.0), (1.0, 0.2, -0.4), (0.0, 1e-3, -1.0), (0.0, 0.0, -1.0)):
+        camera = frame_camera(((box, Placement()),), canvas, forward=np.array(forward))
+        along = np.array(camera.look_at) - camera.position
+        unit = np.array(forward) / np.linalg.norm(forward)
+        np.testing.assert_allclose(along / np.linalg.norm(along), unit, atol=1e-9)
+        if forward[:2] != (0.0, 0.0):
+            assert np.abs(project(camera, box.all_corners, canvas.aspect)).max() < 1.0
+
+
+def test_in_a_tall_canvas_the_query_stands_behind_the_database() -> None:
+    query, database = place(*BOXES, "side by side", None, 0.0, tall=True)
+    query_low, query_high = bounds(BOXES[0], query)
+    database_low, database_high = bounds(BOXES[1], database)
+    assert database_high[1] < 0 < query_low[1]
+    assert query_high[1] == pytest.approx(-database_low[1], rel=0.05)
+    assert Canvas(640.0, 900.0).is_tall
+    assert not Canvas(1280.0, 1080.0).is_tall
+    assert not Canvas(390.0, 844.0, bottom=506.0).is_tall  # what is free is wide

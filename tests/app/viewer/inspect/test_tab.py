@@ -39,7 +39,9 @@ def asked(recorder: Recorder) -> list[int]:
 
 @pytest.fixture
 def inspection(server: viser.ViserServer, recorder: Recorder) -> Iterator[InspectTab]:
-    made = InspectTab(make_desk(server, STATE, recorder), pick=lambda _: None)
+    made = InspectTab(
+        make_desk(server, STATE, recorder), pick=lambda _: None, show_ruler=lambda _: None
+    )
     yield made
     made.close()
 

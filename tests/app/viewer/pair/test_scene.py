@@ -8,11 +8,12 @@ import viser
 
 from app.viewer.draw.associations import ARC_PIECES
 from app.viewer.draw.colors import UNTRUSTED_GREY
+from app.viewer.draw.overlay import round_length
 from app.viewer.draw.picking import Ray
+from app.viewer.draw.ruler import measure
 from app.viewer.pair import association_nodes as association_module
 from app.viewer.pair import blinker
 from app.viewer.pair import scene as scene_module
-from app.viewer.pair.annotations import round_length
 from app.viewer.pair.scene import PairScene
 from app.viewer.state import (
     Probe,
@@ -229,6 +230,64 @@ def test_the_height_difference_colours_both_maps_alike_and_grey_where_only_one_s
     lost = replace(RESULT, registration=replace(RESULT.registration, T_database_query=None))
     scene.show(seeing(layer="difference"), lost)
     assert (node(server, "/pair/query/surface").colors == UNTRUSTED_GREY).all()
+
+
+def test_from_above_both_show_the_gradient_and_the_matched_place(
+    server: viser.ViserServer,
+) -> None:
+    scene = PairScene(server)
+    above = seeing(layout="gradient from above", layer="mask", clouds=True)
+    shown = scene.show(above, RESULT)
+    assert shown.scale is not None
+    assert shown.scale.unit == "m/m"
+    assert shown.num_points == 0
+    assert not shown.registered
+    camera = scene.camera(above)
+    across = np.hypot(*(np.array(camera.position) - camera.look_at)[:2])
+    assert across < 0.01 * (camera.position[2] - camera.look_at[2])
+    place = Probe("database", 0.4, -0.3)
+    here, there = scene.spots(place)
+    x, y = T_DATABASE_QUERY.inverse().apply(np.array([[0.4, -0.3]]))[0]
+    at_query, at_database = shown.ground.placements
+    np.testing.assert_allclose(here[:2], at_database.apply(np.array([[0.4, -0.3, 0.0]]))[0, :2])
+    np.testing.assert_allclose(there[:2], at_query.apply(np.array([[x, y, 0.0]]))[0, :2])
+    assert scene.spots(Probe("database", 99.0, 0.0)) == ()
+    scene.show(with_probe(above, place), RESULT)
+    assert node(server, "/pair/probe/other").visible
+    scene.show(with_probe(seeing(layout="registered"), place), RESULT)
+    assert not node(server, "/pair/probe/other").visible
+
+
+def test_a_ruler_lies_on_the_ground_of_both(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    scene.show(STATE, RESULT)
+    ends = Probe("database", -0.5, 0.2), Probe("database", 0.5, 0.2)
+    maps = RESULT.query_map, RESULT.database_map
+    ruler = measure(maps, ends, T_DATABASE_QUERY, 0.0, 0.5)
+    scene.show_ruler(ruler)
+    for role in ("query", "database"):
+        assert node(server, f"/pair/ruler/{role}").visible
+    assert node(server, "/pair/ruler/label").text == "1.00 m"
+    scene.show_ruler(None)
+    assert not node(server, "/pair/ruler/database").visible
+    assert not node(server, "/pair/ruler/label").visible
+
+
+def test_without_a_canvas_over_it_only_a_scene_of_its_own_says_what_it_is(
+    server: viser.ViserServer,
+) -> None:
+    PairScene(server, standalone=False).show(STATE, RESULT)
+    assert node(server, "/pair/scale/label").text == ""
+    assert node(server, "/pair/verdict").text == ""
+
+
+def test_in_a_tall_canvas_names_stand_apart(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    scene.tall = True
+    scene.show(STATE, RESULT)
+    query, database = (node(server, f"/pair/{role}/label") for role in ("query", "database"))
+    assert query.anchor.startswith("bottom")
+    assert database.anchor.startswith("top")
 
 
 def test_from_above_the_camera_looks_down_on_what_is_shown(server: viser.ViserServer) -> None:

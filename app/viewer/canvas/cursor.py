@@ -1,0 +1,72 @@
+"""From above, the place under the cursor is shown in both submaps, as far as a motion is known."""
+
+import threading
+import weakref
+
+import numpy as np
+import viser
+
+from app.viewer.draw.cameras import view_of
+from app.viewer.draw.colors import CHOSEN, css
+from app.viewer.draw.overlay import line_of_sight, place_on_screen
+from app.viewer.draw.picking import Ray
+from app.viewer.feature import Desk, Feature
+from app.viewer.host import pages
+from app.viewer.pacer import Pacer
+from app.viewer.pair import PairScene
+from app.viewer.state import FROM_ABOVE
+from app.viewer.widgets.bridge import Data
+
+BETWEEN = 0.05
+"""Pause between two answers to a cursor that moves [s]."""
+FARTHEST = 100_000.0
+"""Of a cursor from the corner of a canvas [pixels]."""
+
+
+class Cursor(Feature):
+    """Marks what is under the cursor of a page, and the same place of the other submap."""
+
+    def __init__(self, desk: Desk, pair: PairScene) -> None:
+        """Begin to listen.
+
+        Args:
+            desk: Of the session.
+            pair: Scene of the pair.
+        """
+        self._desk = desk
+        self._pair = pair
+        self._lock = threading.Lock()
+        self._at: weakref.WeakKeyDictionary[viser.ClientHandle, tuple[float, float]] = (
+            weakref.WeakKeyDictionary()
+        )
+        self._pacer: Pacer[viser.ClientHandle] = Pacer(self._mark, BETWEEN, "cursor")
+        self.workers = (self._pacer,)
+        desk.bridge.hear("cursor", self._take)
+
+    def _take(self, page: viser.ClientHandle, data: Data) -> None:
+        """Take where a page's cursor is: pixels from the upper left corner of its canvas."""
+        x, y = data.get("x"), data.get("y")
+        if not (isinstance(x, float | int) and isinstance(y, float | int)):
+            return
+        if not (abs(x) <= FARTHEST and abs(y) <= FARTHEST):  # NaN is not below anything
+            return
+        with self._lock:
+            self._at[page] = float(x), float(y)
+        self._pacer.ask(page)
+
+    def _mark(self, page: viser.ClientHandle) -> None:
+        with self._lock:
+            at = self._at.get(page)
+        if at is None or page not in pages(self._desk.host).values():
+            return
+        state, canvases = self._desk.state, self._desk.canvases
+        marks: list[list[float]] = []
+        if state.options.layout == FROM_ABOVE and self._pair.visible and canvases.knows(page):
+            view, canvas = view_of(page), canvases.of(page)
+            probe = self._pair.pick(Ray(*line_of_sight(view, canvas, *at)))
+            spots = () if probe is None else self._pair.spots(probe)
+            for spot in spots:
+                place = place_on_screen(view, canvas, spot[None])[0]
+                if np.isfinite(place).all():
+                    marks.append(np.round(place, 1).tolist())
+        canvases.show(page, "marks", {"places": marks, "color": css(CHOSEN)})

@@ -1,0 +1,185 @@
+"""Keeps the addresses of the pages, and shows what an address asks for."""
+
+import threading
+import weakref
+from pathlib import Path
+
+import viser
+
+from app.viewer.draw.cameras import view_of
+from app.viewer.feature import Desk, Feature, Subject
+from app.viewer.host import Host, pages
+from app.viewer.links.address import Link, address_of, read_address
+from app.viewer.links.panel import LinkPanel, script_html, tell
+from app.viewer.opened import Opened
+from app.viewer.pacer import Pacer
+from app.viewer.state import ViewState
+from app.viewer.widgets.bridge import Data
+from app.viewer.widgets.commands import Commands
+from gpgrad_core.datasets import demo_path
+from gpgrad_core.errors import InputError
+
+BETWEEN = 0.4
+"""Pause between two changes of an address [s]; browsers refuse very many."""
+
+
+def add_script(host: Host) -> None:
+    """Put the script of the addresses into the current container, which must not be a tab."""
+    host.gui.add_html(script_html())
+
+
+class Links(Feature):
+    """Writes what is shown into the addresses of the pages, and reads that of a page that comes."""
+
+    def __init__(self, desk: Desk, commands: Commands) -> None:
+        """Make the panel in the current container.
+
+        Args:
+            desk: Of the session.
+            commands: Gets one that copies the link.
+        """
+        self._desk = desk
+        self._panel = LinkPanel(desk.host)
+        self._subject: Subject = "pair"
+        self._pending: Link | None = None  # whose dataset is being loaded
+        self._arrived: weakref.WeakKeyDictionary[viser.ClientHandle, str] = (
+            weakref.WeakKeyDictionary()
+        )
+        self._lock = threading.Lock()
+        self._pacer: Pacer[viser.ClientHandle] = Pacer(self._publish, BETWEEN, "addresses")
+        self.workers = (self._pacer,)
+        desk.bridge.hear("arrived", self._arrive)
+        desk.bridge.hear("link copied", _say_copied)
+        commands.add_for_page(
+            "Session", "Copy link", lambda page: desk.bridge.call(page, "copy", {}), key="Y"
+        )
+
+    def follow(self, state: ViewState) -> None:
+        """Take what is shown now."""
+        self._panel.show(has_link=bool(self._address(state)))
+        self._ask_all()
+
+    def turned(self, subject: Subject) -> None:
+        """Take that the scene shows the pair or the world."""
+        self._subject = subject
+        self._ask_all()
+
+    def opened(self, opened: Opened) -> None:
+        """Show the rest of what a link asks for, once its dataset is there."""
+        with self._lock:
+            pending, self._pending = self._pending, None
+        if pending is not None and opened.saved is pending.saved and pending.subject == "world":
+            self._desk.tell(Feature.explore)
+
+    def _ask_all(self) -> None:
+        for page in pages(self._desk.host).values():
+            if page in self._arrived:
+                self._pacer.ask(page)
+
+    def _address(self, state: ViewState, page: viser.ClientHandle | None = None) -> str:
+        """Write the address for a page; without one, as no camera was moved."""
+        uploads = self._desk.permissions.uploads
+        if uploads is not None and Path(state.source).is_relative_to(uploads):
+            return ""
+        camera = None
+        if page is not None and self._subject == "pair":
+            camera = view_of(page) if self._desk.canvases.is_by_hand(page) else None
+        return address_of(state, self._subject, camera)
+
+    def _publish(self, page: viser.ClientHandle) -> None:
+        if page not in pages(self._desk.host).values():
+            return
+        text = self._address(self._desk.state, page)
+        if self._arrived.get(page) != text:
+            self._arrived[page] = text
+            self._desk.bridge.call(page, "address", text)
+
+    # A page that comes.
+
+    def _arrive(self, page: viser.ClientHandle, data: Data) -> None:
+        if page in self._arrived:
+            return
+        self._arrived[page] = ""
+        text = data.get("text")
+        if isinstance(text, str) and text:
+            self._open(page, text)
+
+        @page.camera.on_update
+        async def _(camera: viser.CameraHandle) -> None:
+            del camera
+            self._pacer.ask(page)
+
+        self._pacer.ask(page)
+
+    def _open(self, page: viser.ClientHandle, text: str) -> None:
+        """Show what an address asks for, unless others would lose what they look at."""
+        state = self._desk.state
+        try:
+            link = read_address(text, state.options)
+        except InputError as error:
+            tell(page, "The link cannot be opened", str(error))
+            return
+        if len(pages(self._desk.host)) > 1:
+            if not _asks_for(link, state):
+                tell(
+                    page,
+                    "You have joined a session",
+                    "Others have this viewer open, and all pages show the same. What your link "
+                    "asks for is not shown. Open it again when the others have left.",
+                )
+            return
+        if _has_open(link, state):
+            self._change(page, link)
+            return
+        # By the same way as a saved session: what may not be opened there may not be here.
+        with self._lock:
+            self._pending = link
+        where = "the demo" if link.saved.dataset is None else str(link.saved.dataset)
+        tell(
+            page,
+            "Opening the dataset of the link",
+            f"Loading {where}. If it does not appear, the tab Data says why.",
+        )
+        self._desk.tell(Feature.restore, link.saved)
+
+    def _change(self, page: viser.ClientHandle, link: Link) -> None:
+        state, saved = self._desk.state, link.saved
+        pair = saved.query_id or state.query_id, saved.database_id or state.database_id
+        try:
+            self._desk.change(pair=pair, params=saved.params, options=saved.options)
+        except InputError as error:
+            tell(page, "The link cannot be opened", str(error))
+            return
+        if link.subject == "world":
+            self._desk.tell(Feature.explore)
+        elif saved.camera is not None:
+            self._desk.tell(Feature.look, page, saved.camera)
+
+
+def _has_open(link: Link, state: ViewState) -> bool:
+    """Say whether the dataset of a link is the one that is open."""
+    wanted = link.saved.dataset or demo_path()
+    if not state.source:
+        return False
+    try:
+        return wanted.expanduser().resolve() == Path(state.source).resolve()
+    except (OSError, RuntimeError):  # links in a circle
+        return False
+
+
+def _asks_for(link: Link, state: ViewState) -> bool:
+    """Say whether a link asks for what is shown already, camera aside."""
+    saved = link.saved
+    return (
+        _has_open(link, state)
+        and (saved.query_id, saved.database_id) == (state.query_id, state.database_id)
+        and saved.params == state.params
+        and saved.options == state.options
+    )
+
+
+def _say_copied(page: viser.ClientHandle, data: Data) -> None:
+    if data.get("copied") is True:
+        tell(page, "Link copied", "Whoever opens it on this viewer sees what you see.")
+    else:
+        tell(page, "The link was not copied", "Copy it from the tab Save.")

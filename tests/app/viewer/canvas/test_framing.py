@@ -1,0 +1,230 @@
+"""Cameras follow what is shown, unless they were moved by hand; on pages that are no browsers."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.canvas import framing as framing_module
+from app.viewer.capacity import Capacity
+from app.viewer.draw.placement import Camera, Canvas
+from app.viewer.feature import Feature
+from app.viewer.links import links as links_module
+from app.viewer.modes import tab as modes_module
+from app.viewer.opened import Opened
+from app.viewer.pair import tab as pair_module
+from app.viewer.session import Session
+from gpgrad_core.run.memo import Memo
+from tests.app.synthetic import FakePipeline, make_dataset, needing
+
+WIDE, TALL = Canvas(1280.0, 1000.0), Canvas(640.0, 900.0)
+DATASET = make_dataset(300)
+
+
+class FakePage:
+    """A page as far as cameras and messages go."""
+
+    def __init__(self) -> None:
+        self.page = MagicMock(spec=viser.ClientHandle)
+        self.page.camera = SimpleNamespace(
+            position=(9.0, 9.0, 9.0), look_at=(0.0, 0.0, 0.0), on_update=lambda act: act
+        )
+        self.page._websock_connection = MagicMock()
+
+    @property
+    def camera(self) -> Camera:
+        return Camera(tuple(self.page.camera.position), tuple(self.page.camera.look_at))
+
+    def move(self) -> Camera:
+        self.page.camera.position = (7.0, -7.0, 30.0)
+        return self.camera
+
+    @property
+    def told(self) -> list[str]:
+        calls = self.page._websock_connection.queue_message.call_args_list
+        return [call.args[0].source for call in calls]
+
+
+@pytest.fixture
+def pages(monkeypatch: pytest.MonkeyPatch) -> dict[int, Any]:
+    found: dict[int, Any] = {}
+    for module in (framing_module, links_module, modes_module):
+        monkeypatch.setattr(module, "pages", lambda _: found)
+    return found
+
+
+@pytest.fixture
+def session(
+    server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch, pages: dict[int, Any]
+) -> Iterator[Session]:
+    del pages
+    monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
+    made = Session(server, Opened(DATASET, needing(8), "/data/set"), Memo(), Capacity())
+    assert made.wait_idle(20)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def arrive(session: Session, pages: dict[int, Any]) -> Callable[..., FakePage]:
+    def come(canvas: Canvas = WIDE, link: str = "") -> FakePage:
+        made = FakePage()
+        pages[len(pages)] = made.page
+        resize(session, made, canvas)
+        session.desk.bridge._acts["arrived"](made.page, {"text": link})
+        assert session.wait_idle(20)
+        return made
+
+    return come
+
+
+def resize(session: Session, page: FakePage, canvas: Canvas) -> None:
+    session.desk.bridge._acts["canvas"](page.page, dict(vars(canvas)))
+    assert session.wait_idle(20)
+
+
+def test_a_page_that_comes_sees_all_of_it_and_is_told_what(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive()
+    assert page.camera == session.pair.scene.camera(session.state, WIDE)
+    captions = [text for text in page.told if '"caption"' in text]
+    assert f"Query {session.state.query_id}" in captions[-1]
+    assert "inliers" in captions[-1]
+    assert any('"camera"' in text and '"share"' in text for text in page.told)
+
+
+def test_the_camera_follows_layout_pair_and_size_until_it_is_moved_by_hand(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive()
+    apart = page.camera
+    session.desk.change(options=replace(session.state.options, layout="registered"))
+    assert session.wait_idle(20)
+    together = page.camera
+    assert together != apart
+    resize(session, page, replace(WIDE, width=1000.0))
+    assert page.camera not in (apart, together)
+    by_hand = page.move()
+    session.desk.change(params=needing(9))
+    assert session.wait_idle(20)
+    resize(session, page, WIDE)
+    assert page.camera == by_hand
+    session.desk.tell(Feature.frame, page.page)
+    assert page.camera == together
+    page.move()
+    session.desk.change(pair=("002", "000"))
+    assert session.wait_idle(20)
+    assert page.camera == session.pair.scene.camera(session.state, WIDE)
+
+
+def test_full_screen_is_filled_from_the_side_that_was_chosen(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive()
+    before = page.move()
+    session.desk.tell(Feature.set_full_screen, True)
+    resize(session, page, Canvas(1900.0, 1000.0))
+    after = page.camera
+    assert after != before
+    directions = [np.subtract(view.look_at, view.position) for view in (before, after)]
+    units = [direction / np.linalg.norm(direction) for direction in directions]
+    np.testing.assert_allclose(units[0], units[1], atol=1e-6)
+
+
+def test_in_a_tall_canvas_the_first_page_has_one_behind_the_other(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    first = arrive(TALL)
+    assert session.pair.scene.tall
+    assert first.camera == session.pair.scene.camera(session.state, TALL)
+    arrive(WIDE)
+    assert session.pair.scene.tall
+    resize(session, first, WIDE)
+    assert not session.pair.scene.tall
+
+
+def test_a_shape_that_only_the_camera_tells_counts(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive(TALL)
+    page.page.camera.aspect = 2.0
+    session.desk.canvases.measure(page.page)
+    assert session.wait_idle(20)
+    assert not session.pair.scene.tall
+    assert session.desk.canvases.of(page.page).aspect == pytest.approx(2.0)
+
+
+def test_a_caption_says_that_it_is_out_of_date(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive()
+    session.desk.tell(Feature.outdated)
+    assert "Out of date" in [text for text in page.told if '"caption"' in text][-1]
+    session.desk.change()
+    assert session.wait_idle(20)
+    assert "Out of date" not in [text for text in page.told if '"caption"' in text][-1]
+
+
+# Links: pages that come with an address.
+
+
+def test_a_link_shows_the_same_on_the_first_page_that_comes(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive(
+        link="dataset=/data/set&query=002&database=000&view.layer=gradient"
+        "&params.closure.min_inliers=5&camera=1,-9,12,0,0,0"
+    )
+    state = session.state
+    assert (state.query_id, state.database_id) == ("002", "000")
+    assert state.options.layer == "gradient"
+    assert state.params.closure.min_inliers == 5
+    assert page.camera == Camera((1.0, -9.0, 12.0), (0.0, 0.0, 0.0))
+    resize(session, page, replace(WIDE, width=1100.0))
+    assert page.camera == Camera((1.0, -9.0, 12.0), (0.0, 0.0, 0.0))
+    addresses = [text for text in page.told if '"address"' in text]
+    assert "query=002" in addresses[-1]
+    assert "camera=1,-9,12,0,0,0" in addresses[-1]
+
+
+def test_a_page_that_joins_changes_nothing_and_is_told(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    arrive()
+    before = session.state
+    same = f"dataset=/data/set&query={before.query_id}&database={before.database_id}"
+    late = arrive(link=f"{same}&view.layer=gradient")
+    assert session.state is before
+    assert "joined" in late.page.add_notification.call_args.args[0]
+
+
+@pytest.mark.parametrize("text", ["query=999", "nonsense", "params.map.length_scale=-3"])
+def test_a_link_that_cannot_be_opened_says_why(
+    session: Session, arrive: Callable[..., FakePage], text: str
+) -> None:
+    before = session.state
+    page = arrive(link=text if "=" not in text else f"dataset=/data/set&{text}")
+    assert session.state.params == before.params
+    assert session.state.query_id == before.query_id
+    assert "cannot be opened" in page.page.add_notification.call_args.args[0]
+
+
+def test_another_dataset_is_opened_as_a_saved_session_is(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    asked: list[object] = []
+
+    class Opener(Feature):
+        def restore(self, saved: Any) -> None:
+            asked.append(saved.dataset)
+
+    session.desk.join(Opener())
+    arrive(link="dataset=/nowhere/else&query=001")
+    assert [str(path) for path in asked] == ["/nowhere/else"]
+    assert session.state.source == "/data/set"
