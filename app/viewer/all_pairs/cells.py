@@ -10,15 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from app.viewer.all_pairs.judging import (
-    ACCEPTED,
-    MISSED,
-    NO_OVERLAP,
-    REFUSED,
-    RIGHT,
-    WRONG_MOTION,
-    JudgedPairs,
-)
+from app.viewer.all_pairs.judging import JudgedPairs
+from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from gpgrad_core.arrays import Array
 from gpgrad_core.types import LoopClosure
 

@@ -6,6 +6,7 @@ from math import comb
 
 import numpy as np
 
+from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from app.viewer.state import ViewState
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.pose_error import MotionClasses, classify_motions, pose_errors
@@ -104,8 +105,6 @@ class JudgedPairs:
         return sum(closure.accepted for closure in self.closures)
 
 
-ACCEPTED, REFUSED = "accepted", "refused"
-RIGHT, WRONG_MOTION, NO_OVERLAP, MISSED = "right", "wrong motion", "no overlap", "missed"
 TRUE, APART, UNKNOWN = "true", "apart", "unknown"
 
 

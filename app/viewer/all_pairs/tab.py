@@ -8,10 +8,7 @@ import viser
 
 from app.viewer.all_pairs.cells import PairCells, gather_all, gather_block
 from app.viewer.all_pairs.judging import (
-    NO_OVERLAP,
-    RIGHT,
     RULES,
-    WRONG_MOTION,
     ComparedPairs,
     JudgedPairs,
     TruthCheck,
@@ -27,7 +24,9 @@ from app.viewer.all_pairs.scores import (
     scores_html,
     threshold_html,
 )
+from app.viewer.decisions import in_order
 from app.viewer.feature import Desk, Feature
+from app.viewer.outcomes import NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.runner import Runner
 from app.viewer.state import ViewState
 from app.viewer.widgets.bridge import Data
@@ -154,7 +153,9 @@ class AllPairsTab(Feature):
             pairs = judge(job.compared, job.state.params.closure, RULES[job.rule])
             self._latest = key, pairs, gather_all(pairs)
         _, pairs, whole = self._latest
-        return _Judged(pairs, whole, gather_block(pairs, whole, _in_order(job.state)))
+        state = job.state
+        pair = in_order(state.dataset, state.query_id, state.database_id)
+        return _Judged(pairs, whole, gather_block(pairs, whole, pair))
 
     def _on_judged(self, job: _Judging, judged: _Judged, seconds: float) -> None:
         del seconds
@@ -167,7 +168,13 @@ class AllPairsTab(Feature):
         with host.atomic():
             self._panel.show(findings(judged.pairs, judged.whole, judged.block, job.state))
         host.flush()
-        self._desk.tell(Feature.judged, job.state.dataset, judged.pairs.closures)
+        dataset, pairs = job.state.dataset, judged.pairs
+        outcomes = {
+            (closure.query_id, closure.database_id): outcome
+            for closure, outcome in zip(pairs.closures, pairs.outcomes, strict=True)
+        }
+        self._desk.tell(Feature.checked, dataset, outcomes)
+        self._desk.tell(Feature.judged, dataset, pairs.closures)
 
     # What the pictures say; it comes from a page.
 
@@ -204,13 +211,6 @@ class AllPairsTab(Feature):
         except (InputError, ValueError, OverflowError):
             return  # no page of ours draws it out of bounds
         self._desk.change(params=replace(params, closure=closure))
-
-
-def _in_order(state: ViewState) -> tuple[str, str]:
-    """Name the shown pair with the later submap first, as pairs are compared."""
-    ids = [submap.id for submap in state.dataset.submaps]
-    first, second = state.query_id, state.database_id
-    return (first, second) if ids.index(first) >= ids.index(second) else (second, first)
 
 
 def findings(

@@ -4,19 +4,8 @@ import numpy as np
 import pytest
 
 from app.viewer.all_pairs.cells import gather_all
-from app.viewer.all_pairs.judging import (
-    ACCEPTED,
-    MISSED,
-    NO_OVERLAP,
-    REFUSED,
-    RIGHT,
-    RULES,
-    UNKNOWN,
-    WRONG_MOTION,
-    ComparedPairs,
-    compare_pairs,
-    judge,
-)
+from app.viewer.all_pairs.judging import RULES, UNKNOWN, ComparedPairs, compare_pairs, judge
+from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from app.viewer.state import open_dataset
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.evaluation.rules import Rule
