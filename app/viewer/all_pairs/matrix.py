@@ -51,7 +51,8 @@ window.gpgradMatrix = window.gpgradMatrix || {
     const d = svg.dataset, cells = svg.cells || (svg.cells = JSON.parse(d.cells));
     const column = Math.floor((at.x - d.left) / d.side), row = Math.floor((at.y - d.top) / d.side);
     const inside = row >= 0 && column >= 0 && row < +d.rows && column < +d.columns;
-    return {row, column, text: inside ? cells[row + ',' + column] : undefined};
+    const text = cells[row + ',' + column] || (+d.mirrored && cells[column + ',' + row]);
+    return {row, column, text: inside ? text : undefined};
   },
   move(svg, event) {
     const found = this.cell(svg, event), d = svg.dataset;
@@ -105,7 +106,7 @@ def matrix_html(
         f'<div style="padding:.2em .75em">'
         f'<svg data-testid="affinity-{name}" data-name="{name}" data-left="{left:.2f}" '
         f'data-top="1" data-side="{side:.4f}" data-rows="{num_rows}" '
-        f'data-columns="{num_columns}" data-cells="{escape(_json(texts))}" '
+        f'data-columns="{num_columns}" data-mirrored="{int(pairs.rows == pairs.columns)}" data-cells="{escape(_json(texts))}" '
         f'role="img" aria-label="scores of all pairs" viewBox="0 0 {WIDTH:g} {bottom + depth:.1f}" '
         f'style="width:100%;display:block" font-size="{FONT:g}" fill="currentColor" '
         f'onmousemove="gpgradMatrix.move(this,event)" onmouseleave="gpgradMatrix.leave(this)" '
@@ -151,14 +152,12 @@ def cell_pixels(pairs: PairCells, high: float) -> UInt8[NDArray[np.uint8], "rows
 
 
 def _texts(pairs: PairCells) -> dict[tuple[int, int], str]:
-    """Say what each cell holds; a cell above the diagonal, the pair that it mirrors."""
+    """Say what each cell holds; what lies above the diagonal says the same as its mirror."""
     texts: dict[tuple[int, int], str] = {}
     mirrored = pairs.rows == pairs.columns
     for (row, column), cell in pairs.cells.items():
         overlap = float(pairs.overlaps[column, row]) if mirrored else float("nan")
         texts[row, column] = _text(cell, overlap)
-        if mirrored:
-            texts[column, row] = texts[row, column]
     return texts
 
 
