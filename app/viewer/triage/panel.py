@@ -14,9 +14,9 @@ from app.viewer.widgets.actions import on_choice, on_option, on_press, one_of
 from app.viewer.widgets.bridge import run_when_shown, say
 from app.viewer.widgets.html import BAD, FAINT, GOOD, message_line, paragraph
 
-Verdict: TypeAlias = Literal["accept (A)", "refuse (X)", "as found"]
+Verdict: TypeAlias = Literal["accept", "refuse", "as found"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
-DECIDES: Mapping[Verdict, bool | None] = {"accept (A)": True, "refuse (X)": False, "as found": None}
+DECIDES: Mapping[Verdict, bool | None] = {"accept": True, "refuse": False, "as found": None}
 NEXT_KEY = "G"
 ROWS = 6
 """Pairs that are listed at once: a few hundred pictures would make a page slow."""
