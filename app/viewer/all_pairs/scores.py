@@ -302,7 +302,7 @@ def _bars(histogram: ScoreHistogram, base: float, axis: float) -> str:
         drawn.append(f'<text x="{x:.1f}" y="{axis + 13:g}" text-anchor="middle">{score:g}</text>')
     return (
         f'{"".join(drawn)}<path d="M{LEFT:g} {base:g}H{WIDTH - RIGHT:g}" stroke="currentColor" '
-        f'stroke-opacity=".5"/><text x="{LEFT - 7:g}" y="{base - 4:g}" text-anchor="end">score'
+        f'stroke-opacity=".5"/><text x="0" y="{base - 4:g}">score'
         "</text>"
     )
 
