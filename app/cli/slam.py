@@ -92,7 +92,10 @@ class Slam:
     ]
     closures: Annotated[
         Path | None,
-        Doc("File of loop closures, as gpgrad detect writes it."),
+        Doc(
+            "File of loop closures, as gpgrad detect or the viewer writes it. What a person "
+            "decided there about a pair outweighs its score."
+        ),
         tyro.conf.arg(metavar="FILE.json", help_behavior_hint="(default: detect them)"),
     ] = None
     search_radius: Annotated[
@@ -134,7 +137,8 @@ class Slam:
         self._check_out(joined)
         dataset = joined.outline.dataset
         odometry_poses(dataset)  # refuses what lacks it before the work
-        given = restore_closures(read_closures(self.closures)) if self.closures else None
+        report = read_closures(self.closures) if self.closures else None
+        given = None if report is None else restore_closures(report)
         check_solver()
         params = self.pipeline.over(base_params(dataset, self.params))
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
@@ -152,7 +156,8 @@ class Slam:
             else:
                 closures = self._detect(joined, params, graph, solver, folder, candidates, store)
             tell_damaged(store)
-            solution = solve_datasets(joined, closures, graph, solver)
+            trusted = () if report is None else report.confirmed
+            solution = solve_datasets(joined, closures, graph, solver, trusted=trusted)
             with progress_bar("judge") as progress:
                 errors = measure_errors(solution, progress)
             with progress_bar("write") as progress:

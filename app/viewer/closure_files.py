@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from app.viewer.decisions import Decisions
 from gpgrad_core.datasets.poses import write_poses
 from gpgrad_core.outputs import report_closures, write_closure_table, write_closures
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
@@ -21,7 +22,7 @@ def write_closure_file(
     result: DetectionResult,
     params: PipelineParams,
     *,
-    trusted: tuple[tuple[str, str], ...] = (),
+    decisions: Decisions | None = None,
     solved: OptimisedGraph | None = None,
 ) -> None:
     """Write loop closures in the format that the ending of the file names.
@@ -32,9 +33,11 @@ def write_closure_file(
         dataset: Whose closures.
         result: The closures.
         params: That they were found with.
-        trusted: Pairs (query, database) that a person vouches for.
+        decisions: What a person decided about them; those accepted by hand are never left out.
         solved: The optimised graph, if there is one; else ``.txt`` optimises it.
     """
+    decided = decisions or Decisions()
+    trusted, by_hand = decided.trusted, decided.of_closures()
     match path.suffix:
         case ".g2o":
             graph = build_pose_graph(dataset, result.closures, trusted=trusted)
@@ -47,4 +50,4 @@ def write_closure_file(
         case ".csv":
             write_closure_table(path, report_closures(dataset, result, params))
         case _:
-            write_closures(path, report_closures(dataset, result, params))
+            write_closures(path, report_closures(dataset, result, params, decisions=by_hand))

@@ -6,12 +6,13 @@ feature needs to know another.
 """
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Concatenate, Literal, ParamSpec, TypeAlias, TypeVar
 
 import viser
 
 from app.viewer.capacity import Capacity
+from app.viewer.decisions import Decisions, Pair, in_order
 from app.viewer.draw.placement import Camera
 from app.viewer.host import Host
 from app.viewer.opened import Opened
@@ -68,6 +69,12 @@ class Feature:
 
     def turned(self, subject: Subject) -> None:
         """Take that the scene shows the pair, or the world, from now on."""
+
+    def checked(self, dataset: Dataset, outcomes: Mapping[Pair, str]) -> None:
+        """Take what the truth says of the verdicts of the thresholds; `judged` follows."""
+
+    def decided(self, decisions: Decisions) -> None:
+        """Take what a person has decided about pairs, after each change of it."""
 
     # What another feature asks for; the feature that can do it answers.
 
@@ -151,6 +158,7 @@ class Desk:
         self.capacity = capacity
         self.permissions = permissions
         self._state = state
+        self._decisions: list[Decisions] = [Decisions()]
         self._features: list[Feature] = []
         self._lock = threading.Lock()
 
@@ -220,9 +228,52 @@ class Desk:
     def open(self, opened: Opened) -> None:
         """Go to another dataset."""
         with self._lock:
+            saved = opened.saved
+            self._decisions = [Decisions() if saved is None else saved.decisions]
             self._set(opened.begin(self._state.options))
         for feature in self._features:
             feature.opened(opened)
+        self.tell(Feature.decided, self.decisions)
+
+    # What a person decided about pairs.
+
+    @property
+    def decisions(self) -> Decisions:
+        """All decisions of the session as they are now."""
+        return self._decisions[-1]
+
+    @property
+    def can_take_back(self) -> bool:
+        """Whether there is a decision to take back."""
+        return len(self._decisions) > 1
+
+    @property
+    def shown_pair(self) -> Pair:
+        """The pair that is shown, the later submap first, as decisions name it."""
+        state = self._state
+        return in_order(state.dataset, state.query_id, state.database_id)
+
+    def decide(self, change: Callable[[Decisions], Decisions], *, step: bool = True) -> None:
+        """Change the decisions, and tell all features.
+
+        Args:
+            change: Makes the new decisions of the present ones.
+            step: Whether it can be taken back by itself; else it belongs to the step before.
+        """
+        with self._lock:
+            after = change(self._decisions[-1])
+            if step:
+                self._decisions.append(after)
+            else:
+                self._decisions[-1] = after
+        self.tell(Feature.decided, after)
+
+    def take_back(self) -> None:
+        """Take the last decision back."""
+        with self._lock:
+            if len(self._decisions) > 1:
+                self._decisions.pop()
+        self.tell(Feature.decided, self.decisions)
 
     def _set(self, state: ViewState) -> None:
         """Make a state the present one; the lock is held, so that all see the same order."""

@@ -29,6 +29,7 @@ from app.viewer.pose_graph.tab import PoseGraphTab
 from app.viewer.save.exports import Exports
 from app.viewer.save.tab import SaveTab
 from app.viewer.state import ViewOptions, ViewState
+from app.viewer.triage.tab import TriageTab
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.presence import PresenceLine
 from app.viewer.world import WorldTab
@@ -85,6 +86,8 @@ class Session:
             self.inspect = desk.join(InspectTab(desk, scene.pick, scene.show_ruler))
         with tune.add_tab("All pairs"):
             desk.join(AllPairsTab(desk))
+        with tune.add_tab("Triage"):
+            desk.join(TriageTab(desk, commands))
         with tune.add_tab("Data"):
             self.data = desk.join(DataTab(desk))
         with tune.add_tab("Save"):

@@ -1,4 +1,4 @@
-"""A session as a file: dataset, pair, parameters, view and camera."""
+"""A session as a file: dataset, pair, parameters, view, camera and decisions on pairs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,13 +7,14 @@ from typing import cast
 
 import tomli_w
 
+from app.viewer.decisions import MOST_DECISIONS, Decisions, read_decisions, tables_of
 from app.viewer.draw.placement import Camera
 from app.viewer.state import ViewOptions, ViewState, with_options, with_pair, with_params
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import to_tables, with_tables
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.reading.json_files import is_number
+from gpgrad_core.reading.json_files import Record, is_number
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.text import read_text
 from gpgrad_core.reading.toml_files import parse_toml
@@ -21,9 +22,9 @@ from gpgrad_core.types import MAX_COORDINATE, Dataset
 
 ENDING = ".gpgrad.toml"
 LARGEST = 100_000
-"""Bytes of such a file; any real one has a tenth. What a page sends is parsed in a thread of its
-own, which such a file keeps busy for a tenth of a second at most."""
-KEYS = ("dataset", "query", "database", "view", "params", "camera")
+"""Bytes of such a file: a few thousand, and about 70 for each decision. What a page sends is parsed
+in a thread of its own, which such a file keeps busy for a tenth of a second at most."""
+KEYS = ("dataset", "query", "database", "view", "params", "camera", "decisions")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +38,7 @@ class SavedSession:
         options: Of the view.
         params: Of the pipeline.
         camera: Of the page that saved it, if there was one.
+        decisions: What a person decided about pairs.
     """
 
     dataset: Path | None = None
@@ -45,9 +47,10 @@ class SavedSession:
     options: ViewOptions = field(default_factory=ViewOptions)
     params: PipelineParams = field(default_factory=PipelineParams)
     camera: Camera | None = None
+    decisions: Decisions = field(default_factory=Decisions)
 
     def check(self, dataset: Dataset) -> None:
-        """Check that a dataset has the pair.
+        """Check that a dataset has the pair, and those that were decided.
 
         Raises:
             InputError: If it has not.
@@ -55,6 +58,11 @@ class SavedSession:
         for name in (self.query_id, self.database_id):
             if name is not None:
                 dataset.submap(name)
+        known = {submap.id for submap in dataset.submaps}
+        for pair in self.decisions.pairs:
+            for name in pair:
+                if name not in known:
+                    dataset.submap(name)
 
     def apply(self, state: ViewState) -> ViewState:
         """Apply everything that was saved to a dataset that was just opened."""
@@ -62,12 +70,18 @@ class SavedSession:
         return with_options(with_params(state, self.params), self.options)
 
 
-def session_text(state: ViewState, camera: Camera | None) -> str:
+def session_text(
+    state: ViewState, camera: Camera | None, decisions: Decisions | None = None
+) -> str:
     """Write a session as TOML.
 
     Args:
         state: The session.
         camera: Where from to look at it.
+        decisions: What a person decided about pairs.
+
+    Raises:
+        InputError: If there are more decisions than such a file takes.
     """
     table: dict[str, object] = {}
     if Path(state.source) != demo_path():
@@ -80,7 +94,16 @@ def session_text(state: ViewState, camera: Camera | None) -> str:
             "look_at": camera.look_at,
         }
     table["params"] = to_tables(state.params)
-    return f"# gpgrad view --state FILE\n{tomli_w.dumps(table)}"
+    decided = [] if decisions is None else tables_of(decisions)
+    if decided:
+        table["decisions"] = decided
+    text = f"# gpgrad view --state FILE\n{tomli_w.dumps(table)}"
+    if len(text.encode()) > LARGEST or len(decided) > MOST_DECISIONS:
+        raise InputError(
+            f"a session file has no room for {len(decided):,} decisions; export closures.json, "
+            "which keeps them all"
+        )
+    return text
 
 
 def read_session(path: Path) -> SavedSession:
@@ -120,6 +143,9 @@ def parse_session(text: str | bytes, where: str) -> SavedSession:
         with_tables(ViewOptions(), _table(table, "view", where), f"{where}, [view]"),
         with_tables(PipelineParams(), _table(table, "params", where), f"{where}, [params]"),
         _camera(_table(table, "camera", where), where) if "camera" in table else None,
+        read_decisions(Record(table, where).records("decisions"))
+        if "decisions" in table
+        else Decisions(),
     )
 
 

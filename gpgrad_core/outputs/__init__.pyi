@@ -1,11 +1,18 @@
 from .closure_table import write_closure_table
 from .closure_writer import ClosureWriter, write_closures
 from .closures import (
+    LONGEST_NOTE,
     ClosureReport,
+    Decision,
     PairRecord,
+    closure_of,
     read_closures,
+    read_decision,
+    read_pair,
+    record_of,
     report_closures,
     restore_closures,
+    table_of,
 )
 from .files import check_apart, check_output, replacing
 from .fitted import write_fitted
@@ -13,18 +20,25 @@ from .maps import MAP_ENDINGS, write_map
 from .shortlists import read_shortlist, resume_shortlist, write_shortlist
 
 __all__ = [
+    "LONGEST_NOTE",
     "MAP_ENDINGS",
     "ClosureReport",
     "ClosureWriter",
+    "Decision",
     "PairRecord",
     "check_apart",
     "check_output",
+    "closure_of",
     "read_closures",
+    "read_decision",
+    "read_pair",
     "read_shortlist",
+    "record_of",
     "replacing",
     "report_closures",
     "restore_closures",
     "resume_shortlist",
+    "table_of",
     "write_closure_table",
     "write_closures",
     "write_fitted",

@@ -1,13 +1,11 @@
 """Writes ``closures.json``, pair by pair."""
 
 import json
-import math
 import shutil
 import tempfile
-from dataclasses import asdict
 from pathlib import Path
 
-from gpgrad_core.outputs.closures import ClosureReport, PairRecord, record_of
+from gpgrad_core.outputs.closures import ClosureReport, PairRecord, record_of, table_of
 from gpgrad_core.outputs.files import check_output, replacing
 from gpgrad_core.types import LoopClosure
 
@@ -64,11 +62,8 @@ class ClosureWriter:
 
     def add_record(self, pair: PairRecord) -> None:
         """Add a pair in the form of the file."""
-        finite = pair.dissimilarity if math.isfinite(pair.dissimilarity) else None
         # NaN and Infinity are not JSON; an error here is better than one in a reader.
-        row = json.dumps(
-            asdict(pair) | {"dissimilarity": finite}, ensure_ascii=False, allow_nan=False
-        )
+        row = json.dumps(table_of(pair), ensure_ascii=False, allow_nan=False)
         self._rows.write(f"{',' if self.num_pairs else ''}\n  {row}")
         self.num_pairs += 1
 

@@ -35,6 +35,29 @@ MAX_COVARIANCE = MAX_COORDINATE**2
 """[m²]"""
 
 
+LONGEST_NOTE = 200
+"""Letters of a note on a pair."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a person decided about a pair.
+
+    Attributes:
+        accepted: Whether the pair is a loop closure, whatever its score is; None leaves that to
+            the thresholds.
+        note: Why, in one line of at most `LONGEST_NOTE` letters.
+    """
+
+    accepted: bool | None = None
+    note: str = ""
+
+    @property
+    def reason(self) -> str:
+        """Why a pair has the verdict that the decision gives it."""
+        return "accepted by hand" if self.accepted else "refused by hand"
+
+
 @dataclass(frozen=True)
 class PairRecord:
     """One pair of submaps in the file.
@@ -56,6 +79,8 @@ class PairRecord:
         z_std: Standard deviation of ``z_offset`` [m]; None if it is not known.
         scale: Scale at which the maps were compared [m]; None if they were not compared.
         agreement: How well the heights agree; None if it is not known.
+        decision: What a person decided about the pair; it outweighs `accepted` and `reason`. None
+            if nobody did.
     """
 
     query: str
@@ -72,6 +97,18 @@ class PairRecord:
     z_std: float | None = None
     scale: float | None = None
     agreement: Agreement | None = None
+    decision: Decision | None = None
+
+    @property
+    def verdict(self) -> bool:
+        """Whether the pair is a loop closure, by the decision if there is one."""
+        decided = None if self.decision is None else self.decision.accepted
+        return self.accepted if decided is None else decided
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether a person has accepted the pair."""
+        return self.decision is not None and self.decision.accepted is True
 
 
 @dataclass(frozen=True)
@@ -102,8 +139,13 @@ class ClosureReport:
 
     @property
     def accepted(self) -> tuple[PairRecord, ...]:
-        """The loop closures."""
-        return tuple(pair for pair in self.pairs if pair.accepted)
+        """The loop closures, as they are decided."""
+        return tuple(pair for pair in self.pairs if pair.verdict)
+
+    @property
+    def confirmed(self) -> tuple[tuple[str, str], ...]:
+        """The pairs (query id, database id) that a person has accepted."""
+        return tuple((pair.query, pair.database) for pair in self.pairs if pair.is_confirmed)
 
 
 def report_closures(
@@ -113,6 +155,7 @@ def report_closures(
     *,
     method: str = "gradient",
     sources: Sequence[SubmapSource] | None = None,
+    decisions: Mapping[tuple[str, str], Decision] | None = None,
 ) -> ClosureReport:
     """Make the content of the file from a detection.
 
@@ -123,6 +166,7 @@ def report_closures(
         params: The parameters of the detection.
         method: The name of the method.
         sources: Where the submaps were loaded from, if the dataset does not have their points.
+        decisions: What a person decided, by (query id, database id).
 
     Returns:
         The content of ``closures.json``, with the pairs that the result has.
@@ -139,7 +183,10 @@ def report_closures(
             submap.id: submap.num_points
             for submap in (dataset.submaps if sources is None else sources)
         },
-        pairs=tuple(record_of(closure) for closure in result.closures),
+        pairs=tuple(
+            record_of(closure, (decisions or {}).get((closure.query_id, closure.database_id)))
+            for closure in result.closures
+        ),
         num_pairs_skipped=math.comb(len(dataset.submaps), 2) - len(result.closures),
     )
 
@@ -193,7 +240,7 @@ def _read_pairs(records: Sequence[Record], known: Collection[str]) -> tuple[Pair
     pairs: list[PairRecord] = []
     seen: set[frozenset[str]] = set()
     for record in records:
-        pair = _read_pair(record)
+        pair = read_pair(record)
         for name in (pair.query, pair.database):
             if known and name not in known:  # other tools may list no submaps
                 raise InputError(f"{record.where}: names submap {name!r}, which 'submaps' has not")
@@ -222,10 +269,11 @@ def restore_closures(report: ClosureReport) -> tuple[LoopClosure, ...]:
     Returns:
         The loop closures, accepted and refused, in the order of the file.
     """
-    return tuple(_closure(pair) for pair in report.pairs)
+    return tuple(closure_of(pair) for pair in report.pairs)
 
 
-def _closure(pair: PairRecord) -> LoopClosure:
+def closure_of(pair: PairRecord) -> LoopClosure:
+    """Turn a record back into a loop closure, as `restore_closures` does."""
     registration = Registration(
         pair.T_database_query,
         np.ones(pair.num_inliers, dtype=np.bool_),
@@ -239,11 +287,13 @@ def _closure(pair: PairRecord) -> LoopClosure:
         scale=pair.scale,
         agreement=pair.agreement,
     )
-    return LoopClosure(pair.query, pair.database, registration, pair.accepted, pair.reason)
+    decided = pair.decision is not None and pair.decision.accepted is not None
+    reason = pair.decision.reason if pair.decision is not None and decided else pair.reason
+    return LoopClosure(pair.query, pair.database, registration, pair.verdict, reason)
 
 
-def record_of(closure: LoopClosure) -> PairRecord:
-    """Make the record of a verdict."""
+def record_of(closure: LoopClosure, decision: Decision | None = None) -> PairRecord:
+    """Make the record of a verdict, and of what a person decided about it."""
     registration = closure.registration
     motion, covariance = registration.T_database_query, _usable(registration.covariance)
     return PairRecord(
@@ -269,11 +319,26 @@ def record_of(closure: LoopClosure) -> PairRecord:
         agreement=None
         if registration.agreement is None
         else Agreement(*(_rounded(value) for value in astuple(registration.agreement))),
+        decision=decision,
     )
 
 
-def _read_pair(pair: Record) -> PairRecord:
-    return PairRecord(
+def table_of(pair: PairRecord) -> dict[str, Any]:
+    """Write a record as the table that the file has of it; `read_pair` reads it back."""
+    finite = pair.dissimilarity if math.isfinite(pair.dissimilarity) else None
+    table = asdict(pair) | {"dissimilarity": finite}
+    if pair.decision is None:
+        del table["decision"]
+    return table
+
+
+def read_pair(pair: Record) -> PairRecord:
+    """Read a record, value by value.
+
+    Raises:
+        InputError: If a value is missing or is none that it can be.
+    """
+    found = PairRecord(
         query=pair.text("query"),
         database=pair.text("database"),
         num_inliers=pair.count("num_inliers", MOST_INLIERS),
@@ -294,7 +359,28 @@ def _read_pair(pair: Record) -> PairRecord:
         agreement=None
         if pair.values.get("agreement") is None
         else _read_agreement(pair.record("agreement")),
+        decision=None
+        if pair.values.get("decision") is None
+        else read_decision(pair.record("decision")),
     )
+    if found.is_confirmed and found.T_database_query is None:
+        raise InputError(
+            f"{pair.where}: 'decision' accepts the pair, but it has no motion, T_database_query"
+        )
+    return found
+
+
+def read_decision(decision: Record) -> Decision:
+    """Read what a person decided.
+
+    Raises:
+        InputError: If a value is none that it can be.
+    """
+    accepted = None if decision.values.get("accepted") is None else decision.flag("accepted")
+    note = "" if decision.values.get("note") is None else decision.text("note")
+    if len(note) > LONGEST_NOTE or not note.isprintable():
+        raise decision.wrong("note", f"one line of at most {LONGEST_NOTE} letters")
+    return Decision(accepted, note)
 
 
 def _read_motion(motion: Record) -> SE2:

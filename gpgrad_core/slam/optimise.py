@@ -167,7 +167,7 @@ def _sharpen(
     values = problem.start
     chi_square = problem.chi_squares(values)
     # The sharpness at which every closure lies on the slope of the truncated loss, Remark 5.
-    sharpness = limit / max(2 * float(chi_square.max()) - limit, 1e-9)
+    sharpness = limit / max(2 * float(chi_square.max(initial=0.0)) - limit, 1e-9)
     rounds: list[Float[Array, "n 7"]] = []
     for count in range(MOST_ROUNDS):
         low, high = sharpness / (sharpness + 1) * limit, (sharpness + 1) / sharpness * limit

@@ -67,6 +67,8 @@ def solve_datasets(
     closures: Iterable[LoopClosure],
     graph: GraphParams | None = None,
     solver: SolverParams | None = None,
+    *,
+    trusted: Iterable[tuple[str, str]] = (),
 ) -> Solution:
     """Put datasets into one map by their closures.
 
@@ -75,13 +77,17 @@ def solve_datasets(
         closures: The loop closures; refused ones are left out.
         graph: How certain odometry and closures are.
         solver: When a closure counts as wrong.
+        trusted: Pairs (query id, database id) whose closures a person has confirmed; they never
+            count as wrong.
 
     Raises:
         InputError: If a submap has no odometry, a closure names an unknown submap, or no closure
             joins a dataset to the others.
     """
     dataset = joined.outline.dataset
-    placed = place_traverses(build_pose_graph(dataset, closures, graph, starts=joined.starts))
+    placed = place_traverses(
+        build_pose_graph(dataset, closures, graph, trusted=trusted, starts=joined.starts)
+    )
     if placed.alone:
         name = placed.alone[0].split(":")[0]
         raise InputError(

@@ -147,19 +147,77 @@ def test_another_pair_is_shown_and_judged(page: "ViewerPage") -> None:
     expect_change(page, lambda: page.choose("Query", "007"))
 
 
+def marks_of(page: "ViewerPage") -> dict[str, int]:
+    """Count the marks of the matrix by outcome."""
+    script = """() => [...document.querySelectorAll('[data-testid=affinity-all] [data-outcome]')]
+        .map(one => [one.dataset.outcome, +one.dataset.count])"""
+    return dict(page.page.evaluate(script))
+
+
+def drag_threshold(page: "ViewerPage") -> None:
+    """Draw the threshold from where nothing is accepted to where much is."""
+    place = "() => document.querySelector('[data-threshold]').getCTM().e"
+    scores = page.page.get_by_test_id("scores")
+    scores.scroll_into_view_if_needed()
+    box = scores.bounding_box()
+    assert box is not None
+    y = box["y"] + 0.12 * box["height"]
+    page.page.mouse.move(box["x"] + 0.9 * box["width"], y)
+    page.page.mouse.down()
+    places = []
+    for step in range(10):
+        page.page.mouse.move(box["x"] + (0.9 - 0.06 * step) * box["width"], y)
+        places.append(float(page.page.evaluate(place)))
+    assert places == sorted(places, reverse=True)  # it follows the hand without the server
+    assert len(set(places)) > 7
+    page.page.mouse.up()
+    page.wait(lambda: "right" in marks_of(page), "accepted pairs again")
+    asked = float(scores.get_attribute("aria-valuenow") or "nan")
+    page.wait(lambda: page.value("Minimum score") == asked, "the slider at the threshold")
+    assert 2.0 < asked < 9.0
+    page.page.wait_for_timeout(2500)  # whatever the server said meanwhile, it stays there
+    assert float(scores.get_attribute("aria-valuenow") or "nan") == asked
+    assert float(page.page.evaluate(place)) == places[-1]
+
+
+def click_a_cell(page: "ViewerPage") -> None:
+    """Point at the cell of 006 and 002, read it and open it."""
+    matrix = page.page.get_by_test_id("affinity-all")
+    matrix.scroll_into_view_if_needed()
+    box = matrix.bounding_box()
+    assert box is not None
+    left, side, scale = (
+        float(matrix.get_attribute("data-left") or "nan"),
+        float(matrix.get_attribute("data-side") or "nan"),
+        box["width"] / 300.0,
+    )
+    x, y = box["x"] + scale * (left + 2.5 * side), box["y"] + scale * (1.0 + 6.5 * side)
+    page.page.mouse.move(x, y)
+    assert page.say("matrix-said-all").startswith("006 → 002 · score ")
+    page.page.mouse.click(x, y)
+    page.wait(lambda: "query 006" in page.verdict(), "the pair of the cell")
+    assert "database 002" in page.verdict()
+    page.settle()
+
+
 @pytest.mark.slow
 def test_all_pairs_are_run_judged_and_stepped_through(open_viewer: Open) -> None:
     page = open_viewer(ROUGH)
     page.page.get_by_role("tab", name="All pairs").click()
     page.press("Run all pairs")
-    page.page.get_by_test_id("affinity").wait_for(timeout=120_000)
+    page.page.get_by_test_id("affinity-all").wait_for(timeout=120_000)
     assert "loop closures in 45 pairs" in page.page.get_by_text("in 45 pairs").inner_text()
+    page.page.get_by_test_id("operating-point").wait_for(state="visible")
     assert page.page.get_by_test_id("operating-point").count() == 1
-    rings = page.page.get_by_test_id("affinity").locator("title")
-    before = rings.all_text_contents()
+    rings = page.page.get_by_test_id("affinity-all").locator("[data-outcome]")
+    before = marks_of(page)
     page.type_value("Minimum score", "11.5")  # nothing is accepted any more
-    page.wait(lambda: rings.all_text_contents() != before, "other marks")
-    assert all("missed" in mark for mark in rings.all_text_contents())
+    page.wait(lambda: marks_of(page) != before, "other marks")
+    assert rings.count() > 0
+    assert all("missed" in outcome for outcome in marks_of(page))
+    drag_threshold(page)
+    page.settle()
+    click_a_cell(page)
     page.settle()
     expect_change(page, lambda: page.press("next"))
     assert "query 007" not in page.verdict() or "database 001" not in page.verdict()

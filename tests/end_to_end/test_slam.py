@@ -32,18 +32,61 @@ def test_a_traverse_is_corrected_and_merged(gpgrad: Run, traverse: Path, tmp_pat
 def test_closures_found_before_are_taken_and_no_map_is_made(
     traverse: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    closures = tmp_path / "mine.json"
-    record = {
+    closures = write_by_hand(tmp_path / "mine.json", accepted=True)
+    out = tmp_path / "map"
+    arguments = ["slam", traverse, "--out", out, "--closures", closures, "--no-merge"]
+    assert run([str(argument) for argument in arguments]) == 0
+    assert "1 loop closure used" in capsys.readouterr().out
+    assert not (out / "cloud.ply").exists()
+
+
+@pytest.mark.parametrize(
+    ("accepted", "decided", "x", "said"),
+    [
+        (True, False, 0.5, "0 loop closures used, 0 refused as wrong"),
+        (False, True, 0.5, "1 loop closure used, 0 refused as wrong"),
+        # Odometry contradicts these: the solver refuses one, unless a person vouches for it.
+        (True, None, 3.5, "0 loop closures used, 1 refused as wrong"),
+        (True, True, 3.5, "1 loop closure used, 0 refused as wrong"),
+    ],
+)
+def test_what_a_person_decided_is_heeded(
+    accepted: bool,
+    decided: bool | None,
+    x: float,
+    said: str,
+    traverse: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    closures = write_by_hand(
+        tmp_path / "mine.json",
+        accepted=accepted,
+        x=x,
+        decision={"accepted": decided, "note": "seen from above"},
+    )
+    arguments = ["slam", traverse, "--out", tmp_path / "map", "--closures", closures, "--no-merge"]
+    assert run([str(argument) for argument in arguments]) == 0
+    assert said in capsys.readouterr().out
+
+
+def write_by_hand(
+    path: Path, *, accepted: bool, x: float = 0.5, decision: dict[str, object] | None = None
+) -> Path:
+    """Write one closure of the traverse, as another tool might."""
+    record: dict[str, object] = {
         "query": "003",
         "database": "000",
         "num_inliers": 20,
         "score": 5.0,
         "dissimilarity": 1.0,
         "overlap_area": 20.0,
-        "accepted": True,
+        "accepted": accepted,
         "reason": "by hand",
-        "T_database_query": {"x": 0.5, "y": 0.4, "yaw": 3.0},
+        "T_database_query": {"x": x, "y": 0.4, "yaw": 3.0},
     }
+    if decision is not None:
+        record["decision"] = decision
     content = {
         "dataset": "x",
         "method": "mine",
@@ -54,12 +97,8 @@ def test_closures_found_before_are_taken_and_no_map_is_made(
         "submaps": [],
         "pairs": [record],
     }
-    closures.write_text(json.dumps(content))
-    out = tmp_path / "map"
-    arguments = ["slam", traverse, "--out", out, "--closures", closures, "--no-merge"]
-    assert run([str(argument) for argument in arguments]) == 0
-    assert "1 loop closure used" in capsys.readouterr().out
-    assert not (out / "cloud.ply").exists()
+    path.write_text(json.dumps(content))
+    return path
 
 
 @pytest.mark.parametrize(

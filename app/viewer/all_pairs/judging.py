@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 from math import comb
 
 import numpy as np
-from jaxtyping import Float
 
+from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from app.viewer.state import ViewState
-from gpgrad_core.arrays import Array
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.pose_error import MotionClasses, classify_motions, pose_errors
 from gpgrad_core.evaluation.precision_recall import (
@@ -85,12 +84,15 @@ class JudgedPairs:
         outcomes: Of each closure: `RIGHT`, `WRONG_MOTION` or `NO_OVERLAP` if it was accepted and
             the truth is known, `MISSED` if it was wrongly refused, and else `ACCEPTED` or
             `REFUSED`.
+        truths: What the truth says of each closure: `TRUE`, `APART`, or `UNKNOWN` where it is not
+            known, or where the rule leaves the pair out.
     """
 
     compared: ComparedPairs
     closures: tuple[LoopClosure, ...]
     check: TruthCheck | None
     outcomes: tuple[str, ...]
+    truths: tuple[str, ...]
 
     @property
     def num_skipped(self) -> int:
@@ -102,29 +104,8 @@ class JudgedPairs:
         """Number of pairs accepted as loop closures."""
         return sum(closure.accepted for closure in self.closures)
 
-    def scores(self) -> Float[Array, "n n"]:
-        """Score of each pair by (query, database) in the dataset's order; NaN elsewhere."""
-        places = {submap.id: k for k, submap in enumerate(self.compared.dataset.submaps)}
-        scores = np.full((len(places), len(places)), np.nan)
-        for closure in self.closures:
-            at = places[closure.query_id], places[closure.database_id]
-            scores[at] = closure.registration.score
-        return scores
 
-    def overlaps(self) -> Float[Array, "n n"]:
-        """True overlap by (database, query), mirrored to `scores`; NaN where it is not known."""
-        places = {submap.id: k for k, submap in enumerate(self.compared.dataset.submaps)}
-        overlaps = np.full((len(places), len(places)), np.nan)
-        truth = self.compared.truth
-        if truth is not None and self.check is not None:
-            rows = np.array([places[name] for name in truth.ids])
-            measured = self.check.rule.measured(truth)
-            overlaps[rows[truth.database], rows[truth.query]] = measured
-        return overlaps
-
-
-ACCEPTED, REFUSED = "accepted", "refused"
-RIGHT, WRONG_MOTION, NO_OVERLAP, MISSED = "right", "wrong motion", "no overlap", "missed"
+TRUE, APART, UNKNOWN = "true", "apart", "unknown"
 
 
 def compare_pairs(
@@ -181,14 +162,16 @@ def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> Jud
     )
     if compared.truth is None:
         plain = tuple(ACCEPTED if closure.accepted else REFUSED for closure in closures)
-        return JudgedPairs(compared, closures, None, plain)
+        return JudgedPairs(compared, closures, None, plain, len(closures) * (UNKNOWN,))
     truth = compared.truth
     labels = rule.label(truth)
     ranking = rank_pairs(DetectionResult(closures, {}), compared.dataset, truth, "all pairs")
     errors = pose_errors(ranking.T_database_query, truth.T_database_query)
     classes = classify_motions(errors, truth.surface_overlap)
     check = _check(ranking, thresholds, rule, labels)
-    return JudgedPairs(compared, closures, check, _outcomes(truth, closures, labels, classes))
+    rows = _rows(truth, closures)
+    outcomes = _outcomes(rows, closures, labels, classes)
+    return JudgedPairs(compared, closures, check, outcomes, _truths(rows, labels))
 
 
 def _check(ranking: Ranking, thresholds: ClosureParams, rule: Rule, labels: Labels) -> TruthCheck:
@@ -216,19 +199,23 @@ def _check(ranking: Ranking, thresholds: ClosureParams, rule: Rule, labels: Labe
     )
 
 
-def _outcomes(
-    truth: TruePairs,
-    closures: tuple[LoopClosure, ...],
-    labels: Labels,
-    classes: MotionClasses,
-) -> tuple[str, ...]:
+def _rows(truth: TruePairs, closures: tuple[LoopClosure, ...]) -> tuple[int | None, ...]:
+    """Find each closure among the pairs of the truth; None where it is not known."""
     rows = {
         frozenset((truth.ids[query], truth.ids[database])): row
         for row, (query, database) in enumerate(zip(truth.query, truth.database, strict=True))
     }
+    return tuple(rows.get(frozenset((one.query_id, one.database_id))) for one in closures)
+
+
+def _outcomes(
+    rows: tuple[int | None, ...],
+    closures: tuple[LoopClosure, ...],
+    labels: Labels,
+    classes: MotionClasses,
+) -> tuple[str, ...]:
     found: list[str] = []
-    for closure in closures:
-        row = rows.get(frozenset((closure.query_id, closure.database_id)))
+    for row, closure in zip(rows, closures, strict=True):
         if row is None:
             found.append(ACCEPTED if closure.accepted else REFUSED)
         elif not closure.accepted:
@@ -238,3 +225,14 @@ def _outcomes(
         else:
             found.append(WRONG_MOTION if classes.wrong_motion[row] else NO_OVERLAP)
     return tuple(found)
+
+
+def _truths(rows: tuple[int | None, ...], labels: Labels) -> tuple[str, ...]:
+    return tuple(
+        UNKNOWN
+        if row is None or not labels.judged[row]
+        else TRUE
+        if labels.positive[row]
+        else APART
+        for row in rows
+    )

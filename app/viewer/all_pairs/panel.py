@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from html import escape
 
 import viser
 
@@ -56,9 +57,12 @@ class Findings:
         summary: One line.
         outdated: Why the pairs should be compared again; empty while they need not.
         matrix: Picture of the scores, as HTML.
+        block: The same of the block that the shown pair is in; empty where there are no blocks.
         matrix_caption: What its colours and marks mean.
-        curve: Picture of precision over recall, as HTML; empty without truth.
-        curve_caption: The figures that go with it.
+        scores: Histogram and curve, as HTML that does not depend on the threshold.
+        disagreements: Marks of the wrong and the missed pairs, as HTML; empty without truth.
+        threshold: What brings the threshold of the pages to its value, as HTML.
+        curve_caption: The figures that go with the curve; empty without truth.
         choices: All pairs, best first.
         shown: (query, database) that the scene shows.
         reasons: Why that pair was compared, as HTML; empty if all pairs were.
@@ -67,8 +71,11 @@ class Findings:
     summary: str
     outdated: str
     matrix: str
+    block: str
     matrix_caption: str
-    curve: str
+    scores: str
+    disagreements: str
+    threshold: str
     curve_caption: str
     choices: tuple[Choice, ...]
     shown: tuple[str, str]
@@ -110,6 +117,19 @@ class AllPairsPanel:
         self.work_bar = WorkBar(host, "Cancel", "all-pairs", starts=(run,))
         self._summary = gui.add_html("")
         self._matrix = gui.add_html("")
+        self._block = gui.add_html("")
+        self._matrix_caption = gui.add_html("")
+        self._scores = gui.add_html("")
+        self._disagreements = gui.add_html("")
+        self._curve = gui.add_html("")
+        self._threshold = gui.add_html("")
+        self._rule = gui.add_dropdown(
+            "True if",
+            rules,
+            initial_value=rules[0],
+            visible=False,
+            hint="By which rule the true poses say that a pair shows the same place.",
+        )
         self._narrow: viser.GuiDropdownHandle[str] = gui.add_dropdown(
             "List",
             (ALL,),
@@ -128,14 +148,6 @@ class AllPairsPanel:
         )
         self._pairs.set_visible(False)
         self._reasons = gui.add_html("")
-        self._rule = gui.add_dropdown(
-            "True if",
-            rules,
-            initial_value=rules[0],
-            visible=False,
-            hint="By which rule the true poses say that a pair shows the same place.",
-        )
-        self._curve = gui.add_html("")
 
         on_press(run, on_run)
         on_choice(self._rule, on_rule)
@@ -149,7 +161,17 @@ class AllPairsPanel:
     def clear(self) -> None:
         """Clear everything, because another dataset is open."""
         self._choices = ()
-        for html in (self._summary, self._matrix, self._reasons, self._curve):
+        for html in (
+            self._summary,
+            self._matrix,
+            self._block,
+            self._matrix_caption,
+            self._scores,
+            self._disagreements,
+            self._curve,
+            self._threshold,
+            self._reasons,
+        ):
             html.content = ""
         self._narrow.visible = self._rule.visible = False
         self._pairs.set_visible(False)
@@ -159,9 +181,18 @@ class AllPairsPanel:
         """Show what was found."""
         note = message_line("all-pairs-message", findings.outdated, BUSY)
         self._summary.content = paragraph(findings.summary, "font-weight:600") + note
-        self._matrix.content = _figure(findings.matrix, findings.matrix_caption)
-        self._curve.content = _figure(findings.curve, findings.curve_caption)
-        self._reasons.content = findings.reasons
+        for html, content in (
+            (self._matrix, findings.matrix),
+            (self._block, findings.block),
+            (self._matrix_caption, _folded("How to read it", findings.matrix_caption)),
+            (self._scores, findings.scores),
+            (self._disagreements, findings.disagreements),
+            (self._curve, paragraph(findings.curve_caption, FAINT)),
+            (self._threshold, findings.threshold),
+            (self._reasons, findings.reasons),
+        ):
+            if html.content != content:  # else a page would draw it anew, even under the hand
+                html.content = content
         self._choices = findings.choices
         outcomes = tuple(dict.fromkeys(choice.outcome for choice in findings.choices))
         self._narrow.options = (ALL, *sorted(outcomes))
@@ -183,8 +214,10 @@ class AllPairsPanel:
         )
 
 
-def _figure(picture: str, caption: str) -> str:
-    """Put a caption under a picture that a view has made."""
-    if not picture and not caption:
-        return ""
-    return f'<div style="padding:.2em .75em">{picture}</div>{paragraph(caption, FAINT)}'
+def _folded(title: str, text: str) -> str:
+    """Write plain text that a click on its title opens."""
+    return (
+        f'<details style="padding:.2em .75em;font-size:.85em"><summary style="cursor:pointer">'
+        f'{escape(title)}</summary><div style="line-height:1.45;{FAINT}">{escape(text)}</div>'
+        "</details>"
+    )

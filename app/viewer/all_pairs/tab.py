@@ -1,30 +1,40 @@
 """The All pairs tab: wires its panel to a worker that registers all pairs, and one that judges."""
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import viser
 
-from app.viewer.all_pairs.curve import curve_svg
+from app.viewer.all_pairs.cells import PairCells, gather_all, gather_block
 from app.viewer.all_pairs.judging import (
-    NO_OVERLAP,
-    RIGHT,
     RULES,
-    WRONG_MOTION,
     ComparedPairs,
     JudgedPairs,
     TruthCheck,
     compare_pairs,
     judge,
 )
-from app.viewer.all_pairs.matrix import affinity_svg, highest_color
+from app.viewer.all_pairs.matrix import highest_color, matrix_html
 from app.viewer.all_pairs.panel import AllPairsPanel, Choice, Findings
 from app.viewer.all_pairs.reasons import shortlist_html
+from app.viewer.all_pairs.scores import (
+    count_scores,
+    disagreements_html,
+    scores_html,
+    threshold_html,
+)
+from app.viewer.decisions import in_order
 from app.viewer.feature import Desk, Feature
+from app.viewer.outcomes import NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.runner import Runner
 from app.viewer.state import ViewState
+from app.viewer.widgets.bridge import Data
 from app.viewer.work import Work, message_of
+from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
+from gpgrad_core.loop_closure import ClosureParams
+from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.run.progress import Progress
 
 
@@ -35,6 +45,15 @@ class _Judging:
     compared: ComparedPairs
     state: ViewState
     rule: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """All pairs judged, with the cells that show them."""
+
+    pairs: JudgedPairs
+    whole: PairCells
+    block: PairCells | None
 
 
 class AllPairsTab(Feature):
@@ -64,13 +83,18 @@ class AllPairsTab(Feature):
             name="all pairs",
             watch=lambda fraction, message: desk.tell(Feature.comparing, fraction, message),
         )
-        self._judge: Runner[_Judging, JudgedPairs] = Runner(
-            _judge,
+        self._judge: Runner[_Judging, _Judged] = Runner(
+            self._judge_all,
             self._on_judged,
             lambda _, error: self._panel.work_bar.failed(message_of(error)),
             name="verdicts",
         )
         self.workers = (self._comparer, self._judge)
+        self._latest: tuple[tuple[object, ...], JudgedPairs, PairCells] | None = None
+        self._cells: dict[str, PairCells] = {}  # what the pages show, by the name of the matrix
+        desk.bridge.hear("matrix", self._open_cell)
+        desk.bridge.hear("pair", self._open_pair)
+        desk.bridge.hear("threshold", self._set_threshold)
 
     def follow(self, state: ViewState) -> None:
         """Follow the session: its thresholds, its pair, another dataset."""
@@ -78,7 +102,7 @@ class AllPairsTab(Feature):
             other_dataset = state.dataset is not self._state.dataset
             self._state = state
             if other_dataset:
-                self._compared = None
+                self._compared, self._latest, self._cells = None, None, {}
         if other_dataset:
             self._comparer.cancel()
             self._panel.clear()
@@ -121,24 +145,79 @@ class AllPairsTab(Feature):
             self._compared = compared
         self._submit()
 
-    def _on_judged(self, job: _Judging, judged: JudgedPairs, seconds: float) -> None:
+    def _judge_all(self, job: _Judging, progress: Progress) -> _Judged:
+        """Judge all pairs, unless only another one of them is shown."""
+        del progress  # it is over in a moment
+        key = job.compared, job.state.params.closure, job.rule
+        if self._latest is None or self._latest[0] != key:
+            pairs = judge(job.compared, job.state.params.closure, RULES[job.rule])
+            self._latest = key, pairs, gather_all(pairs)
+        _, pairs, whole = self._latest
+        state = job.state
+        pair = in_order(state.dataset, state.query_id, state.database_id)
+        return _Judged(pairs, whole, gather_block(pairs, whole, pair))
+
+    def _on_judged(self, job: _Judging, judged: _Judged, seconds: float) -> None:
         del seconds
         if job.compared is not self._compared:
             return
+        self._cells = {"all": judged.whole}
+        if judged.block is not None:
+            self._cells["block"] = judged.block
         host = self._desk.host
         with host.atomic():
-            self._panel.show(findings(judged, job.state))
+            self._panel.show(findings(judged.pairs, judged.whole, judged.block, job.state))
         host.flush()
-        self._desk.tell(Feature.judged, job.state.dataset, judged.closures)
+        dataset, pairs = job.state.dataset, judged.pairs
+        outcomes = {
+            (closure.query_id, closure.database_id): outcome
+            for closure, outcome in zip(pairs.closures, pairs.outcomes, strict=True)
+        }
+        self._desk.tell(Feature.checked, dataset, outcomes)
+        self._desk.tell(Feature.judged, dataset, pairs.closures)
+
+    # What the pictures say; it comes from a page.
+
+    def _open_cell(self, page: viser.ClientHandle, data: Data) -> None:
+        """Show the best pair of a cell."""
+        del page
+        cells = self._cells.get(str(data.get("name")))
+        at = data.get("row"), data.get("column")
+        if cells is None or not all(isinstance(one, float) for one in at):
+            return
+        row, column = (
+            int(one) if isinstance(one, float) and one.is_integer() else -1 for one in at
+        )
+        cell = cells.cells.get((row, column)) or cells.cells.get((column, row))
+        if cell is not None:
+            self._desk.choose(cell.query, cell.database)
+
+    def _open_pair(self, page: viser.ClientHandle, data: Data) -> None:
+        """Show a pair that is named."""
+        del page
+        query, database = data.get("query"), data.get("database")
+        if isinstance(query, str) and isinstance(database, str):
+            self._desk.choose(query, database)
+
+    def _set_threshold(self, page: viser.ClientHandle, data: Data) -> None:
+        """Take the least score to where a hand has drawn it."""
+        del page
+        score = data.get("score")
+        if not isinstance(score, float):
+            return
+        params, bounds = self._desk.state.params, bounds_of(ClosureParams)["min_score"]
+        try:
+            closure = replace(params.closure, min_score=bounds.round(score))
+        except (InputError, ValueError, OverflowError):
+            return  # no page of ours draws it out of bounds
+        self._desk.change(params=replace(params, closure=closure))
 
 
-def _judge(job: _Judging, progress: Progress) -> JudgedPairs:
-    del progress  # it is over in milliseconds
-    return judge(job.compared, job.state.params.closure, RULES[job.rule])
-
-
-def findings(judged: JudgedPairs, state: ViewState) -> Findings:
+def findings(
+    judged: JudgedPairs, whole: PairCells, block: PairCells | None, state: ViewState
+) -> Findings:
     """Turn the judged pairs into pictures and words."""
+    high, histogram = highest_color(judged), count_scores(judged)
     compared, count = judged.compared, judged.num_accepted
     seconds = compared.result.seconds["total"]
     closures = "loop closure" if count == 1 else "loop closures"
@@ -159,9 +238,12 @@ def findings(judged: JudgedPairs, state: ViewState) -> Findings:
         outdated=""
         if compared.is_of(state)
         else "The parameters have changed since: run again to update.",
-        matrix=affinity_svg(judged, shown),
-        matrix_caption=_matrix_caption(judged),
-        curve="" if judged.check is None else curve_svg(judged.check),
+        matrix=matrix_html("all", whole, high, shown),
+        block="" if block is None else matrix_html("block", block, high, shown),
+        matrix_caption=_matrix_caption(judged, whole, high),
+        scores=scores_html(judged, histogram),
+        disagreements=disagreements_html(judged, histogram),
+        threshold=threshold_html(state.params.closure.min_score),
         curve_caption="" if judged.check is None else _curve_caption(judged.check),
         choices=tuple(
             Choice(closure.query_id, closure.database_id, closure.registration.score, outcome)
@@ -184,21 +266,30 @@ def _by_motion(judged: JudgedPairs) -> str:
     )
 
 
-def _matrix_caption(judged: JudgedPairs) -> str:
-    below = (
+def _matrix_caption(judged: JudgedPairs, whole: PairCells, high: float) -> str:
+    parts: list[str] = []
+    if whole.has_blocks:
+        size = len(whole.rows[0])
+        parts.append(
+            f"Each cell of the large matrix is a block of {size} by {size} submaps. It has the "
+            "colour of the highest score and the mark of the worst outcome, and a click opens its "
+            "best pair. The small matrix has the pairs of that block one by one."
+        )
+    parts.append(
         "Rows are queries, columns are the database. Below the diagonal is the score, from dark "
-        "(0) "
-        f"to yellow ({highest_color(judged):.1f})."
+        f"(0) to yellow ({high:.1f})."
     )
     if judged.check is None:
-        return f"{below} Rings mark accepted pairs, magenta the pair shown."
+        parts.append("Rings mark accepted pairs; magenta marks the pair shown.")
+        return " ".join(parts)
     measure = "of the boxes" if judged.check.rule.measure == "box" else "of the surfaces"
-    return (
-        f"{below} Above it is the true overlap {measure}, from dark (0) to light (1). "
-        "Rings mark accepted pairs: green ones have the right motion, within "
-        f"{MAX_OFFSET:g} m and {MAX_TURN:g}°, red ones a wrong motion, and white ones no common "
-        "ground. Orange rings mark missed pairs; magenta marks the pair shown."
+    parts.append(
+        f"Above it is the true overlap {measure}, from dark (0) to light (1). Green rings are "
+        f"accepted pairs with the right motion, within {MAX_OFFSET:g} m and {MAX_TURN:g}°. Red "
+        "crosses have a wrong motion, and white squares no common ground. Orange diamonds are "
+        "missed pairs; magenta marks the pair shown."
     )
+    return " ".join(parts)
 
 
 def _curve_caption(check: TruthCheck) -> str:
@@ -206,7 +297,7 @@ def _curve_caption(check: TruthCheck) -> str:
         return f"No pair is true by the rule {check.rule.name}, so there is nothing to find."
     precision = f"{check.precision:.3f}" if np.isfinite(check.precision) else "—"
     return (
-        f"At the present thresholds, precision is {precision} and recall {check.recall:.3f} "
-        "(magenta). "
+        f"At the present thresholds, precision is {precision} and recall {check.recall:.3f}. "
+        "Drag the magenta line to another score. "
         f"Average precision {check.average_precision:.3f}. {check.rule.statement}"
     )

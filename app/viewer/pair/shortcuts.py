@@ -66,7 +66,7 @@ def add_shortcuts(
     choose(
         "Compare",
         "Height difference of the registered maps",
-        "X",
+        "Y",
         layout="registered",
         compare="both",
         layer="difference",

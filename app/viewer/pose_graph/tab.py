@@ -1,7 +1,6 @@
 """The Pose graph tab: wires closures, decisions by hand and the optimiser to the world."""
 
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,10 +9,10 @@ import numpy as np
 import viser
 
 from app.viewer.closure_files import write_closure_file
+from app.viewer.decisions import Decisions, Pair, decide, with_motion, with_verdict
 from app.viewer.downloads import Downloads
 from app.viewer.draw.layers import Scale
 from app.viewer.feature import Desk, Feature
-from app.viewer.pose_graph.decisions import Decisions, Pair, decide, with_motion, with_verdict
 from app.viewer.pose_graph.panel import Format, PoseGraphCalls, PoseGraphPanel, Verdict
 from app.viewer.state import ViewState
 from app.viewer.widgets.legend import legend_html
@@ -44,7 +43,7 @@ class _Task:
 
     dataset: Dataset
     closures: tuple[LoopClosure, ...]
-    trusted: tuple[Pair, ...]
+    decisions: Decisions
 
     @property
     def key(self) -> object:
@@ -54,7 +53,7 @@ class _Task:
             for one in self.closures
             if one.accepted
         ]
-        return accepted, sorted(self.trusted)
+        return accepted, sorted(self.decisions.trusted)
 
 
 class PoseGraphTab(Feature):
@@ -72,7 +71,6 @@ class PoseGraphTab(Feature):
         self._lock = threading.Lock()
         self._state = desk.state
         self._found: tuple[LoopClosure, ...] = ()
-        self._history: list[Decisions] = [Decisions()]
         self._chosen: Pair | None = None
         self._graph: OptimisedGraph | None = None
         self._solved: object = None  # what it was optimised from
@@ -84,7 +82,7 @@ class PoseGraphTab(Feature):
                 on_shown=lambda loops, refused: world.set_loops_shown(loops=loops, refused=refused),
                 on_choose=self._choose,
                 on_verdict=self._decide,
-                on_undo=self._undo,
+                on_undo=desk.take_back,
                 on_tune=self._tune,
                 on_export=self._order,
             ),
@@ -109,7 +107,7 @@ class PoseGraphTab(Feature):
             before, self._state = self._state, state
             if before.dataset is state.dataset:
                 return
-            self._found, self._history = (), [Decisions()]
+            self._found = ()
             self._chosen, self._graph, self._solved = None, None, None
         self._solver.cancel()
         self._panel.show_result(())
@@ -134,7 +132,12 @@ class PoseGraphTab(Feature):
     def use_motion(self, query_id: str, database_id: str, registration: Registration) -> None:
         """Take a registration set by hand, and accept it."""
         pair = query_id, database_id
-        self._remember(lambda decisions: with_motion(decisions, pair, registration))
+        self._desk.decide(lambda decisions: with_motion(decisions, pair, registration))
+
+    def decided(self, decisions: Decisions) -> None:
+        """Show what the decisions make of the closures."""
+        del decisions
+        self._show()
 
     @property
     def closures(self) -> tuple[LoopClosure, ...]:
@@ -153,6 +156,8 @@ class PoseGraphTab(Feature):
         with self._lock:
             self._chosen = pair
         self._tell_world()
+        if pair is not None:
+            self._desk.choose(*pair)  # the verdict beside the world is of what is chosen in it
 
     def _decide(self, verdict: Verdict) -> None:
         pair = self._chosen
@@ -160,18 +165,7 @@ class PoseGraphTab(Feature):
             self._bar.failed("Choose a closure first.")
             return
         self._bar.idle()
-        self._remember(lambda decisions: with_verdict(decisions, pair, ACCEPTABLE[verdict]))
-
-    def _remember(self, change: Callable[[Decisions], Decisions]) -> None:
-        with self._lock:
-            self._history.append(change(self._history[-1]))
-        self._show()
-
-    def _undo(self) -> None:
-        with self._lock:
-            if len(self._history) > 1:
-                self._history.pop()
-        self._show()
+        self._desk.decide(lambda decisions: with_verdict(decisions, pair, ACCEPTABLE[verdict]))
 
     def _tune(self) -> None:
         if self._chosen is not None:
@@ -213,16 +207,16 @@ class PoseGraphTab(Feature):
     # What is shown.
 
     def _closures(self) -> tuple[LoopClosure, ...]:
-        return decide(self._found, self._history[-1])
+        return decide(self._found, self._desk.decisions)
 
     def _task(self) -> _Task:
         with self._lock:
-            return _Task(self._state.dataset, self._closures(), self._history[-1].trusted)
+            return _Task(self._state.dataset, self._closures(), self._desk.decisions)
 
     def _show(self, *, relax: bool = False) -> None:
         with self._lock:
-            closures, decisions, chosen = self._closures(), self._history[-1], self._chosen
-            can_undo, graph = len(self._history) > 1, self._graph
+            closures, chosen, graph = self._closures(), self._chosen, self._graph
+        decisions, can_undo = self._desk.decisions, self._desk.can_take_back
         outdated = graph is not None and self._task().key != self._solved
         ordered = sorted(closures, key=lambda one: (not one.accepted, -one.registration.score))
         chi_squares = _chi_squares(graph)
@@ -278,7 +272,7 @@ def result_rows(
 
 
 def _solve(task: _Task, progress: Progress) -> OptimisedGraph:
-    graph = build_pose_graph(task.dataset, task.closures, trusted=task.trusted)
+    graph = build_pose_graph(task.dataset, task.closures, trusted=task.decisions.trusted)
     return optimise_pose_graph(graph, progress=progress)
 
 
@@ -291,7 +285,7 @@ def _write(
 ) -> None:
     del progress
     result = DetectionResult(task.closures, {"total": 0.0})
-    write_closure_file(path, task.dataset, result, params, trusted=task.trusted, solved=graph)
+    write_closure_file(path, task.dataset, result, params, decisions=task.decisions, solved=graph)
 
 
 def _highest(closures: tuple[LoopClosure, ...]) -> float:

@@ -1,6 +1,7 @@
 """Exports in the Save tab: wires their panel to the writers of the files."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import viser
 
 from app.viewer.closure_files import write_closure_file
+from app.viewer.decisions import Decisions, decide
 from app.viewer.downloads import Downloads, safe_name
 from app.viewer.feature import Desk, Feature
 from app.viewer.save.exports_panel import ExportPanel
@@ -53,7 +55,7 @@ class Exports(Feature):
         self.workers = (self._downloads,)
 
     def _order_closures(self, kind: str, page: viser.ClientHandle) -> None:
-        write = partial(_write_closures, self._desk.state, self._desk.memo)
+        write = partial(_write_closures, self._desk.state, self._desk.memo, self._desk.decisions)
         self._downloads.order(page, CLOSURES[kind], write)
 
     def _order_map(self, kind: str, role: str, page: viser.ClientHandle) -> None:
@@ -67,7 +69,9 @@ class Exports(Feature):
         self._downloads.order(page, "view.png", partial(_write_picture, page))
 
 
-def _write_closures(state: ViewState, memo: Memo, path: Path, progress: Progress) -> None:
+def _write_closures(
+    state: ViewState, memo: Memo, decisions: Decisions, path: Path, progress: Progress
+) -> None:
     dataset, params = state.dataset, state.params
     if len(dataset.submaps) < 2:
         raise InputError(f"{dataset.name}: a loop closure needs two submaps")
@@ -75,7 +79,8 @@ def _write_closures(state: ViewState, memo: Memo, path: Path, progress: Progress
         result = detect_loop_closures(
             dataset, params, executor=executor, memo=memo, progress=progress
         )
-    write_closure_file(path, dataset, result, params)
+    decided = replace(result, closures=decide(result.closures, decisions))
+    write_closure_file(path, dataset, decided, params, decisions=decisions)
 
 
 def _write_map(

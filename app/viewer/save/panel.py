@@ -40,8 +40,8 @@ class SavingPanel:
         self._command = gui.add_html("")
         save = gui.add_button(
             "Save session",
-            hint="Saves dataset, pair, parameters, view and camera as a file for gpgrad view "
-            "--state FILE.",
+            hint="Saves dataset, pair, parameters, view, camera and decisions as a file for gpgrad "
+            "view --state FILE.",
         )
         restore = gui.add_upload_button(
             "Restore session", mime_type=".toml", hint="Opens a file from 'Save session'."

@@ -37,7 +37,11 @@ class SaveTab(Feature):
     def _save(self, page: viser.ClientHandle) -> None:
         state = self._desk.state
         name = safe_name(state.dataset.name, "session")
-        text = session_text(state, view_of(page))
+        try:
+            text = session_text(state, view_of(page), self._desk.decisions)
+        except InputError as error:
+            self._panel.tell(str(error), bad=True)
+            return
         send_file(page, f"{name}{ENDING}", text.encode())
 
     def _restore(self, name: str, content: bytes) -> None:

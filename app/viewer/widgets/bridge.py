@@ -122,14 +122,12 @@ class Bridge:
     def _hidden_script(self) -> str:
         """Write the script and the style that hides the folder."""
         box = self._box._impl.uuid  # pyright: ignore[reportPrivateUsage]
-        script = escape(SCRIPT.replace("BOX", json.dumps(box)))
+        script = run_when_shown(SCRIPT.replace("BOX", json.dumps(box)))
         inside = f'label[for="{box}"]'
         folder = f".mantine-Paper-root:has({inside}):not(:has(.mantine-Paper-root {inside}))"
-        # A picture that cannot be loaded runs its handler each time the HTML is put into a page.
         return (
             f"<style>{folder}{{display:none}}</style>"
-            f'<div data-testid="bridge" style="display:none">'
-            f'<img alt="" src="data:," onerror="{script}"></div>'
+            f'<div data-testid="bridge" style="display:none">{script}</div>'
         )
 
 
@@ -140,6 +138,16 @@ def read_said(text: str) -> tuple[str, Data] | None:
     except (msgspec.MsgspecError, UnicodeEncodeError, RecursionError):
         return None
     return said.name, said.data
+
+
+def run_when_shown(script: str) -> str:
+    """Write HTML that runs a script each time it is put into a page.
+
+    Args:
+        script: JavaScript; values in it must come from `json.dumps`.
+    """
+    # A picture that cannot be loaded runs its handler.
+    return f'<img alt="" src="data:," style="display:none" onerror="{escape(script)}">'
 
 
 def say(name: str, /, *, newest: bool = False, **data: Value) -> str:

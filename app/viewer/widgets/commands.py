@@ -30,12 +30,13 @@ class Command:
     label: str
     key: str | None
     modifier: str | None
+    heard: str = ""
 
     @property
     def keys(self) -> str:
         """The keys as text; empty if it has none."""
         if self.key is None:
-            return ""
+            return self.heard
         parts = [*(self.modifier or "").split("+"), self.key]
         names = {"cmd/ctrl": "Ctrl/Cmd", "shift": "Shift", "alt": "Alt"}
         return " + ".join(names.get(part, part.capitalize()) for part in parts if part)
@@ -72,9 +73,10 @@ class Commands:
         *,
         key: Any = None,
         modifier: Any = None,
+        heard: str = "",
     ) -> None:
         """Add a command that does the same whichever page asks; see `add_for_page`."""
-        self.add_for_page(group, label, lambda _: act(), key=key, modifier=modifier)
+        self.add_for_page(group, label, lambda _: act(), key=key, modifier=modifier, heard=heard)
 
     def add_for_page(
         self,
@@ -84,6 +86,7 @@ class Commands:
         *,
         key: Any = None,
         modifier: Any = None,
+        heard: str = "",
     ) -> None:
         """Add a command.
 
@@ -93,6 +96,7 @@ class Commands:
             act: Given the page that asks; runs in the server's event loop and must be quick.
             key: A letter, digit or name of a key.
             modifier: Held with it, such as ``cmd/ctrl`` or ``shift``.
+            heard: Key that a script of ours hears instead, where its part of a panel is to be seen.
 
         Raises:
             ValueError: If the key flies the camera or is taken.
@@ -102,7 +106,7 @@ class Commands:
         taken = {(command.key, command.modifier): command.label for command in self._commands}
         if key is not None and (key, modifier) in taken:
             raise ValueError(f"{label}: {key} is taken by {taken[key, modifier]!r}")
-        self._commands.append(Command(group, label, key, modifier))
+        self._commands.append(Command(group, label, key, modifier, heard))
         handle = self._host.gui.add_command(label, description=group, hotkey=key, modifier=modifier)
 
         @handle.on_trigger

@@ -65,7 +65,9 @@ class PairList:
         first = self._none
         if len(pairs) > MOST_LISTED:
             first += f" (the first {MOST_LISTED} of {len(pairs):,})"
-        self._list.options = (first, *self._pairs)
+        options = (first, *self._pairs)
+        if tuple(self._list.options) != options:
+            self._list.options = options
         labels = [label for label, pair in self._pairs.items() if pair == chosen]
         self._list.value = labels[0] if labels else first
 

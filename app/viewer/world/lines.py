@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from app.viewer.draw.associations import arcs
 from app.viewer.draw.colors import Rgb, colorize
 from app.viewer.state import ColorMap
-from app.viewer.world.submaps import PoseSource
+from app.viewer.world.submaps import PoseSource, WorldOptions
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.se2 import Pose
 
@@ -23,6 +23,8 @@ TRAJECTORY_COLORS: dict[PoseSource, Rgb] = {
 REFUSED_LOOP: Rgb = (165, 165, 165)
 WRONG_LOOP: Rgb = (0, 0, 0)
 SCORE_MAP: ColorMap = "viridis"
+MOST_ARCHES = 60
+"""Accepted loops that are drawn, and refused pairs; those of the chosen submap come on top."""
 LOOP_PIECES = 12
 """Straight pieces of the arch of one loop."""
 LOOP_RISE = 0.45
@@ -94,6 +96,29 @@ def arch_colors(loops: Iterable[Loop], highest: float) -> UInt8[NDArray[np.uint8
     colors = colorize(scores, 0.0, highest, SCORE_MAP)
     colors[[loop.wrong for loop in drawn]] = WRONG_LOOP
     return np.repeat(colors, LOOP_PIECES, axis=0)
+
+
+def choose_arches(
+    loops: Iterable[Loop], options: WorldOptions, selected: str | None
+) -> tuple[Loop, ...]:
+    """Choose the loops to draw: those with the highest scores, and all of the chosen submap.
+
+    Hundreds of arches would hide the ground and each other.
+
+    Args:
+        loops: All that could be drawn.
+        options: Which kinds are to be seen.
+        selected: Id of the submap that is chosen.
+    """
+    chosen: list[Loop] = []
+    for accepted, wanted in ((True, options.loops), (False, options.refused)):
+        if wanted:
+            ranked = sorted(
+                (loop for loop in loops if loop.accepted is accepted), key=lambda loop: -loop.score
+            )
+            chosen += ranked[:MOST_ARCHES]
+            chosen += [loop for loop in ranked[MOST_ARCHES:] if selected in loop.pair]
+    return tuple(chosen)
 
 
 def drawable(loops: Iterable[Loop], poses: Mapping[str, Pose]) -> tuple[Loop, ...]:

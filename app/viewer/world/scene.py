@@ -32,6 +32,7 @@ from app.viewer.world.lines import (
     Loop,
     arch_colors,
     arches,
+    choose_arches,
     drawable,
     trajectory_lines,
 )
@@ -94,6 +95,8 @@ class WorldScene:
         self._outline = LinesNode(host, f"{WORLD}/selected", SELECTED, thickness=4.0)
         self._origin = np.zeros(3)
         self._shown: World | None = None
+        self._arches: tuple[Loop, ...] = ()
+        self._extents: dict[str, Extent] = {}  # to measure one reads all of its points
         self._lift = 0.0
         self._lock = threading.Lock()
 
@@ -110,6 +113,11 @@ class WorldScene:
     def num_cells(self) -> int:
         """Cells drawn."""
         return sum(node.surface.num_points for node in self._nodes)
+
+    @property
+    def num_arches(self) -> int:
+        """Number of loops that are drawn."""
+        return len(self._arches)
 
     def show(self, world: World, at: Mapping[str, Pose] | None = None) -> Scale | None:
         """Show a world as one consistent change; gives what its colours mean.
@@ -146,7 +154,9 @@ class WorldScene:
         with self._host.atomic():
             if before is None or before.dataset is not world.dataset:
                 self._origin = _middle(world.poses)
-                self._lift = LIFT * _width(world.dataset)
+                self._extents = {one.id: Extent.of(one) for one in world.dataset.submaps}
+                widths = [float(extent.size[0]) for extent in self._extents.values()]
+                self._lift = LIFT * float(np.median(widths))
             scale = world_scale(surfaces, dict(world.poses), world.options.color)
             self._fit_nodes(len(world.dataset.submaps))
             for place, submap in enumerate(world.dataset.submaps):
@@ -154,8 +164,10 @@ class WorldScene:
                 if surface is None:
                     node.hide()
                     continue
-                node.show(submap.id, surface, world, scale, place)
+                node.show(self._extents[submap.id], surface, world, scale, place)
             self._shown = world
+            known = drawable(world.loops, world.poses)
+            self._arches = choose_arches(known, world.options, world.selected)
             self._place(at)
         self._host.flush()
         return scale
@@ -179,7 +191,7 @@ class WorldScene:
             return None
         return frame_camera(
             tuple(
-                (Extent.of(submap), self._placement(self._shown.poses[submap.id]))
+                (self._extents[submap.id], self._placement(self._shown.poses[submap.id]))
                 for submap in self._shown.dataset.submaps
                 if submap.id in self._shown.poses
             ),
@@ -191,9 +203,8 @@ class WorldScene:
         """Give the view of one submap; None if it is not shown."""
         if self._shown is None or name not in self._shown.poses:
             return None
-        submap = self._shown.dataset.submap(name)
         placed = self._placement(self._shown.poses[name])
-        return frame_camera(((Extent.of(submap), placed),), canvas)
+        return frame_camera(((self._extents[name], placed),), canvas)
 
     def path(self) -> Float[Array, "n 3"]:
         """Give the trajectory along the submaps in the scene [m]."""
@@ -237,14 +248,12 @@ class WorldScene:
             segments.show((points.tobytes(),), lambda points=points: points)
 
     def _place_loops(self, world: World, local: Mapping[str, Pose]) -> None:
-        options = world.options
-        loops = drawable(world.loops, local)
-        accepted = [loop for loop in loops if loop.accepted] if options.loops else []
-        refused = [loop for loop in loops if not loop.accepted] if options.refused else []
+        accepted = [loop for loop in self._arches if loop.accepted]
+        refused = [loop for loop in self._arches if not loop.accepted]
         self._loops.show(
             arches(accepted, local, self._lift), lambda: arch_colors(accepted, world.highest_score)
         )
-        marked = [loop for loop in loops if loop.pair == world.marked]
+        marked = [loop for loop in world.loops if loop.pair == world.marked]
         if marked:
             above = arches(marked, local, 1.1 * self._lift)
             self._marked.show((above.tobytes(),), lambda: above)
@@ -260,7 +269,7 @@ class WorldScene:
         if world.selected is None or world.selected not in local:
             self._outline.hide()
             return
-        box, pose = Extent.of(world.dataset.submap(world.selected)), local[world.selected]
+        box, pose = self._extents[world.selected], local[world.selected]
         self._outline.show(
             (world.dataset, world.selected, *pose.translation, *pose.quaternion),
             lambda: outline(pose.apply(box.corners)),
@@ -283,12 +292,14 @@ class _Node:
         self.surfels: Surfels | None = None
         self._frame = host.scene.add_frame(root, show_axes=False)
         self.surface = PointsNode(host, f"{root}/surface")
-        self._label = host.scene.add_label(f"{root}/name", "", anchor="bottom-center")
+        self._host, self._root = host, root
+        self._label: viser.LabelHandle | None = None  # most of many submaps have none
 
     def show(
-        self, name: str, surface: Surface, world: World, scale: Scale | None, place: int
+        self, box: Extent, surface: Surface, world: World, scale: Scale | None, place: int
     ) -> None:
         """Show a submap, unless it is shown just so."""
+        name = world.dataset.submaps[place].id
         count, color, pose = len(world.surfaces), world.options.color, world.poses[name]
         self.name = name
         self._frame.visible = True
@@ -303,10 +314,16 @@ class _Node:
         self.surface.show((surface.gradient_map, surface.max_std_ratio, *look), make)
         every = -(-len(world.dataset.submaps) // MAX_NAMES)
         named = world.options.names and (place % every == 0 or name == world.selected)
-        self._label.visible = named
-        if named and self._label.text != name:
+        if not named:
+            if self._label is not None:
+                self._label.visible = False
+            return
+        if self._label is None:
+            where = f"{self._root}/name"
+            self._label = self._host.scene.add_label(where, name, anchor="bottom-center")
+        self._label.visible = True
+        if self._label.text != name:
             self._label.text = name
-        box = Extent.of(world.dataset.submap(name))
         x, y, _ = box.center
         self._label.position = (float(x), float(y), float(box.high[2]))
 
@@ -362,9 +379,3 @@ def _middle(poses: Mapping[str, Pose]) -> Float[Array, "3"]:
         return np.zeros(3)
     points = np.array([pose.translation for pose in poses.values()])
     return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2, dtype=np.float64)
-
-
-def _width(dataset: Dataset) -> float:
-    """Width of a typical submap [m]."""
-    widths = [float(np.ptp(submap.points[:, 0])) for submap in dataset.submaps]
-    return float(np.median(widths))

@@ -92,6 +92,7 @@ class WorldTab(Feature):
         self._correction = Correction()
         self._selected: str | None = None
         self._drawn: _DrawnWorld | None = None
+        self._made: tuple[object, dict[str, Surface]] | None = None  # quick surfaces
         self._framed: object = None  # the dataset that the cameras were brought to
         self.scene = WorldScene(desk.host)
         self._panel = WorldPanel(
@@ -99,7 +100,7 @@ class WorldTab(Feature):
             self._options,
             WorldCalls(
                 on_options=lambda options: self._change(options=options),
-                on_select=self.select,
+                on_select=self._pick,
                 on_step=self._step,
                 on_role=self._tune,
                 on_look=self._look,
@@ -228,9 +229,17 @@ class WorldTab(Feature):
     def _step(self, step: int) -> None:
         ids = [submap.id for submap in self._state.dataset.submaps]
         if self._selected in ids:
-            self.select(ids[(ids.index(self._selected) + step) % len(ids)])
+            self._pick(ids[(ids.index(self._selected) + step) % len(ids)])
         else:
-            self.select(ids[0] if step > 0 else ids[-1])
+            self._pick(ids[0] if step > 0 else ids[-1])
+
+    def _pick(self, name: str | None) -> None:
+        """Choose a submap, and its likeliest pair: the verdict beside the world is of that."""
+        self.select(name)
+        if name is not None:
+            pair = _likeliest(name, self._correction.loops, self._state)
+            if pair is not None:
+                self._desk.choose(*pair)
 
     def _tune(self, role: str) -> None:
         """Show the chosen submap in Tune, with the submap that has the other role there."""
@@ -248,7 +257,7 @@ class WorldTab(Feature):
     ) -> None:
         hit = self.scene.pick(np.array(origin, float), np.array(toward, float))
         if hit is not None:
-            self.select(hit)
+            self._pick(hit)
 
     def _look(self, page: viser.ClientHandle) -> None:
         if self._selected is not None:
@@ -290,6 +299,9 @@ class WorldTab(Feature):
 
     def _surfaces(self, job: _Drawing, progress: Progress) -> dict[str, Surface]:
         submaps, params = job.state.dataset.submaps, job.state.params
+        key = job.state.dataset, params.map
+        if not job.infers and self._made is not None and self._made[0] == key:
+            return self._made[1]
         surfaces: dict[str, Surface] = {}
         for place, submap in enumerate(submaps):
             if job.infers:
@@ -298,11 +310,15 @@ class WorldTab(Feature):
             else:
                 surfaces[submap.id] = quick_surface(submap, params, self._desk.memo, len(submaps))
                 progress((place + 1) / len(submaps))
+        if not job.infers:
+            self._made = key, surfaces
         return surfaces
 
     def _on_result(self, job: _Drawing, drawn: _DrawnWorld, seconds: float) -> None:
         self._drawn = drawn
-        self._panel.show_summary(_summary(drawn.world, self.scene.num_cells, seconds))
+        self._panel.show_summary(
+            _summary(drawn.world, self.scene.num_cells, self.scene.num_arches, seconds)
+        )
         self._panel.show_legend(legend_html(drawn.scale))
         if job.selected is not None and job.infers:
             self._panel.select(job.selected, self._figures(job.selected))
@@ -344,11 +360,46 @@ def relaxation(graph: OptimisedGraph, move: Callable[[Mapping[str, Pose]], None]
     return Animation(RELAXING_SECONDS, lambda share: move(graph.at(ease(share))), rest=1.5)
 
 
-def _summary(world: World, num_cells: int, seconds: float) -> tuple[str, ...]:
+def _likeliest(name: str, loops: tuple[Loop, ...], state: ViewState) -> tuple[str, str] | None:
+    """Find the pair of a submap that is most likely a loop closure.
+
+    By the highest score, accepted pairs first. Before pairs are compared, by the nearest submap
+    that is no neighbour on the way.
+    """
+    own = [loop for loop in loops if name in loop.pair]
+    if own:
+        return max(own, key=lambda loop: (loop.accepted, loop.score)).pair
+    submaps = state.dataset.submaps
+    ids = [submap.id for submap in submaps]
+    poses = [submap.pose_odometry or submap.pose_true for submap in submaps]
+    place = ids.index(name)
+    here = poses[place]
+    if here is None:
+        return None
+    away = {
+        k: float(np.linalg.norm(pose.translation[:2] - here.translation[:2]))
+        for k, pose in enumerate(poses)
+        if pose is not None and abs(k - place) > 1
+    }
+    if not away:
+        return None
+    other = min(away, key=lambda k: away[k])
+    return ids[max(place, other)], ids[min(place, other)]
+
+
+def _summary(world: World, num_cells: int, num_arches: int, seconds: float) -> tuple[str, ...]:
     count, shown = len(world.dataset.submaps), len(world.poses)
     lines = [f"{shown} submaps · {num_cells:,} cells · {1000 * seconds:.0f} ms"]
     if world.options.poses == "in rows":
         lines.append("The dataset has no poses, so the submaps lie in rows.")
     elif shown < count:
         lines.append(f"{count - shown} of {count} submaps have no such pose and are not shown.")
+    wanted = sum(
+        world.options.loops if one.accepted else world.options.refused for one in world.loops
+    )
+    if num_arches < wanted:
+        own = "" if world.selected is None else f", and all of {world.selected}"
+        lines.append(
+            f"{num_arches:,} of {wanted:,} loops are drawn: those with the highest scores{own}."
+        )
     return tuple(lines)

@@ -11,6 +11,7 @@ import pytest
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs import (
     ClosureWriter,
+    Decision,
     read_closures,
     report_closures,
     restore_closures,
@@ -186,3 +187,86 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path, text: str, said: st
         read_closures(path)
     assert str(refusal.value).startswith(f"{path}: ")
     assert said in str(refusal.value)
+
+
+def test_a_decision_is_kept_and_outweighs_the_verdict(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    lost, found = result.closures[:2]
+    decisions = {
+        (found.query_id, found.database_id): Decision(accepted=False, note="only a dune, twice"),
+        (lost.query_id, lost.database_id): Decision(note="look again"),
+    }
+    report = report_closures(dataset, result, PipelineParams(), decisions=decisions)
+    path = tmp_path / "closures.json"
+    write_closures(path, report)
+    back = read_closures(path)
+    assert back == report
+    assert [pair.decision for pair in back.pairs[:2]] == [
+        Decision(note="look again"),
+        Decision(accepted=False, note="only a dune, twice"),
+    ]
+    assert back.accepted == ()
+    assert back.confirmed == ()
+    restored = restore_closures(back)
+    assert not restored[1].accepted
+    assert restored[1].reason == "refused by hand"
+    assert restored[0].reason == lost.reason  # a note alone leaves the verdict as it is
+
+
+def test_a_pair_is_accepted_by_hand_below_the_threshold(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    found = replace(result.closures[1], accepted=False, reason="score 2 < 3")
+    pair = found.query_id, found.database_id
+    report = report_closures(
+        dataset,
+        replace(result, closures=(found,)),
+        PipelineParams(),
+        decisions={pair: Decision(accepted=True)},
+    )
+    write_closures(tmp_path / "a.json", report)
+    back = read_closures(tmp_path / "a.json")
+    assert back.confirmed == (pair,)
+    (closure,) = restore_closures(back)
+    assert closure.accepted
+    assert closure.reason == "accepted by hand"
+
+
+@pytest.mark.parametrize(
+    ("decision", "said"),
+    [
+        ("yes", "decision: must be an object"),
+        ({"accepted": "yes"}, "'accepted' must be true or false, got 'yes'"),
+        ({"accepted": 1}, "'accepted' must be true or false"),
+        ({"note": 3}, "'note' must be a text"),
+        ({"note": "two\nlines"}, "'note' must be one line of at most 200 letters"),
+        ({"note": 201 * "x"}, "'note' must be one line of at most 200 letters"),
+    ],
+)
+def test_a_decision_that_is_none_is_refused_by_name(
+    decision: object, said: str, dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    path = tmp_path / "closures.json"
+    write_closures(path, report_closures(dataset, result, PipelineParams()))
+    content = json.loads(path.read_text())
+    content["pairs"][1]["decision"] = decision
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"pairs\[1\], decision") as raised:
+        read_closures(path)
+    assert said in str(raised.value)
+
+
+def test_nothing_cannot_be_accepted_by_hand(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    path = tmp_path / "closures.json"
+    write_closures(path, report_closures(dataset, result, PipelineParams()))
+    content = json.loads(path.read_text())
+    content["pairs"][0]["decision"] = {"accepted": True}
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="has no motion"):
+        read_closures(path)
+    content["pairs"][0]["decision"] = {"accepted": False}
+    path.write_text(json.dumps(content))
+    assert read_closures(path).pairs[0].decision == Decision(accepted=False)

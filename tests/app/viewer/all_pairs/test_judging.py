@@ -3,18 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.viewer.all_pairs.judging import (
-    ACCEPTED,
-    MISSED,
-    NO_OVERLAP,
-    REFUSED,
-    RIGHT,
-    RULES,
-    WRONG_MOTION,
-    ComparedPairs,
-    compare_pairs,
-    judge,
-)
+from app.viewer.all_pairs.cells import gather_all
+from app.viewer.all_pairs.judging import RULES, UNKNOWN, ComparedPairs, compare_pairs, judge
+from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from app.viewer.state import open_dataset
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.evaluation.rules import Rule
@@ -103,14 +94,16 @@ def test_without_truth_there_are_verdicts_only() -> None:
     judged = judge(replace(COMPARED, truth=None), ClosureParams(0, 0.5), BOX)
     assert judged.check is None
     assert set(judged.outcomes) == {ACCEPTED, REFUSED}
-    assert np.isnan(judged.overlaps()).all()
+    assert set(judged.truths) == {UNKNOWN}
+    assert np.isnan(gather_all(judged).overlaps).all()
 
 
 def test_scores_lie_below_the_diagonal_and_overlaps_above() -> None:
     judged = judge(COMPARED, ClosureParams(), BOX)
-    scores, overlaps = judged.scores(), judged.overlaps()
-    assert scores[3, 0] == PAIR_SCORES["003", "000"]
-    assert np.isnan(scores[np.triu_indices(4)]).all()
+    cells = gather_all(judged)
+    overlaps = cells.overlaps
+    assert cells.cells[3, 0].score == PAIR_SCORES["003", "000"]
+    assert all(row > column for row, column in cells.cells)
     assert overlaps[0, 3] > BOX.threshold
     assert np.isnan(overlaps[np.tril_indices(4)]).all()
 

@@ -25,6 +25,8 @@ COMPARED = make_compared()
 STATE = open_dataset(COMPARED.dataset, PipelineParams(closure=ClosureParams(0, 4.5)))
 
 
+PAGE = object.__new__(viser.ClientHandle)
+"""Which page said something does not matter here."""
 SHORTLISTS = {
     submap.id: (Candidate("another <one>", 40, 0.5), Candidate(STATE.database_id, 12, 0.25))
     for submap in STATE.dataset.submaps
@@ -146,7 +148,65 @@ def test_pairs_are_chosen_and_stepped_through(
     tab.follow(with_pair(STATE, query_id="002", database_id="001"))
     assert tab.wait_idle(10)
     assert pair.value == NO_CHOICE  # not in the list
-    assert 'x="1" y="2"' in said(tab)  # yet in the matrix
+    assert 'data-row="2" data-column="1"' in said(tab)  # yet in the matrix
+
+
+def test_a_click_in_a_picture_opens_its_pair_and_nothing_else_does(
+    tab: AllPairsTab, server: viser.ViserServer, recorder: Recorder
+) -> None:
+    run(tab, server)
+    hear = tab._desk.bridge._acts
+    hear["matrix"](PAGE, {"name": "all", "row": 2.0, "column": 1.0})
+    assert shown(recorder) == ("002", "001")
+    hear["matrix"](PAGE, {"name": "all", "row": 0.0, "column": 3.0})  # above the diagonal
+    assert shown(recorder) == ("003", "000")
+    hear["pair"](PAGE, {"query": "001", "database": "000"})
+    assert shown(recorder) == ("001", "000")
+    before = len(recorder.states)
+    for wrong in (
+        {"name": "block", "row": 0.0, "column": 0.0},
+        {"name": "all", "row": 0.5, "column": 0.0},
+        {"name": "all", "row": float("inf"), "column": 0.0},
+        {"name": "all", "row": "2", "column": 1.0},
+        {"name": "all", "row": True, "column": 0.0},
+        {"name": "all", "row": 9e9, "column": 1.0},
+        {},
+    ):
+        hear["matrix"](PAGE, wrong)
+    for half in ({"query": "001"}, {"query": 1.0, "database": "000"}):
+        hear["pair"](PAGE, half)
+    assert len(recorder.states) == before
+    hear["pair"](PAGE, {"query": "gone", "database": "000"})  # of another dataset
+    assert shown(recorder) == ("001", "000")
+
+
+def test_a_drawn_threshold_is_taken_within_its_bounds(
+    tab: AllPairsTab, server: viser.ViserServer, recorder: Recorder
+) -> None:
+    tab._desk.join(tab)
+    run(tab, server)
+    draw = tab._desk.bridge._acts["threshold"]
+    draw(PAGE, {"score": 0.512})
+    assert recorder.states[-1].params.closure.min_score == 0.5
+    assert recorder.states[-1].params.map == STATE.params.map
+    assert tab.wait_idle(10)
+    assert "5 loop closures in 6 pairs" in said(tab)
+    assert "settle(0.5)" in tab._panel._threshold.content
+    before = len(recorder.states)
+    for wrong in (-1.0, 1e12, float("nan"), float("inf"), "3", True, None):
+        draw(PAGE, {"score": wrong})
+    assert len(recorder.states) == before
+
+
+def test_the_histogram_is_not_drawn_anew_while_the_threshold_moves(
+    tab: AllPairsTab, server: viser.ViserServer
+) -> None:
+    run(tab, server)
+    before = tab._panel._scores.content
+    assert "data-scores" in before
+    tab.follow(with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
+    assert tab.wait_idle(10)
+    assert tab._panel._scores.content is before
 
 
 def test_a_run_is_cancelled_and_the_next_one_is_not(

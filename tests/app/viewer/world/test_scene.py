@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.world.lines import LOOP_PIECES, Loop, arches, drawable, trajectory_lines
+from app.viewer.world.lines import (
+    LOOP_PIECES,
+    MOST_ARCHES,
+    Loop,
+    arches,
+    choose_arches,
+    drawable,
+    trajectory_lines,
+)
 from app.viewer.world.scene import World, WorldScene
 from app.viewer.world.submaps import PoseSource, WorldColor, WorldOptions, poses_of
 from app.viewer.world.surfaces import (
@@ -89,6 +97,35 @@ def test_loops_show_and_hide(server: viser.ViserServer) -> None:
     scene.show(world(loops=False, refused=True))
     assert not node(server, "/world/loops").visible
     assert len(node(server, "/world/refused").points) == LOOP_PIECES
+
+
+def test_of_many_loops_the_best_are_drawn_and_all_of_the_chosen_submap() -> None:
+    loops = tuple(
+        Loop(f"{query:03d}", f"{database:03d}", float(query + database), accepted=True)
+        for query in range(100)
+        for database in range(query)
+    )
+    options = WorldOptions()
+    best = choose_arches(loops, options, None)
+    assert len(best) == MOST_ARCHES
+    assert min(loop.score for loop in best) >= sorted(loop.score for loop in loops)[-MOST_ARCHES]
+    chosen = choose_arches(loops, options, "007")
+    assert set(best) < set(chosen)
+    assert {loop for loop in loops if "007" in loop.pair} < set(chosen)
+    assert len(chosen) == MOST_ARCHES + 99
+    assert choose_arches(loops, WorldOptions(loops=False), "007") == ()
+    few = (Loop("2", "0", 1.0, accepted=False), Loop("1", "0", 2.0, accepted=True))
+    assert choose_arches(few, WorldOptions(refused=True), None) == few[::-1]
+
+
+def test_a_submap_without_a_name_has_no_label(server: viser.ViserServer) -> None:
+    scene = WorldScene(server, visible=True)
+    scene.show(world(names=False))
+    assert "/world/submaps/0/name" not in server.scene._handle_from_node_name
+    scene.show(world())
+    assert node(server, "/world/submaps/0/name").visible
+    scene.show(world(names=False))
+    assert not node(server, "/world/submaps/0/name").visible
 
 
 def test_a_smaller_dataset_leaves_nothing_of_the_larger(server: viser.ViserServer) -> None:

@@ -1,0 +1,316 @@
+"""The Triage tab: wires its panel to the decisions of the session, and to what lists and draws."""
+
+import threading
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import viser
+
+from app.viewer.decisions import Decisions, Pair, in_order, with_note, with_verdict
+from app.viewer.feature import Desk, Feature
+from app.viewer.runner import Runner
+from app.viewer.state import ViewState
+from app.viewer.triage.listing import PASSES, Entry, Filter, list_pairs, next_undecided
+from app.viewer.triage.panel import NEXT_KEY, ROWS, Listing, TriageCalls, TriagePanel
+from app.viewer.triage.thumbnails import Thumbnails, thumbnail, to_uri
+from app.viewer.widgets.bridge import Data
+from app.viewer.widgets.commands import Commands
+from app.viewer.work import message_of
+from gpgrad_core.pipeline.coarse import infer_quick_map
+from gpgrad_core.run.progress import Progress
+from gpgrad_core.types import Dataset, LoopClosure
+
+
+@dataclass(frozen=True, eq=False)
+class _Wanted:
+    """What a page of the list depends on."""
+
+    state: ViewState
+    found: tuple[LoopClosure, ...]
+    outcomes: Mapping[Pair, str]
+    decisions: Decisions
+    narrowed_to: Filter
+    first: int | None  # place of the first row; None goes to the pair shown
+
+
+@dataclass(frozen=True, eq=False)
+class _Listed:
+    entries: tuple[Entry, ...]
+    first: int
+    listing: Listing
+
+
+@dataclass(frozen=True, eq=False)
+class _Painting:
+    """Pairs whose pictures are to be made."""
+
+    state: ViewState
+    entries: tuple[Entry, ...]
+
+
+class TriageTab(Feature):
+    """Lists the pairs worth a look, and takes what a person decides about the pair shown."""
+
+    def __init__(self, desk: Desk, commands: Commands) -> None:
+        """Make the panel in the current container.
+
+        Args:
+            desk: Of the session.
+            commands: Get what the buttons do.
+        """
+        self._desk = desk
+        self._lock = threading.Lock()
+        self._state = desk.state
+        self._found: tuple[LoopClosure, ...] = ()
+        self._by_pair: Mapping[Pair, LoopClosure] = {}
+        self._outcomes: Mapping[Pair, str] = {}
+        self._first: int | None = None
+        self._noted: Pair | None = None  # whose note the box shows
+        self._typing = False  # a note; the box is not to be written over meanwhile
+        self._entries: tuple[Entry, ...] = ()
+        self._pictures = Thumbnails()
+        self._panel = TriagePanel(
+            desk.host,
+            TriageCalls(
+                on_filter=lambda _: self._turn(None),
+                on_verdict=self._decide,
+                on_next=self._go_on,
+                on_note=self._take_note,
+                on_find=lambda: desk.tell(Feature.compare_pairs),
+            ),
+        )
+        self._lister: Runner[_Wanted, _Listed] = Runner(
+            self._list, self._on_listed, self._on_error, name="triage"
+        )
+        self._painter: Runner[_Painting, bool] = Runner(
+            self._paint,
+            self._on_painted,
+            self._on_error,
+            slots=desk.capacity.long,
+            name="thumbnails",
+        )
+        self.workers = (self._lister, self._painter)
+        for name, accepted in (("Accept", True), ("Refuse", False), ("Leave as found", None)):
+            commands.add(
+                "Triage",
+                f"{name}: the pair shown",
+                partial(self._decide, accepted),
+                heard={True: "A", False: "X", None: ""}[accepted],
+            )
+        commands.add("Triage", "Next undecided pair", self._go_on, heard=NEXT_KEY)
+        commands.add("Triage", "Take the last decision back", desk.take_back)
+        desk.bridge.hear("triage-key", self._hear_key)
+        desk.bridge.hear("triage-open", self._open)
+        desk.bridge.hear("triage-page", self._hear_page)
+
+    # What the session tells.
+
+    def follow(self, state: ViewState) -> None:
+        """Follow the session: another dataset, another pair, another threshold."""
+        with self._lock:
+            before, self._state = self._state, state
+            other = state.dataset is not before.dataset
+            if other:
+                self._found, self._by_pair, self._outcomes = (), {}, {}
+                self._first, self._noted = None, None
+        pair = in_order(state.dataset, state.query_id, state.database_id)
+        if other:
+            self._panel.clear()
+        elif pair != in_order(state.dataset, before.query_id, before.database_id):
+            self._panel.tell("")
+            self._turn(None)
+        self._show_note(pair)
+
+    def checked(self, dataset: Dataset, outcomes: Mapping[Pair, str]) -> None:
+        """Take what the truth says of the verdicts."""
+        with self._lock:
+            if dataset is self._state.dataset:
+                self._outcomes = outcomes
+
+    def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
+        """Take all pairs as the thresholds judge them."""
+        with self._lock:
+            if dataset is not self._state.dataset:
+                return
+            self._found = closures
+            self._by_pair = {(one.query_id, one.database_id): one for one in closures}
+        self._submit()
+
+    def decided(self, decisions: Decisions) -> None:
+        """List what was decided."""
+        del decisions
+        if not self._typing:
+            self._noted = None
+            self._show_note(self._desk.shown_pair)
+        self._submit()
+
+    # What a person asks for.
+
+    def _decide(self, accepted: bool | None) -> None:
+        pair = self._desk.shown_pair
+        closure = self._by_pair.get(pair)
+        if closure is None:
+            self._panel.tell(
+                f"{pair[0]} and {pair[1]} were not compared. Choose a pair of the list.", bad=True
+            )
+            return
+        has_motion = (
+            closure.registration.T_database_query is not None
+            or pair in self._desk.decisions.motions
+        )
+        if accepted and not has_motion:
+            self._panel.tell(
+                "There is no motion to accept. Set one in the tab Nudge first.", bad=True
+            )
+            return
+        self._desk.decide(lambda decisions: with_verdict(decisions, pair, accepted))
+        done = {True: "accepted", False: "refused", None: "left to the thresholds"}[accepted]
+        self._panel.tell(f"{pair[0]} → {pair[1]} is {done}.")
+
+    def _take_note(self, note: str) -> None:
+        self._typing = True
+        try:
+            self._desk.decide(partial(with_note, pair=self._desk.shown_pair, note=note), step=False)
+        finally:
+            self._typing = False
+
+    def _go_on(self) -> None:
+        pair = next_undecided(self._entries, self._desk.shown_pair)
+        if pair is None:
+            self._panel.tell("No other pair waits for a decision.")
+        else:
+            self._desk.choose(*pair)
+
+    def _hear_key(self, page: viser.ClientHandle, data: Data) -> None:
+        del page
+        match data.get("key"):
+            case "a":
+                self._decide(True)
+            case "x":
+                self._decide(False)
+            case "g":
+                self._go_on()
+            case _:
+                pass
+
+    def _open(self, page: viser.ClientHandle, data: Data) -> None:
+        del page
+        pair = data.get("query"), data.get("database")
+        if isinstance(pair[0], str) and isinstance(pair[1], str):
+            self._desk.choose(pair[0], pair[1])
+
+    def _hear_page(self, page: viser.ClientHandle, data: Data) -> None:
+        del page
+        first = data.get("first")
+        if isinstance(first, float) and 0 <= first < len(self._by_pair) + 1:
+            self._turn(int(first))
+
+    def _turn(self, first: int | None) -> None:
+        """Go to another part of the list; None goes to the pair shown."""
+        with self._lock:
+            self._first = first
+        self._submit()
+
+    def _show_note(self, pair: Pair) -> None:
+        """Show the note on a pair, unless it is shown: somebody may be typing it."""
+        if self._noted != pair:
+            self._noted = pair
+            self._panel.show_note(self._desk.decisions.notes.get(pair, ""))
+
+    def _submit(self) -> None:
+        with self._lock:
+            if not self._found:
+                return
+            wanted = _Wanted(
+                self._state,
+                self._found,
+                self._outcomes,
+                self._desk.decisions,
+                self._panel.narrowed_to,
+                self._first,
+            )
+        self._lister.submit(wanted)
+
+    # What the workers do.
+
+    def _list(self, wanted: _Wanted, progress: Progress) -> _Listed:
+        del progress  # it is over in a moment
+        state = wanted.state
+        entries = list_pairs(
+            wanted.found, wanted.decisions, wanted.outcomes, state.params.closure.min_score
+        )
+        passes = PASSES[wanted.narrowed_to]
+        listed = tuple(entry for entry in entries if passes(entry))
+        shown = in_order(state.dataset, state.query_id, state.database_id)
+        first = wanted.first
+        if first is None:
+            places = {entry.pair: place for place, entry in enumerate(listed)}
+            first = places.get(shown, 0)
+        first = ROWS * (min(first, max(len(listed) - 1, 0)) // ROWS)
+        page = listed[first : first + ROWS]
+        pictures = {
+            entry.pair: uri
+            for entry in page
+            if (uri := self._pictures.get(_key(state, entry))) is not None
+        }
+        undecided = sum(map(PASSES["undecided"], entries))
+        listing = Listing(
+            page,
+            pictures,
+            first,
+            len(listed),
+            undecided,
+            sum(entry.by_hand is not None for entry in entries),
+            shown,
+        )
+        return _Listed(entries, first, listing)
+
+    def _on_listed(self, wanted: _Wanted, listed: _Listed, seconds: float) -> None:
+        del seconds
+        with self._lock:
+            if wanted.state.dataset is not self._state.dataset:
+                return
+            self._entries = listed.entries
+        self._panel.show(listed.listing)
+        self._desk.host.flush()
+        if len(listed.listing.pictures) < len(listed.listing.entries):
+            self._painter.submit(_Painting(wanted.state, listed.listing.entries))
+
+    def _paint(self, painting: _Painting, progress: Progress) -> bool:
+        """Make the next picture that is missing; says whether there was one."""
+        state = painting.state
+        for entry in painting.entries:
+            key = _key(state, entry)
+            if self._pictures.get(key) is None:
+                query, database = (state.dataset.submap(name) for name in entry.pair)
+                params, memo = state.params.map, self._desk.memo
+                query_map = infer_quick_map(query, params, memo, progress)
+                database_map = infer_quick_map(database, params, memo, progress)
+                motion = entry.closure.registration.T_database_query
+                ratio = state.params.features.max_std_ratio
+                picture = thumbnail(query_map, database_map, motion, ratio)
+                self._pictures.keep(key, to_uri(picture))
+                return True
+        return False
+
+    def _on_painted(self, painting: _Painting, painted: bool, seconds: float) -> None:
+        del painting, seconds
+        if painted:
+            self._submit()
+
+    def _on_error(self, job: object, error: Exception) -> None:
+        del job
+        self._panel.tell(message_of(error), bad=True)
+
+
+def _key(state: ViewState, entry: Entry) -> Hashable:
+    """Give what the picture of a pair depends on."""
+    query, database = (state.dataset.submap(name) for name in entry.pair)
+    return (
+        query.fingerprint,
+        database.fingerprint,
+        entry.closure.registration.T_database_query,
+        state.params.map,
+        state.params.features.max_std_ratio,
+    )
