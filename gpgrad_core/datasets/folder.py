@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from gpgrad_core.datasets.about import About, read_about, write_about
 from gpgrad_core.datasets.clouds import READERS, load_cloud_with_notes
+from gpgrad_core.datasets.cpet import PosedScan, find_posed_scans
 from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import read_poses, write_poses
 from gpgrad_core.errors import InputError
@@ -17,7 +18,7 @@ from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.memo import array_bytes
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.whole import whole_folder
-from gpgrad_core.se2 import Pose
+from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset, Submap, SubmapSource
 
 CLOUD_FOLDER = "submaps"
@@ -46,10 +47,17 @@ class Outline:
     Attributes:
         dataset: The dataset without its clouds: its submaps have ids and poses, but no points.
         clouds: The file of each submap.
+        sensors: ``T_submap_sensor`` of each cloud that is in the frame of its sensor, else None;
+            nothing if no cloud is.
     """
 
     dataset: Dataset
     clouds: tuple[Path, ...]
+    sensors: tuple[Pose | None, ...] = ()
+
+    def sensor(self, k: int) -> Pose | None:
+        """Give ``T_submap_sensor`` of cloud number k; None if the cloud is level already."""
+        return self.sensors[k] if self.sensors else None
 
     def load(self, k: int) -> tuple[Submap, tuple[str, ...]]:
         """Load submap number k, with notes on what was left out of it, one line each.
@@ -57,7 +65,7 @@ class Outline:
         Raises:
             InputError: If its file is broken; the message names the file.
         """
-        submap, notes = load_cloud_with_notes(self.clouds[k])
+        submap, notes = _load(self.clouds[k], self.sensor(k))
         return _completed(submap, self.dataset.submaps[k]), notes
 
 
@@ -69,11 +77,13 @@ class SubmapFile:
         path: The file.
         known: The submap without its points.
         num_points: Number of points.
+        sensor: ``T_submap_sensor`` if the file's points are in the frame of the sensor.
     """
 
     path: Path
     known: Submap
     num_points: int
+    sensor: Pose | None = None
 
     @property
     def id(self) -> str:
@@ -91,10 +101,22 @@ class SubmapFile:
         Raises:
             InputError: If it cannot be read any more, or its content has changed.
         """
-        submap, _ = load_cloud_with_notes(self.path)
+        submap, _ = _load(self.path, self.sensor)
         if submap.fingerprint != self.fingerprint:
             raise InputError(f"{self.path}: has changed since the run began; start it again")
         return _completed(submap, self.known)
+
+
+def _load(path: Path, sensor: Pose | None) -> tuple[Submap, tuple[str, ...]]:
+    """Load a cloud, and bring it from the frame of its sensor into a level one if need be."""
+    submap, notes = load_cloud_with_notes(path)
+    if sensor is None:
+        return submap, notes
+    try:
+        level = Submap.from_points(sensor.apply(submap.points), submap.id)
+    except InputError as error:  # a wall, for instance, is a line from above
+        raise InputError(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
+    return replace(level, num_dropped=submap.num_dropped), notes
 
 
 def _completed(submap: Submap, known: Submap) -> Submap:
@@ -145,7 +167,7 @@ def open_dataset(
             sources.append(submap)
         else:
             bare = replace(submap, points=NO_POINTS, colors=None, noise_std=None, ranges=None)
-            sources.append(SubmapFile(cloud.absolute(), bare, submap.num_points))
+            sources.append(SubmapFile(cloud.absolute(), bare, submap.num_points, outline.sensor(k)))
         progress((k + 1) / len(outline.clouds))
     return replace(outline.dataset, notes=tuple(notes)), tuple(sources)
 
@@ -155,7 +177,8 @@ def load_dataset(path: Path | str, progress: Progress = silent) -> Dataset:
 
     A dataset folder has ``submaps/``, and optionally ``poses_gt.txt``, ``poses_odom.txt`` (or
     ``poses.txt``) and ``dataset.toml``. A submap's index is the last number in its file's name.
-    Gaps in the numbering, missing poses and extra files are fine.
+    Gaps in the numbering, missing poses and extra files are fine. A folder of scans with a pose
+    each, ``NAME/NAME.xyz`` with ``NAME/NAME.gt``, is a dataset too; see `find_posed_scans`.
 
     Args:
         path: Folder or file.
@@ -201,6 +224,8 @@ def outline_dataset(path: Path | str) -> Outline:
 def _outline_folder(path: Path) -> Outline:
     has_submaps = (path / "submaps").is_dir()
     clouds, ignored = _find_clouds(path / "submaps" if has_submaps else path)
+    if not clouds and not has_submaps and (scans := find_posed_scans(path)):
+        return _outline_scans(path, scans)
     if not clouds:
         raise InputError(_no_clouds(path, has_submaps=has_submaps))
     # A folder of loose clouds may hold anything else; in submaps/ another file is reported.
@@ -239,6 +264,23 @@ def _outline_folder(path: Path) -> Outline:
         sensor_noise=about.sensor_noise,
     )
     return Outline(dataset, tuple(clouds))
+
+
+def _outline_scans(path: Path, scans: Sequence[PosedScan]) -> Outline:
+    """Outline a folder of scans with a pose each: every scan is a submap."""
+    submaps: list[Submap] = []
+    sensors: list[Pose] = []
+    for one in scans:
+        sensor = one.read_pose()
+        level = level_pose(sensor)
+        submaps.append(replace(_without_points(one.name), pose_true=level))
+        sensors.append(level.inverse() @ sensor)
+    note = (
+        f"{path.name}: each scan is a submap, made level by its pose in {scans[0].name}.gt and so "
+        "on; these poses are the true ones, and there is no odometry"
+    )
+    dataset = Dataset(name=path.resolve().name, submaps=tuple(submaps), notes=(note,))
+    return Outline(dataset, tuple(one.cloud for one in scans), tuple(sensors))
 
 
 def _without_points(name: str) -> Submap:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.about import About, write_about
+from gpgrad_core.datasets.cpet import find_posed_scans
 from gpgrad_core.datasets.folder import ABOUT_FILE, ODOMETRY_FILES, TRUTH_FILE, check_vacant
 from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import pose_row, write_poses
@@ -18,12 +19,12 @@ from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.scans.bag import is_bag, open_bag
+from gpgrad_core.scans.cpet import open_posed_scans
 from gpgrad_core.scans.cutting import cut
 from gpgrad_core.scans.folder import open_folder
 from gpgrad_core.scans.gravity import (
     estimate_up,
     ground_normal,
-    level_pose,
     turned_upright,
     up_axis,
 )
@@ -32,7 +33,7 @@ from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.recording import Reader, Recording, RecordingSources
 from gpgrad_core.scans.trajectory import Located, Poses
 from gpgrad_core.scans.voxels import Voxels, VoxelSums, reach
-from gpgrad_core.se2 import Pose
+from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Submap
 from gpgrad_core.version import VERSION
 
@@ -62,10 +63,10 @@ class BuildReport:
 def open_recording(
     path: Path | str, sources: RecordingSources | None = None, params: BuildParams | None = None
 ) -> Recording:
-    """Open a folder of clouds with poses, or a ROS bag.
+    """Open a folder of clouds with poses, scans with a pose each, or a ROS bag.
 
     Args:
-        path: The folder or the bag.
+        path: The folder or the bag; what lies in it says which it is.
         sources: Where the parts of the recording are, if they are not to be found automatically.
         params: How scans and poses are matched.
 
@@ -83,6 +84,8 @@ def open_recording(
             raise InputError(
                 f"{path}: is one file; give a folder of clouds, or a bag (.bag .mcap .db3)"
             )
+        if scans := find_posed_scans(path):
+            return open_posed_scans(path, scans, sources)
         return open_folder(path, sources, params)
     except OSError as error:
         place = error.filename or path

@@ -90,7 +90,8 @@ def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
     traverses = {
         name: tuple(submap.id for submap in part) for name, part in zip(names, parts, strict=True)
     }
-    return JoinedDatasets(Outline(dataset, clouds), traverses, numbers)
+    sensors = tuple(one.sensor(k) for one in outlines for k in range(len(one.clouds)))
+    return JoinedDatasets(Outline(dataset, clouds, sensors), traverses, numbers)
 
 
 def place_traverses(graph: PoseGraph) -> Placed:

@@ -13,8 +13,10 @@ from app.viewer.data.unpacking import unpack
 from app.viewer.session_file import read_session
 from gpgrad_core.datasets import load_cloud, load_dataset
 from gpgrad_core.datasets.about import read_about
+from gpgrad_core.datasets.cpet import read_matrix_pose
 from gpgrad_core.datasets.poses import read_poses
 from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation import read_problems
 from gpgrad_core.outputs import read_closures, restore_closures
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams
@@ -89,6 +91,8 @@ FORMATS: dict[str, Format] = {
     "trajectory": Format(".txt", texts.trajectory, read_pose_file),
     "times": Format(".txt", texts.times, read_times),
     "mount": Format(".txt", texts.mount, read_mount),
+    "gt": Format(".gt", texts.matrix, read_matrix_pose),
+    "problems": Format(".txt", texts.problems, read_problems),
     "g2o": Format(".g2o", texts.g2o, read_graph),
     "about": Format(".toml", texts.about, _read_about, name="dataset.toml"),
     "params": Format(".toml", texts.params, lambda path: read_parameters(path, PipelineParams())),

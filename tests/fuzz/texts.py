@@ -80,6 +80,36 @@ def mount(rng: random.Random) -> Case:
     return _lines_case(rng, rows)
 
 
+def matrix(rng: random.Random) -> Case:
+    """The 4x4 matrix of a .gt."""
+    rows = [row.split() for row in ("1 0 0 5", "0 1 0 -3", "0 0 1 0.5", "0 0 0 1")]
+    if rng.random() < 0.3:
+        place = rng.choice(((0, 0), (1, 1), (1, 2), (3, 3), (3, 0)))
+        rows[place[0]][place[1]] = rng.choice(("-1.5", "2", "1e200", "0.4"))
+        return Case("\n".join(" ".join(row) for row in rows).encode(), "no motion", True)
+    return _lines_case(rng, rows)
+
+
+def problems(rng: random.Random) -> Case:
+    """A file of the registration benchmark."""
+    names = ["id", "source", "target", "overlap", *(f"t{k}" for k in range(1, 13))]
+    motion = ["1", "0", "0", "5", "0", "0", "-1", "2", "0", "1", "0", "0.5"]
+    rows = [names, ["7", "a_000.pcd", "a_001.pcd", "0.25", *motion]]
+    if rng.random() < 0.2:
+        return _lines_case(rng, rows[:1])
+    what = rng.choice(("word", "motion", "short", "random"))
+    match what:
+        case "word":
+            rows[1][rng.randrange(3, 16)] = rng.choice([one for one in NOT_NUMBERS if one])
+        case "motion":
+            rows[1][rng.choice((4, 5, 9, 10, 13))] = rng.choice(("3", "-7", "1e200"))
+        case "short":
+            del rows[1][rng.randrange(16)]
+        case _:
+            return at_random(rng, "\n".join(" ".join(row) for row in rows).encode())
+    return Case("\n".join(" ".join(row) for row in rows).encode(), what, damaged=True)
+
+
 UPPER = ["1" if row == column else "0" for row in range(6) for column in range(row, 6)]
 
 
