@@ -11,8 +11,9 @@ import numpy as np
 from gpgrad_core.datasets.about import About, read_about, write_about
 from gpgrad_core.datasets.clouds import READERS, load_cloud_with_notes
 from gpgrad_core.datasets.cpet import PosedScan, find_posed_scans
+from gpgrad_core.datasets.headings import poses_at
 from gpgrad_core.datasets.ply import write_ply
-from gpgrad_core.datasets.poses import read_poses, write_poses
+from gpgrad_core.datasets.poses import read_poses, read_positions, write_poses, write_positions
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.memo import array_bytes
@@ -23,6 +24,7 @@ from gpgrad_core.types import Dataset, Submap, SubmapSource
 
 CLOUD_FOLDER = "submaps"
 TRUTH_FILE = "poses_gt.txt"
+POSITIONS_FILE = "positions_gt.txt"  # read where there are no true poses
 ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first one that exists is read
 ABOUT_FILE = "dataset.toml"
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
@@ -35,7 +37,7 @@ SIMULATED = "gpgrad simulate"
 """Stands in the description, or above the poses, of what was simulated."""
 MADE_ENTRIES = (
     *("submaps", "scans", "trajectory"),
-    *(TRUTH_FILE, *ODOMETRY_FILES, "times.txt", ABOUT_FILE, JOURNAL),
+    *(TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES, "times.txt", ABOUT_FILE, JOURNAL),
 )
 """What gpgrad writes into a dataset or a recording."""
 
@@ -243,6 +245,16 @@ def _outline_folder(path: Path) -> Outline:
             f"{file.name}: was ignored, because there is also {present[0].name}"
             for file in present[1:]
         ]
+    positions_only = not truth and (path / POSITIONS_FILE).exists()
+    if positions_only:
+        truth = poses_at(read_positions(path / POSITIONS_FILE, known), odometry)
+        notes.append(
+            f"{POSITIONS_FILE}: has true positions without headings; the headings are those of "
+            "odometry, turned onto the positions nearby, and turns are not judged"
+            if truth
+            else f"{POSITIONS_FILE}: was ignored, because the traverse has no odometry to give "
+            "headings, or is shorter than 2 m"
+        )
     submaps: list[Submap] = []
     for cloud in clouds:
         submap, index = _without_points(cloud.stem), index_of(cloud.stem)
@@ -262,6 +274,7 @@ def _outline_folder(path: Path) -> Outline:
         notes=(*about.notes, *notes),
         licence=about.licence,
         sensor_noise=about.sensor_noise,
+        positions_only=positions_only and bool(truth),
     )
     return Outline(dataset, tuple(clouds))
 
@@ -461,6 +474,9 @@ def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
         sensor_noise=dataset.sensor_noise,
         preferred=dataset.preferred,
     )
+    if dataset.positions_only:
+        write_positions(folder / POSITIONS_FILE, {k: truth[k].translation for k in truth})
+        truth = {}
     write_poses_and_about(folder, truth, odometry, about)
 
 

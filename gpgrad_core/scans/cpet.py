@@ -40,6 +40,8 @@ def open_posed_scans(
     for flag, file in given.items():
         if file is not None:
             raise InputError(f"{flag} {file}: the scans of {path} have a pose each, in NAME.gt")
+    if sources.keep:
+        raise InputError(f"--keep {sources.keep[0]}: the scans of {path} have x, y and z only")
     poses = [one.read_pose() for one in scans]
     body = Poses(
         np.array([pose.translation for pose in poses]),

@@ -85,6 +85,7 @@ def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
         tuple(submap for part in parts for submap in part),
         preferred=outlines[0].dataset.preferred,
         notes=tuple(note for outline in outlines for note in outline.dataset.notes),
+        positions_only=any(outline.dataset.positions_only for outline in outlines),
     )
     clouds = tuple(cloud for outline in outlines for cloud in outline.clouds)
     traverses = {

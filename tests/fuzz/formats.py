@@ -21,8 +21,15 @@ from gpgrad_core.outputs import read_closures, restore_closures
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.reading.images import read_images
+from gpgrad_core.reading.png16 import read_grey_png
 from gpgrad_core.scans import open_recording
-from gpgrad_core.scans.pose_files import read_mount, read_pose_file, read_times
+from gpgrad_core.scans.katwijk import read_places
+from gpgrad_core.scans.pose_files import (
+    read_mount,
+    read_pose_file,
+    read_times,
+    read_truth_file,
+)
 from gpgrad_core.slam import read_graph
 from gpgrad_core.types import Dataset
 from tests.fuzz import clouds, packed, texts
@@ -90,6 +97,10 @@ FORMATS: dict[str, Format] = {
     ),
     "trajectory": Format(".txt", texts.trajectory, read_pose_file),
     "times": Format(".txt", texts.times, read_times),
+    "positions": Format(".txt", texts.places, read_truth_file),
+    "solution": Format(".pos", texts.solution, read_truth_file),
+    "katwijk": Format(".txt", texts.katwijk, read_places),
+    "png16": Format(".png", packed.grey, lambda path: read_grey_png(path, 3, 5)),
     "mount": Format(".txt", texts.mount, read_mount),
     "gt": Format(".gt", texts.matrix, read_matrix_pose),
     "problems": Format(".txt", texts.problems, read_problems),

@@ -2,7 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from math import comb
+from math import comb, radians
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +10,12 @@ from jaxtyping import Float
 from app.viewer.state import ViewState
 from gpgrad_core.arrays import Array
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
-from gpgrad_core.evaluation.pose_error import MotionClasses, classify_motions, pose_errors
+from gpgrad_core.evaluation.pose_error import (
+    MAX_TURN,
+    MotionClasses,
+    classify_motions,
+    pose_errors,
+)
 from gpgrad_core.evaluation.precision_recall import (
     PrecisionRecall,
     average_precision,
@@ -185,7 +190,8 @@ def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> Jud
     truth = compared.truth
     labels = rule.label(truth)
     ranking = rank_pairs(DetectionResult(closures, {}), compared.dataset, truth, "all pairs")
-    errors = pose_errors(ranking.T_database_query, truth.T_database_query)
+    turn = np.pi if truth.positions_only else radians(MAX_TURN)
+    errors = pose_errors(ranking.T_database_query, truth.T_database_query, max_turn=turn)
     classes = classify_motions(errors, truth.surface_overlap)
     check = _check(ranking, thresholds, rule, labels)
     return JudgedPairs(compared, closures, check, _outcomes(truth, closures, labels, classes))
