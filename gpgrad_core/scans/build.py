@@ -37,6 +37,7 @@ from gpgrad_core.scans.gravity import (
 from gpgrad_core.scans.journal import Entry, Journal, open_journal
 from gpgrad_core.scans.katwijk import is_katwijk, open_katwijk
 from gpgrad_core.scans.params import BuildParams
+from gpgrad_core.scans.pds import find_products, open_products
 from gpgrad_core.scans.recording import Reader, Recording, RecordingSources
 from gpgrad_core.scans.trajectory import Located, Poses
 from gpgrad_core.scans.voxels import Voxels, VoxelSums, reach
@@ -93,6 +94,8 @@ def open_recording(
             )
         if is_katwijk(path):
             return open_katwijk(path, sources, params)
+        if labels := find_products(path):
+            return open_products(path, labels, sources)
         if scans := find_posed_scans(path):
             return open_posed_scans(path, scans, sources)
         return open_folder(path, sources, params)

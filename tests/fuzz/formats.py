@@ -24,6 +24,7 @@ from gpgrad_core.reading.images import read_images
 from gpgrad_core.reading.png16 import read_grey_png
 from gpgrad_core.scans import open_recording
 from gpgrad_core.scans.katwijk import read_places
+from gpgrad_core.scans.pds import read_places_table
 from gpgrad_core.scans.pose_files import (
     read_mount,
     read_pose_file,
@@ -100,6 +101,7 @@ FORMATS: dict[str, Format] = {
     "positions": Format(".txt", texts.places, read_truth_file),
     "solution": Format(".pos", texts.solution, read_truth_file),
     "katwijk": Format(".txt", texts.katwijk, read_places),
+    "places": Format(".csv", texts.places_table, read_places_table),
     "png16": Format(".png", packed.grey, lambda path: read_grey_png(path, 3, 5)),
     "mount": Format(".txt", texts.mount, read_mount),
     "gt": Format(".gt", texts.matrix, read_matrix_pose),

@@ -124,6 +124,23 @@ def katwijk(rng: random.Random) -> Case:
     return at_random(rng, text) if what == "random" else Case(text, what, damaged=True)
 
 
+def places_table(rng: random.Random) -> Case:
+    """A table of PLACES."""
+    names = ["frame", "site", "drive", "northing", "easting", "elevation", "yaw", "pitch", "roll"]
+    rows = [names, *([*f"ROVER 1 {k} 5000 -300 12 30 1 -2".split()] for k in range(2))]
+    what = rng.choice(("word", "column", "short", "random"))
+    row = rows[rng.randrange(1, 3)]
+    if what == "word":
+        odd = [one for one in NOT_NUMBERS if "," not in one and '"' not in one]
+        row[rng.randrange(1, 9)] = rng.choice(odd)
+    elif what == "column":
+        names[rng.randrange(1, 9)] = rng.choice(("x", "", "yaws"))
+    elif what == "short":
+        del row[rng.randrange(9)]
+    text = "\n".join(",".join(row) for row in rows).encode()
+    return at_random(rng, text) if what == "random" else Case(text, what, damaged=True)
+
+
 def matrix(rng: random.Random) -> Case:
     """The 4x4 matrix of a .gt."""
     rows = [row.split() for row in ("1 0 0 5", "0 1 0 -3", "0 0 1 0.5", "0 0 0 1")]

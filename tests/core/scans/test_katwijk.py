@@ -108,9 +108,7 @@ def test_positions_are_the_truth_of_given_poses(part: Path, tmp_path: Path) -> N
     recording = open_recording(part, RecordingSources(poses=tmp_path / "mine.txt"))
     assert recording.positions_only
     assert recording.truth is not None
-    np.testing.assert_allclose(
-        recording.truth.poses.translation, first.body.translation, atol=1e-6
-    )
+    np.testing.assert_allclose(recording.truth.poses.translation, first.body.translation, atol=1e-6)
 
 
 def test_the_lasers() -> None:
