@@ -22,7 +22,7 @@ WITH = (
     [
         ("os.abort()", "its decoder died"),
         ("bytearray(1 << 40)", "MemoryError"),
-        ("[None for _ in iter(int, 1)]", "takes more than 1 s"),
+        ("[None for _ in iter(int, 1)]", "takes more than [16] s"),  # 6 by the clock, under load
         ("1 / 0", "division by zero"),
         ("(_ for _ in ()).throw(BaseException('a panic'))", "a panic"),
         ("bytes(101)", "more than 100 bytes"),
