@@ -8,6 +8,9 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 
+UPRIGHT = 0.95
+"""If the vertical part of a body's x axis is longer than this, its y axis gives the heading."""
+
 
 @dataclass(frozen=True)
 class SE2:
@@ -151,3 +154,16 @@ class Pose:
         turn = np.array([*(w * v + r * u + np.cross(u, v)), w * r - u @ v])
         turn *= np.copysign(1.0, turn[3]) / np.linalg.norm(turn)
         return Pose(self.rotation @ other.translation + self.translation, turn)
+
+
+def level_pose(pose: Pose) -> Pose:
+    """Give the level frame at a pose: z up, x along the body's x axis as seen from above.
+
+    Args:
+        pose: Pose of a body in a frame whose z points up.
+    """
+    forward = pose.rotation[:, 0]
+    if abs(forward[2]) > UPRIGHT:  # x points up or down and gives no heading
+        forward = pose.rotation[:, 1]
+    x, y, z = pose.translation.tolist()
+    return Pose.from_planar(SE2(x, y, float(np.arctan2(forward[1], forward[0]))), z)

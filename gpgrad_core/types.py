@@ -235,6 +235,8 @@ class Dataset:
         licence: The licence of the data, if the dataset names one.
         sensor_noise: Standard deviation of a point at range r [m], if the dataset gives it:
             ``constant`` [m] + ``quadratic`` [1/m] * r².
+        positions_only: Whether only the positions of the true poses were measured, and their
+            headings are those of odometry, turned onto the positions nearby.
     """
 
     name: str
@@ -244,6 +246,7 @@ class Dataset:
     notes: tuple[str, ...] = ()
     licence: str = ""
     sensor_noise: dict[str, float] = field(default_factory=dict[str, float])
+    positions_only: bool = False
 
     def submap(self, submap_id: str) -> Submap:
         """Find a submap by its id.

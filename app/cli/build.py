@@ -12,7 +12,7 @@ from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
 from app.ending import reason_of
 from gpgrad_core.outputs import check_apart
-from gpgrad_core.scans import BuildParams, RecordingSources, build_dataset
+from gpgrad_core.scans import BuildParams, RecordingSources, build_dataset, parse_condition
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,10 @@ class Build:
     ] = None
     truth: Annotated[
         Path | None,
-        Doc("File of true poses, for evaluations."),
+        Doc(
+            "File of true poses, for evaluations; or of true positions: rows of time, x, y and z, "
+            "or a .pos of RTKLIB."
+        ),
         tyro.conf.arg(
             metavar="FILE", help_behavior_hint="(default: poses_gt.txt beside the scans, if any)"
         ),
@@ -82,6 +85,16 @@ class Build:
         Doc("Frame to build in if the poses are transforms."),
         tyro.conf.arg(metavar="FRAME", help_behavior_hint="(default: the root of their tree)"),
     ] = None
+    keep: Annotated[
+        tuple[str, ...],
+        Doc(
+            "Keep only points that meet these conditions on any of their numbers, such as "
+            "intensity>3. Quote them, because > means something to a shell."
+        ),
+        tyro.conf.arg(
+            metavar="CONDITION [CONDITION ...]", help_behavior_hint="(default: keep all)"
+        ),
+    ] = ()
     restart: Annotated[
         bool, Doc("Delete what a stopped build has left, instead of resuming it.")
     ] = False
@@ -98,6 +111,7 @@ class Build:
             cloud_topic=self.cloud_topic,
             pose_topic=self.pose_topic,
             world_frame=self.world_frame,
+            keep=tuple(parse_condition(one) for one in self.keep),
         )
         check_apart([self.out], [self.scans, self.poses, self.truth, self.times, self.mount])
         try:

@@ -29,10 +29,13 @@ from gpgrad_core.evaluation import (
     Section,
     calibrate,
     check_directory,
+    check_problems,
     describe_calibration,
+    describe_problems,
     evaluate,
     measure_pairs,
     rank_pairs,
+    read_problems,
     read_rivals,
     run_methods,
     write_report,
@@ -78,6 +81,14 @@ class Evaluate:
         Doc("Also evaluate the loop closures in these files, as gpgrad detect writes them."),
         tyro.conf.arg(metavar="FILE [FILE ...]", help_behavior_hint="(default: none)"),
     ] = ()
+    pairs: Annotated[
+        Path | None,
+        Doc(
+            "Also judge the pairs that this file of the point clouds registration benchmark lists, "
+            "such as p2at_met_global.txt."
+        ),
+        tyro.conf.arg(metavar="FILE.txt", help_behavior_hint="(default: none)"),
+    ] = None
     seed: Annotated[
         int | None,
         Doc("Seed of all random choices."),
@@ -105,11 +116,14 @@ class Evaluate:
             method.check_searchable(candidates)
         self._check_out(names)
         rivals = read_rivals(self.closures, taken=names)
+        problems = () if self.pairs is None else read_problems(self.pairs)
         store = open_store(self.cache)
         dataset = load(self.dataset)
         params = self.pipeline.over(base_params(dataset, self.params))
         if self.seed is not None:
             params = replace(params, registration=replace(params.registration, seed=self.seed))
+        if self.pairs is not None:
+            check_problems(problems, dataset, self.pairs)
         pairs = measure_pairs(dataset)
         for name, report in rivals.items():
             rank_pairs(report, dataset, pairs, name)  # refuses a wrong file before the work
@@ -136,6 +150,9 @@ class Evaluate:
                 seed=params.registration.seed,
             )
             sections = self._sections(dataset, params)
+            if self.pairs is not None:
+                listed = describe_problems(problems, dataset, evaluation, self.pairs)
+                sections = (*sections, listed)
             with progress_bar("figures") as progress:
                 write_report(
                     folder, evaluation, closures=found, sections=sections, progress=progress
@@ -149,7 +166,8 @@ class Evaluate:
         check_directory(self.out, REPORT, overwrite=self.overwrite)
         written = (*REPORT, *(f"closures_{name}.json" for name in methods))
         check_apart(
-            [self.out / name for name in written], [self.dataset, *self.closures, self.params]
+            [self.out / name for name in written],
+            [self.dataset, *self.closures, self.pairs, self.params],
         )
 
     def _sections(self, dataset: Dataset, params: PipelineParams) -> tuple[Section, ...]:

@@ -10,7 +10,13 @@ from typing_extensions import Doc
 from app.cli.flags import Given
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say
-from gpgrad_core.datasets import SimulationParams, check_vacant, simulate_into
+from gpgrad_core.datasets import (
+    ElevationModel,
+    SimulationParams,
+    check_vacant,
+    simulate_into,
+)
+from gpgrad_core.outputs import check_apart
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.scans import simulate_recording
@@ -29,6 +35,21 @@ class Simulate:
         int,
         Doc("Simulate a recording of this many scans, for gpgrad build. 0 simulates submaps."),
     ] = 0
+    terrain: Annotated[
+        Path | None,
+        Doc(
+            "GeoTIFF of an elevation model, in metres, whose middle the rover drives over. Only "
+            "rocks are laid on it."
+        ),
+        tyro.conf.arg(metavar="FILE.tif", help_behavior_hint="(default: synthetic ground)"),
+    ] = None
+    terrain_scale: Annotated[
+        float,
+        Doc("How many metres a metre of the elevation model becomes, in all directions."),
+    ] = 1.0
+    terrain_exaggeration: Annotated[
+        float, Doc("Factor of the elevation model's heights, after the scale.")
+    ] = 1.0
     overwrite: Overwrite = False
     simulation: Annotated[Given[SimulationParams], tyro.conf.arg(name="")] = Given(SimulationParams)
 
@@ -36,12 +57,17 @@ class Simulate:
         """Simulate and write."""
         check_vacant(self.directory, overwrite=self.overwrite)
         params = self.simulation.over(SimulationParams())
+        check_apart([self.directory], [self.terrain])
+        terrain = None
+        if self.terrain is not None:
+            terrain = ElevationModel(self.terrain, self.terrain_scale, self.terrain_exaggeration)
         if self.scans:
             with progress_bar("simulate") as progress:
                 simulate_recording(
                     self.directory,
                     self.scans,
                     params,
+                    terrain=terrain,
                     overwrite=self.overwrite,
                     progress=progress,
                 )
@@ -54,6 +80,7 @@ class Simulate:
             simulate_into(
                 self.directory,
                 params,
+                terrain=terrain,
                 overwrite=self.overwrite,
                 executor=executor,
                 progress=progress,

@@ -266,8 +266,9 @@ def _corrected(solution: Solution, errors: MapErrors) -> list[str]:
         f"{count(loops - refused, 'loop closure')} used, {refused} refused as wrong"
     ]
     for session, (before, after) in errors.trajectories.items():
+        only = " (of positions only)" if before.relative_turn is None else ""
         lines.append(
-            f"{session}: trajectory error {before.absolute:.3f} m -> {after.absolute:.3f} m, "
+            f"{session}: trajectory error{only} {before.absolute:.3f} m -> {after.absolute:.3f} m, "
             f"from submap to submap {before.relative:.3f} m -> {after.relative:.3f} m"
         )
     first, last = errors.overlaps

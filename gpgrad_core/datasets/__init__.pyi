@@ -1,4 +1,5 @@
 from .clouds import load_cloud
+from .dem import ElevationModel
 from .demo import demo_params, demo_path, simulate_demo
 from .folder import (
     Outline,
@@ -13,6 +14,7 @@ from .simulate import simulate_dataset, simulate_into
 from .simulation_params import SimulationParams
 
 __all__ = [
+    "ElevationModel",
     "Outline",
     "SimulationParams",
     "SubmapFile",

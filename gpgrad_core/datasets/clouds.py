@@ -59,8 +59,8 @@ def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
             points,
             path.stem,
             colors=colors,
-            noise_std=_read_property(path, "noise_std", len(points)),
-            ranges=_read_property(path, "range", len(points)),
+            noise_std=_read_counted(path, "noise_std", len(points)),
+            ranges=_read_counted(path, "range", len(points)),
         )
     except InputError as error:
         # The submap's error names the submap; the user needs the name of the file.
@@ -122,7 +122,23 @@ def _are_colors(colors: Points, points: Points) -> bool:
     return bool(np.all((kept >= 0) & (kept <= 1)))
 
 
-def _read_property(path: Path, name: str, count: int) -> Float[NDArray[np.floating], "n"] | None:
+def read_property(path: Path, name: str) -> Float[NDArray[np.float64], "n"] | None:
+    """Read a named number of each point, such as its ``intensity``; None if the file has none.
+
+    Those of ``.ply`` and ``.npz`` have the file's names; the fourth number of KITTI's ``.bin`` is
+    its ``intensity`` or ``reflectance``.
+
+    Raises:
+        InputError: If the file is broken.
+    """
+    if path.suffix.lower() == ".bin":
+        return _read_rows(path)[:, 3].astype(np.float64) if name in FOURTH else None
+    reader = PROPERTY_READERS.get(path.suffix.lower())
+    values = None if reader is None else reader(path, name)
+    return None if values is None else np.asarray(values, np.float64)
+
+
+def _read_counted(path: Path, name: str, count: int) -> Float[NDArray[np.floating], "n"] | None:
     reader = PROPERTY_READERS.get(path.suffix.lower())
     values = None if reader is None else reader(path, name)
     if values is not None and len(values) != count:
@@ -131,6 +147,11 @@ def _read_property(path: Path, name: str, count: int) -> Float[NDArray[np.floati
 
 
 def _read_bin(path: Path) -> Points:
+    """Read KITTI's rows of x, y and z; see `_read_rows`."""
+    return _read_rows(path)[:, :3]
+
+
+def _read_rows(path: Path) -> Float[NDArray[np.floating], "n 4"]:
     """Read KITTI's rows of x, y, z and reflectance, all float32, without a header."""
     size = path.stat().st_size
     if size % 16:
@@ -138,7 +159,11 @@ def _read_bin(path: Path) -> Points:
             f"{path}: is not a complete KITTI scan: {size:,} bytes are not a multiple of 16, the "
             "four float32 of a point"
         )
-    return np.fromfile(path, "<f4").reshape(-1, 4)[:, :3]
+    return np.fromfile(path, "<f4").reshape(-1, 4)
+
+
+FOURTH = ("intensity", "reflectance")
+"""Names of the fourth number of KITTI's points."""
 
 
 READERS: dict[str, Callable[[Path], Points]] = {

@@ -3,7 +3,7 @@
 import os
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,19 +11,22 @@ import numpy as np
 
 from gpgrad_core.datasets.about import About, read_about, write_about
 from gpgrad_core.datasets.clouds import READERS, load_cloud_with_notes
+from gpgrad_core.datasets.cpet import PosedScan, find_posed_scans
+from gpgrad_core.datasets.headings import poses_at
 from gpgrad_core.datasets.ply import write_ply
-from gpgrad_core.datasets.poses import read_poses, write_poses
+from gpgrad_core.datasets.poses import read_poses, read_positions, write_poses, write_positions
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.memo import array_bytes
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.spool import Spool, Waiting
 from gpgrad_core.run.whole import whole_folder
-from gpgrad_core.se2 import Pose
+from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset, Submap, SubmapSource
 
 CLOUD_FOLDER = "submaps"
 TRUTH_FILE = "poses_gt.txt"
+POSITIONS_FILE = "positions_gt.txt"  # read where there are no true poses
 ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first one that exists is read
 ABOUT_FILE = "dataset.toml"
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
@@ -39,7 +42,7 @@ SIMULATED = "gpgrad simulate"
 """Stands in the description, or above the poses, of what was simulated."""
 MADE_ENTRIES = (
     *("submaps", "scans", "trajectory"),
-    *(TRUTH_FILE, *ODOMETRY_FILES, "times.txt", ABOUT_FILE, JOURNAL),
+    *(TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES, "times.txt", ABOUT_FILE, JOURNAL),
 )
 """What gpgrad writes into a dataset or a recording."""
 
@@ -51,10 +54,17 @@ class Outline:
     Attributes:
         dataset: The dataset without its clouds: its submaps have ids and poses, but no points.
         clouds: The file of each submap.
+        sensors: ``T_submap_sensor`` of each cloud that is in the frame of its sensor, else None;
+            nothing if no cloud is.
     """
 
     dataset: Dataset
     clouds: tuple[Path, ...]
+    sensors: tuple[Pose | None, ...] = ()
+
+    def sensor(self, k: int) -> Pose | None:
+        """Give ``T_submap_sensor`` of cloud number k; None if the cloud is level already."""
+        return self.sensors[k] if self.sensors else None
 
     def load(self, k: int) -> tuple[Submap, tuple[str, ...]]:
         """Load submap number k, with notes on what was left out of it, one line each.
@@ -62,7 +72,7 @@ class Outline:
         Raises:
             InputError: If its file is broken; the message names the file.
         """
-        submap, notes = load_cloud_with_notes(self.clouds[k])
+        submap, notes = _load(self.clouds[k], self.sensor(k))
         return _completed(submap, self.dataset.submaps[k]), notes
 
 
@@ -74,11 +84,13 @@ class SubmapFile:
         path: The file.
         known: The submap without its points.
         num_points: Number of points.
+        sensor: ``T_submap_sensor`` if the file's points are in the frame of the sensor.
     """
 
     path: Path
     known: Submap
     num_points: int
+    sensor: Pose | None = None
 
     @property
     def id(self) -> str:
@@ -96,10 +108,22 @@ class SubmapFile:
         Raises:
             InputError: If it cannot be read any more, or its content has changed.
         """
-        submap, _ = load_cloud_with_notes(self.path)
+        submap, _ = _load(self.path, self.sensor)
         if submap.fingerprint != self.fingerprint:
             raise InputError(f"{self.path}: has changed since the run began; start it again")
         return _completed(submap, self.known)
+
+
+def _load(path: Path, sensor: Pose | None) -> tuple[Submap, tuple[str, ...]]:
+    """Load a cloud, and bring it from the frame of its sensor into a level one if need be."""
+    submap, notes = load_cloud_with_notes(path)
+    if sensor is None:
+        return submap, notes
+    try:
+        level = Submap.from_points(sensor.apply(submap.points), submap.id)
+    except InputError as error:  # a wall, for instance, is a line from above
+        raise InputError(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
+    return replace(level, num_dropped=submap.num_dropped), notes
 
 
 def _completed(submap: Submap, known: Submap) -> Submap:
@@ -149,7 +173,8 @@ def open_dataset(
         if held <= most_bytes:
             sources.append(submap)
         else:
-            sources.append(SubmapFile(cloud.absolute(), _bare(submap), submap.num_points))
+            bare, sensor = _bare(submap), outline.sensor(k)
+            sources.append(SubmapFile(cloud.absolute(), bare, submap.num_points, sensor))
         progress((k + 1) / len(outline.clouds))
     return replace(outline.dataset, notes=tuple(notes)), tuple(sources)
 
@@ -161,7 +186,8 @@ def load_dataset(
 
     A dataset folder has ``submaps/``, and optionally ``poses_gt.txt``, ``poses_odom.txt`` (or
     ``poses.txt``) and ``dataset.toml``. A submap's index is the last number in its file's name.
-    Gaps in the numbering, missing poses and extra files are fine.
+    Gaps in the numbering, missing poses and extra files are fine. A folder of scans with a pose
+    each, ``NAME/NAME.xyz`` with ``NAME/NAME.gt``, is a dataset too; see `find_posed_scans`.
 
     Args:
         path: Folder or file.
@@ -261,6 +287,8 @@ def outline_dataset(path: Path | str) -> Outline:
 def _outline_folder(path: Path) -> Outline:
     has_submaps = (path / "submaps").is_dir()
     clouds, ignored = _find_clouds(path / "submaps" if has_submaps else path)
+    if not clouds and not has_submaps and (scans := find_posed_scans(path)):
+        return _outline_scans(path, scans)
     if not clouds:
         raise InputError(_no_clouds(path, has_submaps=has_submaps))
     # A folder of loose clouds may hold anything else; in submaps/ another file is reported.
@@ -278,6 +306,16 @@ def _outline_folder(path: Path) -> Outline:
             f"{file.name}: was ignored, because there is also {present[0].name}"
             for file in present[1:]
         ]
+    positions_only = not truth and (path / POSITIONS_FILE).exists()
+    if positions_only:
+        truth = poses_at(read_positions(path / POSITIONS_FILE, known), odometry)
+        notes.append(
+            f"{POSITIONS_FILE}: has true positions without headings; the headings are those of "
+            "odometry, turned onto the positions nearby, and turns are not judged"
+            if truth
+            else f"{POSITIONS_FILE}: was ignored, because the traverse has no odometry to give "
+            "headings, or is shorter than 2 m"
+        )
     submaps: list[Submap] = []
     for cloud in clouds:
         submap, index = _without_points(cloud.stem), index_of(cloud.stem)
@@ -297,8 +335,26 @@ def _outline_folder(path: Path) -> Outline:
         notes=(*about.notes, *notes),
         licence=about.licence,
         sensor_noise=about.sensor_noise,
+        positions_only=positions_only and bool(truth),
     )
     return Outline(dataset, tuple(clouds))
+
+
+def _outline_scans(path: Path, scans: Sequence[PosedScan]) -> Outline:
+    """Outline a folder of scans with a pose each: every scan is a submap."""
+    submaps: list[Submap] = []
+    sensors: list[Pose] = []
+    for one in scans:
+        sensor = one.read_pose()
+        level = level_pose(sensor)
+        submaps.append(replace(_without_points(one.name), pose_true=level))
+        sensors.append(level.inverse() @ sensor)
+    note = (
+        f"{path.name}: each scan is a submap, made level by its pose in {scans[0].name}.gt and so "
+        "on; these poses are the true ones, and there is no odometry"
+    )
+    dataset = Dataset(name=path.resolve().name, submaps=tuple(submaps), notes=(note,))
+    return Outline(dataset, tuple(one.cloud for one in scans), tuple(sensors))
 
 
 def _without_points(name: str) -> Submap:
@@ -479,6 +535,9 @@ def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
         sensor_noise=dataset.sensor_noise,
         preferred=dataset.preferred,
     )
+    if dataset.positions_only:
+        write_positions(folder / POSITIONS_FILE, {k: truth[k].translation for k in truth})
+        truth = {}
     write_poses_and_about(folder, truth, odometry, about)
 
 

@@ -1,10 +1,12 @@
 """Pose files: TUM rows ``index tx ty tz qx qy qz qw``, ``p_world = R p_submap + t``."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.text import (
@@ -36,33 +38,59 @@ def read_poses(path: Path, known: Mapping[int, str]) -> dict[int, Pose]:
             submap does not exist, or an earlier row names the same submap; the message names the
             line.
     """
-    poses: dict[int, Pose] = {}
+    return {
+        index: make_pose(values, where)
+        for index, values, where in _rows(
+            path, known, 7, "a pose needs 8: index tx ty tz qx qy qz qw"
+        )
+    }
+
+
+def read_positions(path: Path, known: Mapping[int, str]) -> dict[int, Float[Array, "3"]]:
+    """Read the positions of submaps, rows ``index x y z`` [m].
+
+    Args:
+        path: The file; ``#`` starts a comment.
+        known: Names of the existing submaps, by index.
+
+    Returns:
+        Positions (3,) by index; not every submap needs one.
+
+    Raises:
+        InputError: If a row is not four numbers, a position is beyond `MAX_COORDINATE`, its submap
+            does not exist, or an earlier row names the same submap; the message names the line.
+    """
+    positions: dict[int, Float[Array, 3]] = {}
+    for index, values, where in _rows(path, known, 3, "a position needs 4: index x y z"):
+        check_position(values, where)
+        positions[index] = np.array(values)
+    return positions
+
+
+def _rows(
+    path: Path, known: Mapping[int, str], width: int, needs: str
+) -> Iterator[tuple[int, list[float], str]]:
+    """Give the index, the further numbers and the place of each row."""
     named_at: dict[int, int] = {}
     for number, line in enumerate(lines_of(read_text(path)), start=1):
         words = line.split("#", 1)[0].split()
         if not words:
             continue
         where = f"{path}, line {number}"
-        index, pose = _parse_row(words, where)
+        if len(words) != width + 1:
+            raise InputError(f"{where}: has {len(words)} columns, but {needs}")
+        values = parse_numbers(words, where)
+        if not values[0].is_integer():
+            raise InputError(f"{where}: the index must be a whole number, got {words[0]}")
+        index = int(values[0])
         if index not in known:
             raise InputError(f"{where}: names submap {index}, which the dataset does not have")
-        if index in poses:
+        if index in named_at:
             raise InputError(
                 f"{where}: names submap {index} a second time, after line {named_at[index]}"
             )
-        poses[index], named_at[index] = pose, number
-    return poses
-
-
-def _parse_row(words: list[str], where: str) -> tuple[int, Pose]:
-    if len(words) != 8:
-        raise InputError(
-            f"{where}: has {len(words)} columns, but a pose needs 8: index tx ty tz qx qy qz qw"
-        )
-    values = parse_numbers(words, where)
-    if not values[0].is_integer():
-        raise InputError(f"{where}: the index must be a whole number, got {words[0]}")
-    return int(values[0]), make_pose(values[1:], where)
+        named_at[index] = number
+        yield index, values[1:], where
 
 
 def parse_numbers(words: list[str], where: str) -> list[float]:
@@ -90,10 +118,7 @@ def make_pose(values: list[float], where: str) -> Pose:
         InputError: If the quaternion is not of unit length, or the position is beyond
             `MAX_COORDINATE`; the message begins with `where`.
     """
-    if not max(map(abs, values[:3])) <= MAX_COORDINATE:
-        raise InputError(
-            f"{where}: the position tx ty tz is further from the origin than {MAX_COORDINATE:g} m"
-        )
+    check_position(values[:3], where)
     quaternion = np.array(values[3:])
     length = float(np.linalg.norm(quaternion))
     if not abs(length - 1.0) <= QUATERNION_TOLERANCE:
@@ -101,6 +126,31 @@ def make_pose(values: list[float], where: str) -> Pose:
             f"{where}: the quaternion qx qy qz qw must have length 1, this one has {length:.3g}"
         )
     return Pose(np.array(values[:3]), quaternion / length)
+
+
+def check_position(values: list[float], where: str) -> None:
+    """Refuse a position that is beyond `MAX_COORDINATE`.
+
+    Raises:
+        InputError: If it is; the message begins with `where`.
+    """
+    if not max(map(abs, values)) <= MAX_COORDINATE:
+        raise InputError(
+            f"{where}: the position tx ty tz is further from the origin than {MAX_COORDINATE:g} m"
+        )
+
+
+def write_positions(path: Path, positions: Mapping[int, Float[Array, "3"]]) -> None:
+    """Write positions as rows ``index x y z`` [m], to a micrometre.
+
+    Args:
+        path: The file; it is overwritten if it exists.
+        positions: Positions by index.
+    """
+    rows = ["# index x y z   (position of the submap's origin in the world)"]
+    for index, position in positions.items():
+        rows.append(" ".join([f"{index}", *(f"{value:.6f}" for value in position)]))
+    write_lines(path, rows)
 
 
 def write_poses(path: Path, poses: Mapping[int, Pose]) -> None:

@@ -12,6 +12,7 @@ from numpy.random import Generator
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.about import About
+from gpgrad_core.datasets.dem import ElevationModel, ground_of
 from gpgrad_core.datasets.endless import EndlessGround
 from gpgrad_core.datasets.folder import CLOUD_FOLDER, check_vacant, write_poses_and_about
 from gpgrad_core.datasets.ply import write_ply
@@ -34,7 +35,12 @@ EDGE = 1.0  # of ground beyond what the sensor sees [m]
 TERRAIN_STREAM, ODOMETRY_STREAM, SUBMAP_STREAM = 0, 1, 2
 
 
-def simulate_dataset(params: SimulationParams, progress: Progress = silent) -> Dataset:
+def simulate_dataset(
+    params: SimulationParams,
+    progress: Progress = silent,
+    *,
+    terrain: ElevationModel | None = None,
+) -> Dataset:
     """Simulate a rover that drives out over synthetic ground and back, and builds submaps.
 
     Each submap is gravity-aligned. Its origin is on the ground under its first stop, and x is the
@@ -46,14 +52,16 @@ def simulate_dataset(params: SimulationParams, progress: Progress = silent) -> D
         params: Parameters of the simulation. The same parameters give the same dataset, bit for
             bit.
         progress: Called once per submap; may raise Cancelled.
+        terrain: Elevation model to drive over; None makes the ground.
 
     Returns:
         The dataset, with true poses and odometry.
 
     Raises:
-        InputError: If the route does not fit into the extent.
+        InputError: If the route does not fit into the extent, or the elevation model cannot be
+            used.
     """
-    world = make_world(params)
+    world = make_world(params, terrain)
     progress(0.2)
     seen: list[Seen] = []
     for block in blocks_of(params):
@@ -63,7 +71,7 @@ def simulate_dataset(params: SimulationParams, progress: Progress = silent) -> D
         Submap.from_points(one.points, name, pose_true=one.pose, pose_odometry=believed)
         for name, one, believed in zip(names_of(params), seen, odometry, strict=True)
     )
-    about = about_simulated(params)
+    about = about_simulated(params, terrain)
     return Dataset(
         about.name,
         submaps,
@@ -76,6 +84,7 @@ def simulate_into(
     directory: Path | str,
     params: SimulationParams,
     *,
+    terrain: ElevationModel | None = None,
     overwrite: bool = False,
     executor: Executor | None = None,
     progress: Progress = silent,
@@ -88,16 +97,18 @@ def simulate_into(
     Args:
         directory: The folder; it is made with its parents if it does not exist.
         params: Parameters of the simulation.
+        terrain: Elevation model to drive over; None makes the ground.
         overwrite: Whether to replace a dataset that gpgrad made.
         executor: Processes that share the work on the route roaming; None works in this thread.
         progress: Called from this thread; may raise Cancelled.
 
     Raises:
-        InputError: If the route does not fit into the extent, or if the directory is taken or
-            cannot be written.
+        InputError: If the route does not fit into the extent, the elevation model cannot be used,
+            or the directory is taken or cannot be written.
     """
     directory = Path(directory)
     check_vacant(directory, overwrite=overwrite)
+    check_route(params, terrain)
     plan_track(params)  # refuses a route before the work
     try:
         with whole_folder(directory, replace=overwrite) as unfinished:
@@ -106,14 +117,14 @@ def simulate_into(
             clouds.mkdir()
             # Other processes would each make the whole of a ground that has an end.
             beside = executor if params.route == "roaming" else None
-            work = _Writing(params, clouds)
+            work = _Writing(params, clouds, terrain)
             found = run_jobs(work, blocks_of(params), beside, part(progress, 0.0, 0.98))
             truth = [pose for poses in found for pose in poses]
             write_poses_and_about(
                 unfinished,
                 dict(enumerate(truth)),
                 dict(enumerate(odometry_of(truth, params))),
-                about_simulated(params),
+                about_simulated(params, terrain),
             )
     except OSError as error:
         if error.strerror is None:  # a process has died
@@ -130,9 +141,11 @@ class _Writing:
 
     params: SimulationParams
     folder: Path
+    terrain: ElevationModel | None
 
     def __call__(self, block: range, progress: Progress) -> list[Pose]:
-        names, world = names_of(self.params), _world_of_this_process(self.params)
+        names = names_of(self.params)
+        world = _world_of_this_process(self.params, self.terrain)
         poses: list[Pose] = []
         for k, one in zip(block, world.look(block, progress), strict=True):
             write_ply(self.folder / f"{names[k]}.ply", one.points)
@@ -177,13 +190,29 @@ class World:
         return seen
 
 
-def make_world(params: SimulationParams) -> World:
+def check_route(params: SimulationParams, terrain: ElevationModel | None) -> None:
+    """Refuse the route roaming over an elevation model, which has an end.
+
+    Raises:
+        InputError: If it is asked for.
+    """
+    if terrain is not None and params.route == "roaming":
+        raise InputError(
+            f"{terrain.path}: the route roaming makes its own ground; choose another route"
+        )
+
+
+def make_world(params: SimulationParams, terrain: ElevationModel | None = None) -> World:
     """Plan the drive and make the ground.
 
     Raises:
-        InputError: If the route does not fit into the extent.
+        InputError: If the route does not fit into the extent, or the elevation model cannot be
+            used.
     """
+    check_route(params, terrain)
     track = plan_track(params)
+    if terrain is not None:
+        return World(params, track, ground_of(terrain, params, track.xy))
     if params.route == "roaming":
         return World(params, track, EndlessGround(params, track.xy))
     return World(params, track, make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM)))
@@ -214,17 +243,20 @@ def odometry_of(truth: list[Pose], params: SimulationParams) -> list[Pose]:
     return drift(truth, params, stream(params.seed, ODOMETRY_STREAM), params.spacing)
 
 
-def about_simulated(params: SimulationParams) -> About:
+def about_simulated(params: SimulationParams, terrain: ElevationModel | None = None) -> About:
     """Describe a simulated dataset."""
+    ground = "Synthetic ground with craters, ripples and rocks"
+    if terrain is not None:
+        ground = (
+            f"Ground of {terrain.path.name} at the scale {terrain.scale:g}, heights times "
+            f"{terrain.exaggeration:g}, with rocks"
+        )
     drove = f"drove out on a {params.route.replace('_', ' ')} route and back"
     if params.route == "roaming":
         drove = "roamed over it"
     return About(
         name=f"simulated-{params.seed}",
-        description=(
-            f"Synthetic ground with craters, ripples and rocks; a rover {drove} (gpgrad simulate, "
-            f"seed {params.seed})."
-        ),
+        description=(f"{ground}; a rover {drove} (gpgrad simulate, seed {params.seed})."),
         sensor_noise=dict(zip(("constant", "quadratic"), params.range_noise, strict=True)),
     )
 

@@ -63,7 +63,7 @@ def make_terrain(
         elevation += params.hill_height * hills
     _add_ripples(elevation, params, rng)
     _add_craters(elevation, params, track, rng)
-    _add_rocks(elevation, params, track, rng)
+    add_rocks(elevation, params, track, rng)
     return HeightField(elevation)
 
 
@@ -240,7 +240,20 @@ class Crater:
         elevation[place] += -soft * np.logaddexp(-bowl / soft, -blanket / soft)
 
 
-def _add_rocks(elevation: Array, params: SimulationParams, track: Array, rng: Generator) -> None:
+def add_rocks(
+    elevation: Float[Array, "rows columns"],
+    params: SimulationParams,
+    track: Float[Array, "n 2"],
+    rng: Generator,
+) -> None:
+    """Lay rocks on the ground, in fields.
+
+    Args:
+        elevation: The ground, which is changed; cell (0, 0) lies at x = y = 0.
+        params: How many rocks, and the extent.
+        track: Where the rover drives (n, 2) [m]; rocks keep away from it.
+        rng: Generator of the random choices.
+    """
     count = int(rng.poisson(params.rock_density * params.extent**2))
     crowding = fractal_field(len(elevation), 0.6, rng, largest=8.0)
     diameters = power_law(rng, count, ROCK_DIAMETERS, ROCK_SLOPE)

@@ -22,6 +22,12 @@ from gpgrad_core.evaluation.precision_recall import (
     precision_recall,
     recall_at_full_precision,
 )
+from gpgrad_core.evaluation.problems import (
+    Problem,
+    check_problems,
+    describe_problems,
+    read_problems,
+)
 from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
 from gpgrad_core.evaluation.report import (
     Section,
@@ -41,6 +47,7 @@ __all__ = [
     "MethodVerdict",
     "PoseErrors",
     "PrecisionRecall",
+    "Problem",
     "Ranked",
     "Ranking",
     "Rule",
@@ -52,13 +59,16 @@ __all__ = [
     "best_f1",
     "calibrate",
     "check_directory",
+    "check_problems",
     "describe_calibration",
+    "describe_problems",
     "evaluate",
     "measure_pairs",
     "pose_errors",
     "precision_by_inliers",
     "precision_recall",
     "rank_pairs",
+    "read_problems",
     "read_rivals",
     "recall_at_full_precision",
     "report_evaluation",

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from math import radians
 
@@ -221,6 +221,8 @@ def evaluate(
     if not detections:
         raise InputError("nothing to evaluate: give at least one method or file of closures")
     pairs = pairs or measure_pairs(dataset, progress)
+    if pairs.positions_only:
+        params = replace(params, max_turn_error=180.0)
     rankings = {
         name: rank_pairs(detection, dataset, pairs, name) for name, detection in detections.items()
     }

@@ -38,6 +38,7 @@ class TruePairs:
             there are too few.
         T_database_query: True motion of each pair.
         notes: What could not be judged, one line each.
+        positions_only: Whether the true headings were not measured, so that turns are not judged.
     """
 
     ids: tuple[str, ...]
@@ -50,6 +51,7 @@ class TruePairs:
     height_difference: Float[Array, "p"]
     T_database_query: tuple[SE2, ...]
     notes: tuple[str, ...] = ()
+    positions_only: bool = False
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
@@ -128,6 +130,7 @@ def measure_pairs(dataset: Dataset, progress: Progress = silent) -> TruePairs:
         height_difference=measured[:, 2].copy(),
         T_database_query=tuple(poses[d].inverse() @ poses[q] for q, d in pairs),
         notes=_notes(dataset),
+        positions_only=dataset.positions_only,
     )
 
 
@@ -196,10 +199,19 @@ def _numbers(submaps: list[Submap]) -> Index:
 
 def _notes(dataset: Dataset) -> tuple[str, ...]:
     unknown = [submap.id for submap in dataset.submaps if submap.pose_true is None]
+    notes = (
+        (
+            "only the positions of the true poses were measured: a motion is right by its offset "
+            "alone, and its turn is not judged",
+        )
+        if dataset.positions_only
+        else ()
+    )
     if not unknown:
-        return ()
+        return notes
     few = ", ".join(unknown[:5]) + (", …" if len(unknown) > 5 else "")
     return (
+        *notes,
         f"{len(unknown)} of {len(dataset.submaps)} submaps have no true pose ({few}): "
         "their pairs are not judged",
     )

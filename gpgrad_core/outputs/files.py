@@ -8,11 +8,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gpgrad_core.datasets.clouds import READERS
-from gpgrad_core.datasets.folder import ABOUT_FILE, ODOMETRY_FILES, TRUTH_FILE
+from gpgrad_core.datasets.folder import (
+    ABOUT_FILE,
+    ODOMETRY_FILES,
+    POSITIONS_FILE,
+    TRUTH_FILE,
+)
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.whole import ProcessLock
 
-OWN_FILES = (ABOUT_FILE, TRUTH_FILE, *ODOMETRY_FILES)
+OWN_FILES = (ABOUT_FILE, TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES)
 OWN_FOLDERS = ("submaps", "images")
 """What a dataset is read from, in its folder."""
 

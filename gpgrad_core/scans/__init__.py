@@ -1,6 +1,7 @@
 """From what a robot recorded to submaps: scans and poses in, a dataset out."""
 
 from gpgrad_core.scans.build import BuildReport, build_dataset, open_recording
+from gpgrad_core.scans.keeping import Condition, parse_condition
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.recording import Recording, RecordingSources
 from gpgrad_core.scans.simulate import simulate_recording
@@ -8,9 +9,11 @@ from gpgrad_core.scans.simulate import simulate_recording
 __all__ = [
     "BuildParams",
     "BuildReport",
+    "Condition",
     "Recording",
     "RecordingSources",
     "build_dataset",
     "open_recording",
+    "parse_condition",
     "simulate_recording",
 ]

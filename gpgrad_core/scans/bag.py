@@ -15,14 +15,16 @@ from gpgrad_core.datasets.poses import make_pose
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
 from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.scans.keeping import Condition
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.point_cloud2 import points_of
-from gpgrad_core.scans.pose_files import read_mount, read_pose_file
+from gpgrad_core.scans.pose_files import read_mount, read_pose_file, read_truth_file
 from gpgrad_core.scans.recording import (
     Reader,
     Recording,
     RecordingSources,
     identify,
+    keeping,
     place,
     spelled,
     truth_at,
@@ -89,8 +91,10 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     both = body.known & mount.known
     notes += mount_notes + place(stamps, Located(body.poses, both), span, str(path), params)
     kept = np.flatnonzero(both)
-    truth = None if sources.truth is None else read_pose_file(sources.truth).trajectory
-    true_poses, truth_notes = truth_at(truth, stamps[kept], str(sources.truth), params)
+    truth = None if sources.truth is None else read_truth_file(sources.truth)
+    true_poses, truth_notes = truth_at(
+        truth and truth.trajectory, stamps[kept], str(sources.truth), params
+    )
     files = [
         f for file in _files(path) for f in (sorted(file.iterdir()) if file.is_dir() else [file])
     ]
@@ -101,11 +105,12 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         stamps=stamps[kept],
         body=body.poses[kept],
         mount=mount.poses[kept],
-        read=_reader(path, cloud_topic, np.array(contents.logged), kept),
+        read=_reader(path, cloud_topic, np.array(contents.logged), kept, sources.keep),
         labels=tuple(f"{path.name}, {cloud_topic}, message {k}" for k in kept),
         covariance=None if body.covariance is None else body.covariance[kept],
         truth=true_poses,
-        notes=(*notes, *truth_notes),
+        positions_only=truth is not None and truth.positions_only,
+        notes=(*notes, *truth_notes, *keeping(sources)),
     )
 
 
@@ -249,7 +254,11 @@ class _Placing:
 
 
 def _reader(
-    path: Path, topic: str, logged: Int[NDArray[np.int64], "n"], kept: Int[NDArray[np.intp], "m"]
+    path: Path,
+    topic: str,
+    logged: Int[NDArray[np.int64], "n"],
+    kept: Int[NDArray[np.intp], "m"],
+    keep: Sequence[Condition],
 ) -> Reader:
     def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
         wanted = kept[start:stop]
@@ -265,7 +274,7 @@ def _reader(
             for connection, _, raw in reader.messages(connections, start=since):
                 if number in chosen:
                     message = reader.deserialize(raw, connection.msgtype)
-                    yield points_of(message, f"{path}, {topic}, message {number}")
+                    yield points_of(message, f"{path}, {topic}, message {number}", keep)
                 if number >= wanted[-1]:
                     return
                 number += 1

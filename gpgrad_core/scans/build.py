@@ -11,28 +11,37 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.about import About, write_about
-from gpgrad_core.datasets.folder import ABOUT_FILE, ODOMETRY_FILES, TRUTH_FILE, check_vacant
+from gpgrad_core.datasets.cpet import find_posed_scans
+from gpgrad_core.datasets.folder import (
+    ABOUT_FILE,
+    ODOMETRY_FILES,
+    POSITIONS_FILE,
+    TRUTH_FILE,
+    check_vacant,
+)
 from gpgrad_core.datasets.ply import write_ply
-from gpgrad_core.datasets.poses import pose_row, write_poses
+from gpgrad_core.datasets.poses import pose_row, write_poses, write_positions
 from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.scans.bag import is_bag, open_bag
+from gpgrad_core.scans.cpet import open_posed_scans
 from gpgrad_core.scans.cutting import cut
 from gpgrad_core.scans.folder import open_folder
 from gpgrad_core.scans.gravity import (
     estimate_up,
     ground_normal,
-    level_pose,
     turned_upright,
     up_axis,
 )
 from gpgrad_core.scans.journal import Entry, Journal, open_journal
+from gpgrad_core.scans.katwijk import is_katwijk, open_katwijk
 from gpgrad_core.scans.params import BuildParams
+from gpgrad_core.scans.pds import find_products, open_products
 from gpgrad_core.scans.recording import Reader, Recording, RecordingSources
 from gpgrad_core.scans.trajectory import Located, Poses
 from gpgrad_core.scans.voxels import Voxels, VoxelSums, reach
-from gpgrad_core.se2 import Pose
+from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Submap
 from gpgrad_core.version import VERSION
 
@@ -62,10 +71,10 @@ class BuildReport:
 def open_recording(
     path: Path | str, sources: RecordingSources | None = None, params: BuildParams | None = None
 ) -> Recording:
-    """Open a folder of clouds with poses, or a ROS bag.
+    """Open a folder of clouds with poses, scans with a pose each, or a ROS bag.
 
     Args:
-        path: The folder or the bag.
+        path: The folder or the bag; what lies in it says which it is.
         sources: Where the parts of the recording are, if they are not to be found automatically.
         params: How scans and poses are matched.
 
@@ -83,6 +92,12 @@ def open_recording(
             raise InputError(
                 f"{path}: is one file; give a folder of clouds, or a bag (.bag .mcap .db3)"
             )
+        if is_katwijk(path):
+            return open_katwijk(path, sources, params)
+        if labels := find_products(path):
+            return open_products(path, labels, sources)
+        if scans := find_posed_scans(path):
+            return open_posed_scans(path, scans, sources)
         return open_folder(path, sources, params)
     except OSError as error:
         place = error.filename or path
@@ -141,6 +156,8 @@ def build_dataset(
         "params": asdict(params),
         "topics": [sources.cloud_topic, sources.pose_topic, sources.world_frame],
     }
+    if sources.keep:
+        header["keep"] = [str(one) for one in sources.keep]
     with open_journal(directory, header, restart=restart, overwrite=overwrite) as begun:
         resumed = len(begun.entries)
         whole = _add_submaps(begun, recording, pieces, params, progress)
@@ -184,7 +201,7 @@ def _levelled(recording: Recording, params: BuildParams) -> tuple[Recording, tup
     if covariance is not None:
         matrix = turn.as_matrix()
         covariance = matrix @ covariance @ matrix.T
-    if truth is not None:
+    if truth is not None and not recording.positions_only:
         truth = Located(_turned(true_turn, truth.poses), truth.known)
     body = _turned(turn, recording.body)
     return replace(recording, body=body, covariance=covariance, truth=truth), notes
@@ -311,14 +328,19 @@ def _write_rest(
         odometry[number] = level.one(0)
         if recording.truth is not None and recording.truth.known[scans.start]:
             in_body = recording.body[first].inverse() @ level
-            truth[number] = (recording.truth.poses[first] @ in_body).one(0)
+            true = recording.truth.poses[first]
+            truth[number] = (true if recording.positions_only else true @ in_body).one(0)
         rows = ["# timestamp tx ty tz qx qy qz qw   (p_submap = R p_sensor + t)"]
         for k in scans:
             stamp = f"{k}" if recording.stamps is None else f"{recording.stamps[k]:.6f}"
             rows.append(pose_row(stamp, (level.inverse() @ recording.sensor(k)).one(0)))
         write_lines(trajectories / f"{entry['id']}.txt", rows)
     write_poses(journal.folder / ODOMETRY_FILES[0], odometry)
-    if truth:
+    if truth and recording.positions_only:
+        # The antenna's place stands for that of the body: its mount is not known.
+        places = {k: pose.translation for k, pose in truth.items()}
+        write_positions(journal.folder / POSITIONS_FILE, places)
+    elif truth:
         write_poses(journal.folder / TRUTH_FILE, truth)
     about = About(
         name=journal.directory.name,

@@ -3,22 +3,32 @@
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.clouds import READERS, read_points
+from gpgrad_core.datasets.clouds import READERS, read_points, read_property
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.whole import is_unfinished
+from gpgrad_core.scans.keeping import Condition, kept_points
 from gpgrad_core.scans.params import BuildParams
-from gpgrad_core.scans.pose_files import Mount, PoseFile, read_mount, read_pose_file, read_times
+from gpgrad_core.scans.pose_files import (
+    Mount,
+    PoseFile,
+    read_mount,
+    read_pose_file,
+    read_times,
+    read_truth_file,
+)
 from gpgrad_core.scans.recording import (
     Reader,
     Recording,
     RecordingSources,
     identify,
+    keeping,
     place,
     spelled,
     truth_at,
@@ -27,7 +37,7 @@ from gpgrad_core.scans.trajectory import Poses, Trajectory
 
 CLOUD_FOLDERS = ("", "scans", "velodyne", "velodyne_points", "clouds")
 POSE_NAMES = ("poses.txt", "poses.tum", "poses_odom.txt", "odometry.txt", "trajectory.txt")
-TRUTH_NAMES = ("poses_gt.txt",)
+TRUTH_NAMES = ("poses_gt.txt", "positions_gt.txt")
 TIME_NAMES = ("times.txt", "timestamps.txt")
 MOUNT_NAMES = ("mount.txt",)
 KITTI_CALIBRATION = "calib.txt"
@@ -74,12 +84,13 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
         stamps=None if stamps is None else stamps[order[known]],
         body=located.poses[known],
         mount=files.mount.pose,
-        read=_reader(kept),
+        read=_reader(kept, sources.keep),
         labels=tuple(cloud.name for cloud in kept),
         up="-y" if files.mount.on_camera else "z",
         covariance=None if located.covariance is None else located.covariance[known],
         truth=true_poses,
-        notes=(*notes, *files.mount_notes, *truth_notes),
+        positions_only=files.truth is not None and files.truth.positions_only,
+        notes=(*notes, *files.mount_notes, *truth_notes, *keeping(sources)),
     )
 
 
@@ -119,7 +130,12 @@ def _read_files(path: Path, scans_folder: Path, sources: RecordingSources) -> _F
         )
     poses = read_pose_file(pose_path)
     truth_path = sources.truth or _find(places, TRUTH_NAMES)
-    truth = None if truth_path is None else read_pose_file(truth_path)
+    truth = None if truth_path is None else read_truth_file(truth_path)
+    if truth is not None and truth.positions_only and poses.numbered:
+        raise InputError(
+            f"{truth_path}: has positions by time, which the KITTI poses of {pose_path.name} do "
+            "not have; give TUM poses"
+        )
     if truth is not None and truth.numbered != poses.numbered:
         raise InputError(
             f"{truth_path}: {pose_path.name} and the true poses must both be TUM or KITTI rows"
@@ -252,9 +268,11 @@ def number_in(stem: str) -> float | None:
     return float(numbers[-1]) if numbers else None
 
 
-def _reader(clouds: list[Path]) -> Reader:
+def _reader(clouds: list[Path], keep: Sequence[Condition]) -> Reader:
     def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
         for cloud in clouds[start:stop]:
-            yield read_points(cloud)
+            points = read_points(cloud)
+            mask = kept_points(keep, partial(read_property, cloud), str(cloud))
+            yield points if mask is None else points[mask]
 
     return read

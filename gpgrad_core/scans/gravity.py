@@ -1,4 +1,4 @@
-"""Which way is up, and the level frame of a submap."""
+"""Which way is up."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.scans.voxels import Voxels
-from gpgrad_core.se2 import SE2, Pose
 
 GROUND_VOXEL = 0.2
 """Points are thinned to voxels of this side [m] first. Otherwise the dense ground close to the
@@ -18,8 +17,6 @@ TRIM = 2.5
 """Points further from the plane than this many standard deviations do not count as ground."""
 ROUNDS = 10
 LEAST_POINTS = 20
-UPRIGHT = 0.95
-"""If the vertical part of a body's x axis is longer than this, its y axis gives the heading."""
 
 
 def up_axis(name: str) -> Float[Array, "3"]:
@@ -37,19 +34,6 @@ def turned_upright(up: Float[Array, "3"]) -> Rotation:
     if length < 1e-12:  # along z already; a direction that points down is turned about x
         axis, length = np.array([1.0, 0.0, 0.0]), 1.0
     return Rotation.from_rotvec(np.arccos(cosine) * axis / length)
-
-
-def level_pose(pose: Pose) -> Pose:
-    """Give the level frame at a pose: z up, x along the body's x axis as seen from above.
-
-    Args:
-        pose: Pose of a body in a frame whose z points up.
-    """
-    forward = pose.rotation[:, 0]
-    if abs(forward[2]) > UPRIGHT:  # x points up or down and gives no heading
-        forward = pose.rotation[:, 1]
-    x, y, z = pose.translation.tolist()
-    return Pose.from_planar(SE2(x, y, float(np.arctan2(forward[1], forward[0]))), z)
 
 
 def ground_normal(points: Float[Array, "n 3"]) -> Array | None:

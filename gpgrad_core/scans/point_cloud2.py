@@ -1,5 +1,6 @@
 """The points of a ROS message ``sensor_msgs/PointCloud2``."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,30 +8,39 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
+from gpgrad_core.scans.keeping import Condition, kept_points
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's types by the numbers that the message uses for them."""
 
 
-def points_of(message: Any, where: str) -> Float[NDArray[np.floating], "n 3"]:
+def points_of(
+    message: Any, where: str, keep: Sequence[Condition] = ()
+) -> Float[NDArray[np.floating], "n 3"]:
     """Read x, y and z [m] of each point, also where they are NaN.
 
     Args:
         message: The message, deserialised by rosbags.
         where: Topic and number of the message, for the error message.
+        keep: Conditions on any fields of the message; only points that meet all are read.
 
     Raises:
-        InputError: If the message has no x, y and z, or fewer bytes than its header says.
+        InputError: If the message has no x, y and z, lacks a field of a condition, or has fewer
+            bytes than its header says.
     """
     fields = {field.name: field for field in message.fields}
-    missing = [name for name in "xyz" if name not in fields]
+    names = [*"xyz", *dict.fromkeys(one.field for one in keep if one.field not in ("x", "y", "z"))]
+    missing = [name for name in names if name not in fields]
     if missing:
         held = ", ".join(fields) or "nothing"
         raise InputError(f"{where}: its points have no field {' or '.join(missing)}, only {held}")
     order = ">" if message.is_bigendian else "<"
-    formats = [order + NUMBERS.get(fields[name].datatype, "") for name in "xyz"]
-    if any(len(one) < 2 for one in formats):
+    formats = [order + NUMBERS.get(fields[name].datatype, "") for name in names]
+    wrong = [name for name, one in zip(names, formats, strict=True) if len(one) < 2]
+    if wrong and wrong[0] in "xyz":
         raise InputError(f"{where}: x, y and z do not have a number type of PointCloud2")
+    if wrong:
+        raise InputError(f"{where}: {wrong[0]} does not have a number type of PointCloud2")
     rows, columns = int(message.height), int(message.width)
     row_size = columns * int(message.point_step)
     # Some drivers leave row_step at 0 when the rows have no padding.
@@ -39,7 +49,7 @@ def points_of(message: Any, where: str) -> Float[NDArray[np.floating], "n 3"]:
     if rows * columns == 0:
         return np.empty((0, 3))
     ends = [
-        fields[name].offset + np.dtype(f).itemsize for name, f in zip("xyz", formats, strict=True)
+        fields[name].offset + np.dtype(f).itemsize for name, f in zip(names, formats, strict=True)
     ]
     if max(ends) > message.point_step or len(data) < (rows - 1) * step + row_size:
         raise InputError(
@@ -48,13 +58,20 @@ def points_of(message: Any, where: str) -> Float[NDArray[np.floating], "n 3"]:
         )
     layout = np.dtype(
         {
-            "names": ["x", "y", "z"],
+            "names": names,
             "formats": formats,
-            "offsets": [fields[name].offset for name in "xyz"],
+            "offsets": [fields[name].offset for name in names],
             "itemsize": int(message.point_step),
         }
     )
     bodies = [data[k * step : k * step + row_size].tobytes() for k in range(rows)]
     table = np.frombuffer(b"".join(bodies), layout)
+
+    def values_of(name: str) -> NDArray[np.float64]:
+        return table[name].astype(np.float64)
+
+    mask = kept_points(keep, values_of, where)
+    if mask is not None:
+        table = table[mask]
     points = np.column_stack([table[name] for name in "xyz"])
     return points.astype(np.float64 if points.dtype.itemsize > 4 else np.float32)

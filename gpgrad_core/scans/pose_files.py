@@ -1,6 +1,7 @@
 """Files of poses over time (TUM and KITTI rows), of times, and of a sensor's pose on its body."""
 
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -8,15 +9,22 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.datasets.poses import make_pose, parse_numbers
+from gpgrad_core.datasets.poses import check_position, make_pose, parse_numbers
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.text import lines_of, read_text
+from gpgrad_core.scans.geodesy import east_north_up, is_place
 from gpgrad_core.scans.trajectory import Poses, Trajectory
 from gpgrad_core.types import MAX_COORDINATE
 
 MAX_TIME = 1e19
 """Of a time, in whatever unit: the nanoseconds since 1970 are a fifth of it."""
-TUM, TUM_WITH_COVARIANCE, KITTI = 8, 44, 12
+TUM, TUM_WITH_COVARIANCE, KITTI, POSITION = 8, 44, 12, 4
+SOLUTION = 6
+"""Least number of columns of a solution of RTKLIB: the sixth is its quality."""
+GPS_BEGAN, WEEK = 315_964_800.0, 604_800.0
+"""Beginning of GPS time, 6 January 1980, in seconds since 1970, and seconds of a week."""
+LEAP_SECONDS = 18.0
+"""GPS time is so much ahead of UTC, since 2017 [s]."""
 ROTATION_TOLERANCE = 0.01
 """A matrix further from a rotation than this is not a rounded one: its columns have another
 meaning."""
@@ -33,10 +41,12 @@ class PoseFile:
         trajectory: Poses by time; KITTI's poses have no times, so the row's number from 0 stands
             for it.
         numbered: Whether the rows are KITTI's.
+        positions_only: Whether they are positions of a truth, and the turns mean nothing.
     """
 
     trajectory: Trajectory
     numbered: bool
+    positions_only: bool = False
 
 
 def read_pose_file(path: Path) -> PoseFile:
@@ -80,6 +90,88 @@ def read_pose_file(path: Path) -> PoseFile:
         _check_covariances(whole, numbers, path)
         covariance = np.ascontiguousarray(whole[:, :3, :3])
     return PoseFile(Trajectory.in_order(table[:, 0], stack, covariance), numbered=False)
+
+
+def read_truth_file(path: Path) -> PoseFile:
+    """Read true poses, or true positions as a GNSS receiver gives them.
+
+    Poses are those of `read_pose_file`. Positions are rows ``timestamp x y z`` [s, m], z up, or a
+    solution of RTKLIB (a file that ends in ``.pos``): rows of week and seconds, or date and time,
+    then latitude, longitude and height, as the manual of RTKLIB 2.4.2 gives them in its appendix
+    B.1. Its places become metres east, north and up of the first one. Its times become seconds
+    since 1970 in UTC; those in GPS time are `LEAP_SECONDS` less. Not verified on a real file.
+
+    Args:
+        path: The file; ``#``, or ``%`` in a ``.pos``, starts a comment.
+
+    Raises:
+        InputError: If a row is neither; the message names the line.
+    """
+    if path.suffix.lower() == ".pos":
+        return _positions(*_read_solution(path))
+    first = next(iter(_rows(path)), None)
+    if first is None or len(first[1]) != POSITION:
+        return read_pose_file(path)
+    rows: list[list[float]] = []
+    for number, words in _rows(path):
+        where = f"{path}, line {number}"
+        if len(words) != POSITION:
+            raise InputError(f"{where}: has {len(words)} columns, the rows before it have 4")
+        rows.append(parse_numbers(words, where))
+        check_position(rows[-1][1:], where)
+    table = np.array(rows)
+    _check_times(table[:, 0], [k for k, _ in _rows(path)], path)
+    return _positions(table[:, 0], table[:, 1:])
+
+
+def _positions(stamps: Float[Array, "n"], positions: Float[Array, "n 3"]) -> PoseFile:
+    poses = Poses(positions, Rotation.identity(len(positions)))
+    return PoseFile(Trajectory.in_order(stamps, poses), numbered=False, positions_only=True)
+
+
+def _read_solution(path: Path) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
+    """Read the times [s] and the places east, north and up [m] of a solution of RTKLIB."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    in_utc = False
+    stamps: list[float] = []
+    places: list[list[float]] = []
+    for number, line in enumerate(lines_of(read_text(path)), start=1):
+        words = line.split()
+        if line.startswith("%"):
+            in_utc = in_utc or words[1:2] == ["UTC"] or words[:1] == ["%UTC"]
+            continue
+        if not words:
+            continue
+        where = f"{path}, line {number}"
+        if len(words) < SOLUTION:
+            raise InputError(
+                f"{where}: has {len(words)} columns; a solution of RTKLIB has the time in two, "
+                "then latitude, longitude [degrees] and height [m]"
+            )
+        stamps.append(_solution_time(words[:2], where) - (0.0 if in_utc else LEAP_SECONDS))
+        places.append(parse_numbers(words[2:5], where))
+        if not is_place(*places[-1]):
+            raise InputError(f"{where}: {' '.join(words[2:5])} are no latitude, longitude, height")
+    if not stamps:
+        raise InputError(f"{path}: holds no positions")
+    table = np.array(places)
+    return np.array(stamps), east_north_up(table, table[0])
+
+
+def _solution_time(words: list[str], where: str) -> float:
+    """Read the time of a row of RTKLIB [s]: GPS week and its seconds, or date and time."""
+    if "/" not in words[0]:
+        week, seconds = parse_numbers(words, where)
+        if not (0 <= week <= 10_000 and 0 <= seconds <= WEEK):
+            raise InputError(f"{where}: {words[0]} {words[1]} are no GPS week and seconds")
+        return GPS_BEGAN + WEEK * week + seconds
+    try:
+        return datetime.strptime(
+            f"{words[0]} {words[1]} +0000", "%Y/%m/%d %H:%M:%S.%f %z"
+        ).timestamp()
+    except ValueError:
+        raise InputError(f"{where}: {words[0]} {words[1]} is no date and time") from None
 
 
 def _check_covariances(covariance: Float[Array, "n 6 6"], numbers: list[int], path: Path) -> None:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
+from gpgrad_core.scans.keeping import Condition
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
 
@@ -29,6 +30,7 @@ class RecordingSources:
         cloud_topic: Topic of the clouds in a bag.
         pose_topic: Topic of the poses in a bag.
         world_frame: Frame of a bag's transforms in which the map is built.
+        keep: Conditions that a point must meet to be kept, such as ``intensity>3``.
     """
 
     poses: Path | None = None
@@ -38,6 +40,7 @@ class RecordingSources:
     cloud_topic: str | None = None
     pose_topic: str | None = None
     world_frame: str | None = None
+    keep: tuple[Condition, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +59,7 @@ class Recording:
         up: Axis of the world that points up, as far as the kind of recording tells.
         covariance: Covariance of each position [m²], where the source gives it.
         truth: True poses of the body at the scans, where the source gives them.
+        positions_only: Whether the truth has positions only, with z up, and its turns mean nothing.
         notes: What was left out or assumed, one line each.
     """
 
@@ -69,6 +73,7 @@ class Recording:
     up: str = "z"
     covariance: Float[Array, "n 3 3"] | None = None
     truth: Located | None = None
+    positions_only: bool = False
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -122,6 +127,12 @@ def place(
         f"{missing:,} of {len(stamps):,} scans {have} no pose within "
         f"{params.max_time_difference:g} s and {'was' if missing == 1 else 'were'} left out",
     )
+
+
+def keeping(sources: RecordingSources) -> tuple[str, ...]:
+    """Say which points are left out by conditions, if there are any."""
+    said = " and ".join(str(one) for one in sources.keep)
+    return (f"only points with {said} are kept",) if said else ()
 
 
 def spelled(stamps: Float[Array, "n"]) -> str:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gpgrad_core.datasets.dem import ElevationModel, ground_of
 from gpgrad_core.datasets.folder import SIMULATED, check_vacant
 from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import pose_row
@@ -38,6 +39,7 @@ def simulate_recording(
     params: SimulationParams | None = None,
     *,
     points_a_scan: int | None = None,
+    terrain: ElevationModel | None = None,
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> None:
@@ -53,6 +55,7 @@ def simulate_recording(
         num_scans: Number of scans, evenly spread over the drive.
         params: Ground, route, sensor and odometry.
         points_a_scan: A scan with more points is thinned to this many; None keeps all.
+        terrain: Elevation model to drive over; None makes the ground.
         overwrite: Whether to replace a recording that was simulated.
         progress: Called once per scan.
 
@@ -70,19 +73,23 @@ def simulate_recording(
     try:
         with whole_folder(directory, replace=overwrite) as unfinished:
             check_vacant(directory, overwrite=overwrite)  # another process may just have ended
-            terrain = make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM))
+            ground = (
+                make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM))
+                if terrain is None
+                else ground_of(terrain, params, track.xy)
+            )
             spacing = track.length / (num_scans - 1)
-            _write_poses(unfinished, num_scans, spacing, track, terrain, params)
+            _write_poses(unfinished, num_scans, spacing, track, ground, params)
             stamps = [f"{START + k * PERIOD:.6f}" for k in range(num_scans)]
             write_lines(unfinished / "times.txt", stamps)
             (unfinished / "scans").mkdir()
             for k, stamp in enumerate(stamps):
                 rng = stream(params.seed, SCAN_STREAM, k)
                 stop = track.between(k * spacing)
-                points = scan(terrain, stop, params, rng)
+                points = scan(ground, stop, params, rng)
                 if points_a_scan is not None and len(points) > points_a_scan:
                     points = points[np.sort(rng.choice(len(points), points_a_scan, replace=False))]
-                sensor = sensor_pose(terrain, stop, params)
+                sensor = sensor_pose(ground, stop, params)
                 local = (points - sensor.translation) @ sensor.rotation
                 write_ply(unfinished / "scans" / f"{stamp}.ply", local)
                 progress((k + 1) / num_scans)

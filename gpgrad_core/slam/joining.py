@@ -85,12 +85,14 @@ def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
         tuple(submap for part in parts for submap in part),
         preferred=outlines[0].dataset.preferred,
         notes=tuple(note for outline in outlines for note in outline.dataset.notes),
+        positions_only=any(outline.dataset.positions_only for outline in outlines),
     )
     clouds = tuple(cloud for outline in outlines for cloud in outline.clouds)
     traverses = {
         name: tuple(submap.id for submap in part) for name, part in zip(names, parts, strict=True)
     }
-    return JoinedDatasets(Outline(dataset, clouds), traverses, numbers)
+    sensors = tuple(one.sensor(k) for one in outlines for k in range(len(one.clouds)))
+    return JoinedDatasets(Outline(dataset, clouds, sensors), traverses, numbers)
 
 
 def place_traverses(graph: PoseGraph) -> Placed:

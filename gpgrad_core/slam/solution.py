@@ -123,9 +123,10 @@ def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors
     for session, names in solution.joined.traverses.items():
         known = {name: true[name] for name in names if name in true}
         if len(known) >= 2:
+            only = solution.joined.outline.dataset.positions_only
             trajectories[session] = (
-                trajectory_error(known, solution.before),
-                trajectory_error(known, solution.result.poses),
+                trajectory_error(known, solution.before, positions_only=only),
+                trajectory_error(known, solution.result.poses, positions_only=only),
             )
     overlaps: list[Consistency] = []
     for k, poses in enumerate((solution.before, solution.result.poses)):

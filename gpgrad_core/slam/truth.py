@@ -23,8 +23,10 @@ class TrajectoryError:
         absolute_median: Median of these distances [m].
         absolute_most: Largest of these distances [m].
         absolute_unaligned: Root mean square of the distances without that motion [m].
-        relative: Root mean square error of the offset from each pose to the next [m].
-        relative_turn: Root mean square error of the turn from each pose to the next [rad].
+        relative: Root mean square error of the offset from each pose to the next [m]; if the true
+            headings are not known, that of the offset's length.
+        relative_turn: Root mean square error of the turn from each pose to the next [rad]; None if
+            the true headings are not known.
     """
 
     count: int
@@ -33,7 +35,7 @@ class TrajectoryError:
     absolute_most: float
     absolute_unaligned: float
     relative: float
-    relative_turn: float
+    relative_turn: float | None
 
 
 def true_poses(dataset: Dataset) -> dict[str, Pose]:
@@ -42,12 +44,16 @@ def true_poses(dataset: Dataset) -> dict[str, Pose]:
     return {name: pose for name, pose in poses.items() if pose is not None}
 
 
-def trajectory_error(true: Mapping[str, Pose], found: Mapping[str, Pose]) -> TrajectoryError:
+def trajectory_error(
+    true: Mapping[str, Pose], found: Mapping[str, Pose], *, positions_only: bool = False
+) -> TrajectoryError:
     """Compare two trajectories, pose by pose.
 
     Args:
         true: True poses by id, in the order of the traverse.
         found: Estimated poses by id; submaps that have only one of the two poses are left out.
+        positions_only: Whether the true poses have positions only, and their headings must not be
+            used; see `Dataset.positions_only`.
 
     Returns:
         The absolute and relative errors.
@@ -71,14 +77,18 @@ def trajectory_error(true: Mapping[str, Pose], found: Mapping[str, Pose]) -> Tra
     turns = [
         2 * np.arctan2(np.linalg.norm(step.quaternion[:3]), step.quaternion[3]) for step in steps
     ]
+    offsets = [np.linalg.norm(step.translation) for step in steps]
+    if positions_only:
+        lengths = [np.linalg.norm(np.diff(one, axis=0), axis=1) for one in (truth, places)]
+        offsets = list(lengths[1] - lengths[0])
     return TrajectoryError(
         count=len(names),
         absolute=_rms(distances),
         absolute_median=float(np.median(distances)),
         absolute_most=float(distances.max()),
         absolute_unaligned=_rms(unaligned),
-        relative=_rms(np.array([np.linalg.norm(step.translation) for step in steps])),
-        relative_turn=_rms(np.array(turns)),
+        relative=_rms(np.array(offsets)),
+        relative_turn=None if positions_only else _rms(np.array(turns)),
     )
 
 

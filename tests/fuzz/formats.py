@@ -13,14 +13,24 @@ from app.viewer.data.unpacking import unpack
 from app.viewer.session_file import read_session
 from gpgrad_core.datasets import load_cloud, load_dataset
 from gpgrad_core.datasets.about import read_about
+from gpgrad_core.datasets.cpet import read_matrix_pose
 from gpgrad_core.datasets.poses import read_poses
 from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation import read_problems
 from gpgrad_core.outputs import read_closures, restore_closures
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.reading.images import read_images
+from gpgrad_core.reading.png16 import read_grey_png
 from gpgrad_core.scans import open_recording
-from gpgrad_core.scans.pose_files import read_mount, read_pose_file, read_times
+from gpgrad_core.scans.katwijk import read_places
+from gpgrad_core.scans.pds import read_places_table
+from gpgrad_core.scans.pose_files import (
+    read_mount,
+    read_pose_file,
+    read_times,
+    read_truth_file,
+)
 from gpgrad_core.slam import read_graph
 from gpgrad_core.types import Dataset
 from tests.fuzz import clouds, packed, texts
@@ -88,7 +98,14 @@ FORMATS: dict[str, Format] = {
     ),
     "trajectory": Format(".txt", texts.trajectory, read_pose_file),
     "times": Format(".txt", texts.times, read_times),
+    "positions": Format(".txt", texts.places, read_truth_file),
+    "solution": Format(".pos", texts.solution, read_truth_file),
+    "katwijk": Format(".txt", texts.katwijk, read_places),
+    "places": Format(".csv", texts.places_table, read_places_table),
+    "png16": Format(".png", packed.grey, lambda path: read_grey_png(path, 3, 5)),
     "mount": Format(".txt", texts.mount, read_mount),
+    "gt": Format(".gt", texts.matrix, read_matrix_pose),
+    "problems": Format(".txt", texts.problems, read_problems),
     "g2o": Format(".g2o", texts.g2o, read_graph),
     "about": Format(".toml", texts.about, _read_about, name="dataset.toml"),
     "params": Format(".toml", texts.params, lambda path: read_parameters(path, PipelineParams())),

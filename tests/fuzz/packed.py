@@ -144,6 +144,41 @@ def image(rng: random.Random) -> Case:
     return Case(whole, what, damaged=what == "size")
 
 
+def grey(rng: random.Random) -> Case:
+    """A grey PNG of 3 rows and 5 columns with 16 bits."""
+    rows = [bytes([0]) + bytes(rng.randrange(256) for _ in range(10)) for _ in range(3)]
+    size, form, data = (5, 3), (16, 0, 0, 0, 0), b"".join(rows)
+    what = rng.choice(("size", "form", "data", "filter", "cut", "surplus", "checksum", "random"))
+    match what:
+        case "size":
+            size = rng.choice(((3, 5), (0, 0), (2**31 - 1, 3), (5, 2**32 - 1)))
+        case "form":
+            form = rng.choice(
+                ((8, 0, 0, 0, 0), (16, 2, 0, 0, 0), (16, 0, 0, 0, 1), (1, 0, 9, 9, 0))
+            )
+        case "data":
+            data = rng.choice((b"", data[:-1], data + b"\0", bytes(10_000_000)))
+        case "filter":
+            data = data[:11] + bytes([rng.randrange(5, 256)]) + data[12:]
+    whole = (
+        b"\x89PNG\r\n\x1a\n"
+        + _chunk(b"IHDR", struct.pack(">IIBBBBB", *size, *form))
+        + _chunk(b"IDAT", zlib.compress(data))
+        + _chunk(b"IEND", b"")
+    )
+    match what:
+        case "cut":
+            return cut(rng, whole)
+        case "surplus":
+            return surplus(rng, whole)
+        case "checksum":
+            place = rng.randrange(12, len(whole))
+            return Case(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :], what, True)
+        case "random":
+            return at_random(rng, whole)
+    return Case(whole, what, damaged=True)
+
+
 @cache
 def _jpeg() -> bytes:
     import cv2  # noqa: PLC0415 (only where images are fuzzed)

@@ -80,6 +80,97 @@ def mount(rng: random.Random) -> Case:
     return _lines_case(rng, rows)
 
 
+def places(rng: random.Random) -> Case:
+    """Rows of a truth of positions: time, x, y and z."""
+    rows = [f"{k}.5 {k} -2.25 0".split() for k in range(3)]
+    what = rng.choice(("word", "short", "random"))
+    row = rows[rng.randrange(1, 3)]
+    if what == "word":
+        row[rng.randrange(1, 4)] = rng.choice([one for one in NOT_NUMBERS if "#" not in one])
+    elif what == "short":
+        del row[rng.randrange(4)]
+    text = "\n".join(" ".join(row) for row in rows).encode()
+    return at_random(rng, text) if what == "random" else Case(text, what, damaged=True)
+
+
+def solution(rng: random.Random) -> Case:
+    """A .pos of RTKLIB."""
+    rows = [f"2021/07/08 10:00:0{k}.500 37.72 14.99 2012.3 1 12".split() for k in range(3)]
+    what = rng.choice(("word", "range", "short", "random"))
+    row = rng.choice(rows)
+    if what == "word":
+        odd = [one for one in NOT_NUMBERS if one and not one.startswith("%")]
+        row[rng.randrange(5)] = rng.choice(odd)
+    elif what == "range":
+        row[rng.choice((2, 3, 4))] = rng.choice(("-4e7", "1e7", "5e200"))
+    elif what == "short":
+        del row[rng.randrange(1, 5) :]
+    text = "\n".join(" ".join(row) for row in rows).encode()
+    return at_random(rng, text) if what == "random" else Case(text, what, damaged=True)
+
+
+def katwijk(rng: random.Random) -> Case:
+    """Rows of gps-latlong.txt."""
+    rows = [f"2015_11_26_12_53_3{k}_149 4 52.21 4.42 5.5 0.01".split() for k in range(3)]
+    what = rng.choice(("word", "range", "short", "random"))
+    row = rng.choice(rows)
+    if what == "word":
+        row[rng.choice((0, 2, 3, 4))] = rng.choice([one for one in NOT_NUMBERS if one])
+    elif what == "range":
+        row[rng.choice((2, 3, 4))] = rng.choice(("-4e7", "1e7", "5e200"))
+    elif what == "short":
+        del row[rng.randrange(1, 5) :]
+    text = "\n".join(" ".join(row) for row in rows).encode()
+    return at_random(rng, text) if what == "random" else Case(text, what, damaged=True)
+
+
+def places_table(rng: random.Random) -> Case:
+    """A table of PLACES."""
+    names = ["frame", "site", "drive", "northing", "easting", "elevation", "yaw", "pitch", "roll"]
+    rows = [names, *([*f"ROVER 1 {k} 5000 -300 12 30 1 -2".split()] for k in range(2))]
+    what = rng.choice(("word", "column", "short", "random"))
+    row = rows[rng.randrange(1, 3)]
+    if what == "word":
+        odd = [one for one in NOT_NUMBERS if "," not in one and '"' not in one]
+        row[rng.randrange(1, 9)] = rng.choice(odd)
+    elif what == "column":
+        names[rng.randrange(1, 9)] = rng.choice(("x", "", "yaws"))
+    elif what == "short":
+        del row[rng.randrange(9)]
+    text = "\n".join(",".join(row) for row in rows).encode()
+    return at_random(rng, text) if what == "random" else Case(text, what, damaged=True)
+
+
+def matrix(rng: random.Random) -> Case:
+    """The 4x4 matrix of a .gt."""
+    rows = [row.split() for row in ("1 0 0 5", "0 1 0 -3", "0 0 1 0.5", "0 0 0 1")]
+    if rng.random() < 0.3:
+        place = rng.choice(((0, 0), (1, 1), (1, 2), (3, 3), (3, 0)))
+        rows[place[0]][place[1]] = rng.choice(("-1.5", "2", "1e200", "0.4"))
+        return Case("\n".join(" ".join(row) for row in rows).encode(), "no motion", True)
+    return _lines_case(rng, rows)
+
+
+def problems(rng: random.Random) -> Case:
+    """A file of the registration benchmark."""
+    names = ["id", "source", "target", "overlap", *(f"t{k}" for k in range(1, 13))]
+    motion = ["1", "0", "0", "5", "0", "0", "-1", "2", "0", "1", "0", "0.5"]
+    rows = [names, ["7", "a_000.pcd", "a_001.pcd", "0.25", *motion]]
+    if rng.random() < 0.2:
+        return _lines_case(rng, rows[:1])
+    what = rng.choice(("word", "motion", "short", "random"))
+    match what:
+        case "word":
+            rows[1][rng.randrange(3, 16)] = rng.choice([one for one in NOT_NUMBERS if one])
+        case "motion":
+            rows[1][rng.choice((4, 5, 9, 10, 13))] = rng.choice(("3", "-7", "1e200"))
+        case "short":
+            del rows[1][rng.randrange(16)]
+        case _:
+            return at_random(rng, "\n".join(" ".join(row) for row in rows).encode())
+    return Case("\n".join(" ".join(row) for row in rows).encode(), what, damaged=True)
+
+
 UPPER = ["1" if row == column else "0" for row in range(6) for column in range(row, 6)]
 
 

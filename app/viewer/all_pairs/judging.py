@@ -2,14 +2,19 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from math import comb
+from math import comb, radians
 
 import numpy as np
 
 from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from app.viewer.state import ViewState
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
-from gpgrad_core.evaluation.pose_error import MotionClasses, classify_motions, pose_errors
+from gpgrad_core.evaluation.pose_error import (
+    MAX_TURN,
+    MotionClasses,
+    classify_motions,
+    pose_errors,
+)
 from gpgrad_core.evaluation.precision_recall import (
     PrecisionRecall,
     average_precision,
@@ -166,7 +171,8 @@ def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> Jud
     truth = compared.truth
     labels = rule.label(truth)
     ranking = rank_pairs(DetectionResult(closures, {}), compared.dataset, truth, "all pairs")
-    errors = pose_errors(ranking.T_database_query, truth.T_database_query)
+    turn = np.pi if truth.positions_only else radians(MAX_TURN)
+    errors = pose_errors(ranking.T_database_query, truth.T_database_query, max_turn=turn)
     classes = classify_motions(errors, truth.surface_overlap)
     check = _check(ranking, thresholds, rule, labels)
     rows = _rows(truth, closures)

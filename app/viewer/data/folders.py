@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gpgrad_core.datasets.clouds import READERS
+from gpgrad_core.datasets.cpet import is_posed_scan
 from gpgrad_core.errors import InputError
 
 MOST_ENTRIES = 500
@@ -98,7 +99,11 @@ def list_folder(root: Path, folder: Path) -> Listing:
         real.relative_to(root.resolve()),
         tuple(folders[:MOST_ENTRIES]),
         tuple(clouds[:MOST_ENTRIES]),
-        is_dataset=bool(clouds) or "submaps" in folders,
+        is_dataset=(
+            bool(clouds)
+            or "submaps" in folders
+            or any(is_posed_scan(real / name) for name in folders)
+        ),
         num_hidden=hidden,
     )
 
@@ -117,3 +122,7 @@ def _entries(path: Path) -> Iterator[Path]:
             yield from (Path(parent) / entry for entry in (*folders, *files))
             if not deep:
                 break
+    # Scans with a pose each lie in a folder each.
+    for folder in path.iterdir():
+        if is_posed_scan(folder):
+            yield from folder.iterdir()

@@ -262,7 +262,10 @@ def result_rows(
     rows.append(("largest correction", f"{max(moved):.2f} m"))
     true = true_poses(dataset)
     if len(true) >= 2:
-        first, last = (trajectory_error(true, poses) for poses in (before, graph.poses))
+        first, last = (
+            trajectory_error(true, poses, positions_only=dataset.positions_only)
+            for poses in (before, graph.poses)
+        )
         rows += [
             ("error (ATE)", f"{first.absolute:.3f} m → {last.absolute:.3f} m"),
             ("error per step (RPE)", f"{first.relative:.3f} m → {last.relative:.3f} m"),

@@ -72,6 +72,7 @@ class BagWriter:
         points: np.ndarray,
         *,
         stamped: bool = True,
+        intensity: np.ndarray | None = None,
     ) -> None:
         """Write points as a LiDAR's driver does, with other fields between and after them."""
         layout = np.dtype(
@@ -85,6 +86,8 @@ class BagWriter:
         table = np.zeros(len(points), layout)
         for name, column in zip("xyz", points.T, strict=True):
             table[name] = column
+        if intensity is not None:
+            table["intensity"] = intensity
         field = self.type("sensor_msgs/msg/PointField")
         fields = [
             field(name=name, offset=offset, datatype=7, count=1)

@@ -151,3 +151,97 @@ def test_broken_bags_and_a_missing_extra(tmp_path: Path, monkeypatch: pytest.Mon
         )
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     assert_refused(lambda: open_recording(path), "pip install 'gpgrad[ros]'")
+
+
+LINE = 80 * "="
+HEADER = "builtin_interfaces/Time stamp\nstring frame_id"
+TIME = "int32 sec\nuint32 nanosec"
+POINT_CLOUD = f"""\
+std_msgs/Header header
+uint32 height
+uint32 width
+sensor_msgs/PointField[] fields
+bool is_bigendian
+uint32 point_step
+uint32 row_step
+uint8[] data
+bool is_dense
+{LINE}
+MSG: std_msgs/Header
+{HEADER}
+{LINE}
+MSG: builtin_interfaces/Time
+{TIME}
+{LINE}
+MSG: sensor_msgs/PointField
+string name
+uint32 offset
+uint8 datatype
+uint32 count
+"""
+POSE_STAMPED = f"""\
+std_msgs/Header header
+geometry_msgs/Pose pose
+{LINE}
+MSG: std_msgs/Header
+{HEADER}
+{LINE}
+MSG: builtin_interfaces/Time
+{TIME}
+{LINE}
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+{LINE}
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+{LINE}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+"""
+
+
+def test_an_mcap_of_another_writer(tmp_path: Path) -> None:
+    """Foxglove's own library writes a file without ROS 2's metadata.yaml beside it."""
+    writer = pytest.importorskip("mcap_ros2.writer", reason="mcap-ros2-support is not installed")
+    path = tmp_path / "drive.mcap"
+    with path.open("wb") as stream:
+        out = writer.Writer(stream)
+        cloud = out.register_msgdef("sensor_msgs/msg/PointCloud2", POINT_CLOUD)
+        stamped = out.register_msgdef("geometry_msgs/msg/PoseStamped", POSE_STAMPED)
+        for k, stamp in enumerate(FEW.stamps):
+            seconds = int(stamp)
+            time = {"sec": seconds, "nanosec": round((stamp - seconds) * 1e9)}
+            header = {"stamp": time, "frame_id": "lidar"}
+            place = dict(zip("xyz", FEW.sensor.translation[k].tolist(), strict=True))
+            turn = dict(zip("xyzw", FEW.sensor.rotation[k].as_quat().tolist(), strict=True))
+            pose = {"position": place, "orientation": turn}
+            logged = round(stamp * 1e9)
+            out.write_message("/pose", stamped, {"header": header, "pose": pose}, logged)
+            points = FEW.scans[k].astype("<f4")
+            fields = [
+                {"name": name, "offset": 4 * n, "datatype": 7, "count": 1}
+                for n, name in enumerate("xyz")
+            ]
+            message = {
+                "header": header,
+                "height": 1,
+                "width": len(points),
+                "fields": fields,
+                "is_bigendian": False,
+                "point_step": 12,
+                "row_step": 12 * len(points),
+                "data": points.tobytes(),
+                "is_dense": True,
+            }
+            out.write_message("/points", cloud, message, logged)
+        out.finish()
+    assert_holds(open_recording(path), FEW)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    assert_refused(lambda: open_recording(path), str(path), "is not a complete bag")

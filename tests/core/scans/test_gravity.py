@@ -9,11 +9,10 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.scans.gravity import (
     estimate_up,
     ground_normal,
-    level_pose,
     turned_upright,
     up_axis,
 )
-from gpgrad_core.se2 import Pose
+from gpgrad_core.se2 import Pose, level_pose
 from tests.core.datasets.refusal import assert_refused
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -1,0 +1,128 @@
+"""Scans with a pose each, a folder for every scan: ``NAME/NAME.xyz`` with ``NAME/NAME.gt``.
+
+This is the form of the sets p2at_met and box_met of the *Canadian Planetary Emulation Terrain 3D
+Mapping Dataset* (Tong, Gingras, Larose, Barfoot and Dupuis, IJRR 2013). ``.xyz`` has a row
+``x y z`` [m] for each point, in the scanner's frame; ``.gt`` has the four rows of a matrix
+``T_world_scanner``, the true pose. Two programs that read it were the specification here: the
+tutorial of the Canadian Space Agency (asc-csa/Canadian-Planetary-Emulation-Terrain-3D-Mapping-
+Tutorial), which prints a ``.gt``, and ``planetary_setup.py`` of iralabdisco/
+point_clouds_registration_benchmark, which names both files.
+
+Unverified, as no file could be downloaded: what columns after the third hold (they are ignored),
+and that the world's z axis points up. The printed pose, tilted by seven degrees, agrees with that.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.datasets.poses import parse_numbers
+from gpgrad_core.errors import InputError
+from gpgrad_core.reading.text import lines_of, read_text
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import MAX_COORDINATE
+
+CLOUD, TRUTH = ".xyz", ".gt"
+LARGEST = 10_000
+"""Bytes of a ``.gt``; sixteen numbers take 200."""
+TOLERANCE = 0.01
+"""A matrix further from a rotation than this is not a rounded one."""
+
+
+@dataclass(frozen=True)
+class PosedScan:
+    """A scan and the file of its pose.
+
+    Attributes:
+        name: The scan's name, which is that of its folder.
+        cloud: File of its points.
+        truth: File of its pose.
+    """
+
+    name: str
+    cloud: Path
+    truth: Path
+
+    def read_pose(self) -> Pose:
+        """Read the pose, ``T_world_scanner``.
+
+        Raises:
+            InputError: See `read_matrix_pose`.
+        """
+        return read_matrix_pose(self.truth)
+
+
+def is_posed_scan(folder: Path) -> bool:
+    """Tell whether a folder holds one scan and its pose."""
+    return all((folder / f"{folder.name}{ending}").is_file() for ending in (CLOUD, TRUTH))
+
+
+def find_posed_scans(folder: Path) -> list[PosedScan]:
+    """Find the scans with a pose each in a folder, sorted by name; there may be none.
+
+    Raises:
+        InputError: If some of the scans have a pose and others have none.
+    """
+    if not folder.is_dir():
+        return []
+    inner = sorted(one for one in folder.iterdir() if one.is_dir())
+    posed = [one for one in inner if is_posed_scan(one)]
+    bare = [one for one in inner if (one / f"{one.name}{CLOUD}").is_file() and one not in posed]
+    if posed and bare:
+        raise InputError(
+            f"{bare[0]}: has {bare[0].name}{CLOUD} but no pose {bare[0].name}{TRUTH}; copy the "
+            "pose too, or remove the scan"
+        )
+    return [
+        PosedScan(one.name, one / f"{one.name}{CLOUD}", one / f"{one.name}{TRUTH}") for one in posed
+    ]
+
+
+def read_matrix_pose(path: Path) -> Pose:
+    """Read a pose written as the four rows of a 4x4 matrix.
+
+    Raises:
+        InputError: If the file has another shape, its last row is not 0 0 0 1, its first three
+            columns are not a rotation, or the position is beyond `MAX_COORDINATE`; the message
+            names the line where one is to blame.
+    """
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines_of(read_text(path, LARGEST)), start=1):
+        if not (words := line.split()):
+            continue
+        if len(words) != 4 or len(rows) == 4:
+            raise InputError(
+                f"{path}, line {number}: a pose is four rows of four numbers, a 4x4 matrix"
+            )
+        rows.append(parse_numbers(words, f"{path}, line {number}"))
+    if len(rows) != 4:
+        raise InputError(f"{path}: has {len(rows)} rows; a pose is the four rows of a 4x4 matrix")
+    matrix = np.array(rows)
+    if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-6):
+        raise InputError(f"{path}: the last row of a pose's 4x4 matrix must be 0 0 0 1")
+    return pose_of_matrix(matrix[:3], str(path))
+
+
+def pose_of_matrix(matrix: np.ndarray[tuple[int, int], np.dtype[np.float64]], where: str) -> Pose:
+    """Make a pose of the upper three rows of a 4x4 matrix.
+
+    Args:
+        matrix: The rows (3, 4), of finite numbers; lengths in metres.
+        where: What the error message begins with.
+
+    Raises:
+        InputError: If the first three columns are not a rotation, or the position is beyond
+            `MAX_COORDINATE`.
+    """
+    turn, place = matrix[:, :3], matrix[:, 3]
+    # The largest number is looked at first: squares of huge ones overflow.
+    fits = bool(np.abs(turn).max() <= 2.0)
+    if not fits or np.abs(turn @ turn.T - np.eye(3)).max() > TOLERANCE or np.linalg.det(turn) < 0:
+        raise InputError(f"{where}: the first three columns of the pose's matrix are no rotation")
+    if np.abs(place).max() > MAX_COORDINATE:
+        raise InputError(
+            f"{where}: the position is further from the origin than {MAX_COORDINATE:g} m"
+        )
+    return Pose(place.copy(), Rotation.from_matrix(turn).as_quat(canonical=True))

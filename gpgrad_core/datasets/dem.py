@@ -1,0 +1,190 @@
+"""A digital elevation model in a GeoTIFF -> ground to drive on.
+
+The first band of the first image is read, with the tags of the OGC's GeoTIFF standard 1.1 (OGC
+19-008r4): ModelPixelScaleTag (33550) has the size of a cell, or ModelTransformationTag (34264) if
+it has no rotation; of GeoKeyDirectoryTag (34735), GTModelTypeGeoKey (1024) says whether the model
+is projected, and ProjLinearUnitsGeoKey (3076) in which unit. GDAL's tag 42113 is the number that
+stands for no height.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import tifffile
+from jaxtyping import Float
+from scipy import ndimage
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.datasets.simulation_params import SimulationParams
+from gpgrad_core.datasets.streams import stream
+from gpgrad_core.datasets.terrain import RESOLUTION, HeightField, add_rocks
+from gpgrad_core.errors import InputError
+from gpgrad_core.reading.paths import check_path
+
+MOST_CELLS = 100_000_000
+"""Of a model; they are read together, as 64-bit numbers of the window only."""
+PIXEL_SCALE, TRANSFORMATION, GEO_KEYS, NO_DATA = 33550, 34264, 34735, 42113
+MODEL_TYPE, LINEAR_UNITS = 1024, 3076
+GEOGRAPHIC, METRE = 2, 9001
+UNKNOWN_UNITS = (0, 32767)
+ROCK_STREAM = 5
+
+
+@dataclass(frozen=True)
+class ElevationModel:
+    """Which elevation model is the ground of a simulation.
+
+    Attributes:
+        path: The GeoTIFF.
+        scale: How many metres of the simulation a metre of the model becomes, in all directions.
+        exaggeration: Factor of the heights, after the scale.
+    """
+
+    path: Path
+    scale: float = 1.0
+    exaggeration: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the factors.
+
+        Raises:
+            InputError: If one is not a number from 0.0001 to 10,000.
+        """
+        for name, value in (("scale", self.scale), ("exaggeration", self.exaggeration)):
+            if not 1e-4 <= value <= 1e4:
+                raise InputError(f"the terrain's {name} must be from 0.0001 to 10,000, got {value}")
+
+
+def ground_of(
+    model: ElevationModel, params: SimulationParams, track: Float[Array, "n 2"]
+) -> HeightField:
+    """Make the ground of a simulation from the middle of an elevation model.
+
+    Between the model's cells, heights are those of a cubic spline. Only rocks are laid on it, as
+    the parameters say; what the parameters say of relief, hills, ripples and craters is not used.
+
+    Args:
+        model: The model.
+        params: The extent of the ground, the rocks and the seed.
+        track: Where the rover drives (n, 2) [m]; rocks keep away from it.
+
+    Raises:
+        InputError: If the model cannot be read, is smaller than the ground, or has no height
+            somewhere on it.
+    """
+    heights, (width, height) = read_elevation_model(model.path)
+    step = np.array([height, width]) * model.scale  # of a cell, along rows and columns [m]
+    sides = (np.array(heights.shape) - 1) * step
+    if sides.min() < params.extent:
+        raise InputError(
+            f"{model.path}: covers {sides[1]:.4g} m x {sides[0]:.4g} m at the scale "
+            f"{model.scale:g}, but the ground has a side of {params.extent:g} m; lower --extent or "
+            "raise --terrain-scale"
+        )
+    size = int(np.ceil(params.extent / RESOLUTION)) + 1
+    # The middle of the ground is that of the model.
+    along = RESOLUTION * (np.arange(size) - 0.5 * (size - 1))
+    row, column = (0.5 * (n - 1) + along / one for n, one in zip(heights.shape, step, strict=True))
+    low = [max(int(np.floor(one[0])) - 8, 0) for one in (row, column)]
+    high = [int(np.ceil(one[-1])) + 9 for one in (row, column)]
+    window = heights[low[0] : high[0], low[1] : high[1]].astype(np.float64)
+    unknown = int(np.sum(~np.isfinite(window)))
+    if unknown:
+        raise InputError(
+            f"{model.path}: has no height at {unknown:,} of the {window.size:,} cells in its "
+            "middle; fill them, or crop it so that its middle is whole"
+        )
+    places = np.meshgrid(row - low[0], column - low[1], indexing="ij")
+    elevation = ndimage.map_coordinates(window, places, order=3, mode="nearest")
+    elevation = (elevation - np.median(elevation)) * model.scale * model.exaggeration
+    add_rocks(elevation, params, track, stream(params.seed, ROCK_STREAM))
+    return HeightField(elevation)
+
+
+def read_elevation_model(
+    path: Path,
+) -> tuple[Float[NDArray[np.floating], "rows columns"], tuple[float, float]]:
+    """Read an elevation model.
+
+    Args:
+        path: The GeoTIFF.
+
+    Returns:
+        Heights [m], row 0 in the south, NaN where there is none; and width and height of a cell
+        [m].
+
+    Raises:
+        InputError: If it is no GeoTIFF of numbers, is too large, is in degrees or another unit
+            than metres, or is turned.
+    """
+    if not check_path(path).is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        with tifffile.TiffFile(path) as file:
+            page = cast("Any", file.pages[0])
+            shape = tuple(int(n) for n in page.shape)
+            if len(shape) not in (2, 3) or not 0 < np.prod(shape) <= MOST_CELLS:
+                raise InputError(
+                    f"{path}: has {' x '.join(map(str, shape))} cells; an elevation model has rows "
+                    f"and columns, up to {MOST_CELLS:,} cells; crop it"
+                )
+            tags = {int(tag.code): tag.value for tag in page.tags.values()}
+            values = np.asarray(page.asarray())
+            if values.ndim == 3:  # the first band
+                values = values[0] if int(page.planarconfig) == 2 else values[..., 0]
+    except InputError:
+        raise
+    except Exception as error:  # tifffile raises its own and those of what it reads
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: is no GeoTIFF that can be read: {said:.200}") from None
+    if values.dtype.kind not in "fiu" or values.ndim != 2 or min(values.shape) < 2:
+        raise InputError(f"{path}: has no heights: {values.dtype} of shape {values.shape}")
+    _check_units(tags, path)
+    cell = _cell_size(tags, path)
+    return _known(values, tags.get(NO_DATA), path)[::-1], cell
+
+
+def _known(
+    values: NDArray[Any], no_data: object, path: Path
+) -> Float[NDArray[np.floating], "rows columns"]:
+    heights = values.astype(np.float32 if values.dtype.itemsize <= 2 else np.float64)
+    if no_data is not None:
+        try:
+            nothing = float(str(no_data).strip("\0 "))
+        except ValueError:
+            raise InputError(f"{path}: its tag of no data is no number: {no_data!r:.40}") from None
+        heights[values == nothing] = np.nan
+    # No height on any planet; models that lack the tag have such numbers for no height.
+    heights[~(np.abs(heights) < 1e5)] = np.nan
+    return heights
+
+
+def _check_units(tags: dict[int, Any], path: Path) -> None:
+    keys = np.asarray(tags.get(GEO_KEYS, ()), dtype=np.int64).ravel()
+    rows = keys[4 : len(keys) // 4 * 4].reshape(-1, 4)  # key, where its value is, count, value
+    held = {int(key): int(value) for key, place, _, value in rows if place == 0}
+    if held.get(MODEL_TYPE) == GEOGRAPHIC:
+        raise InputError(
+            f"{path}: is in degrees; project it to metres first: gdalwarp -t_srs EPSG:32633 …"
+        )
+    unit = held.get(LINEAR_UNITS, METRE)
+    if unit != METRE and unit not in UNKNOWN_UNITS:
+        raise InputError(f"{path}: is not in metres (unit {unit}); project it to metres first")
+
+
+def _cell_size(tags: dict[int, Any], path: Path) -> tuple[float, float]:
+    """Find width and height of a cell [m]."""
+    scale = np.asarray(tags.get(PIXEL_SCALE, ()), np.float64).ravel()
+    turned = np.asarray(tags.get(TRANSFORMATION, ()), np.float64).ravel()
+    if len(scale) < 2 and len(turned) == 16:
+        matrix = turned.reshape(4, 4)
+        if matrix[0, 1] != 0 or matrix[1, 0] != 0 or matrix[0, 0] <= 0 or matrix[1, 1] >= 0:
+            raise InputError(f"{path}: is turned or mirrored; warp it so that north is up")
+        scale = np.array([matrix[0, 0], -matrix[1, 1]])
+    if len(scale) < 2:
+        raise InputError(f"{path}: has no cell size; is it a GeoTIFF?")
+    if not (np.isfinite(scale[:2]).all() and scale[:2].min() >= 1e-4 and scale[:2].max() <= 1e5):
+        raise InputError(f"{path}: its cells of {scale[0]:g} x {scale[1]:g} m are not plausible")
+    return float(scale[0]), float(scale[1])
