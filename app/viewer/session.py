@@ -8,6 +8,7 @@ never asks which.
 import viser
 
 from app.viewer.all_pairs.tab import AllPairsTab
+from app.viewer.best_pair.search import BestPair
 from app.viewer.capacity import Capacity
 from app.viewer.data.tab import DataTab
 from app.viewer.demo.tab import DemoTab
@@ -68,18 +69,19 @@ class Session:
         commands = Commands(host)
         gui = host.gui
         # The verdict and the parameters are on the right, what is drawn on the left.
-        gui.set_panel_label("Loop closure")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(CONTROL_WIDTH)
         modes = desk.join(Modes(desk))
-        self._presence = PresenceLine(host)
         tune, explore, demo = gui.add_panel(), gui.add_panel(), gui.add_panel()
         self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View")))
         desk.join(ParamsTab(desk, opened.params, commands, on_error=self.pair.refuse))
+        self._presence = PresenceLine(host)
+        best_pair = desk.join(BestPair(desk, opened, commands))
         scene = self.pair.scene
         with tune.add_tab("Inspect"):
             self.inspect = desk.join(InspectTab(desk, scene.pick))
         with tune.add_tab("All pairs"):
+            best_pair.add_button()
             desk.join(AllPairsTab(desk))
         with tune.add_tab("Data"):
             self.data = desk.join(DataTab(desk))

@@ -17,6 +17,7 @@ from app.viewer.pair.status import PictureStatus
 from app.viewer.pair.verdict import VerdictCard
 from app.viewer.runner import Runner
 from app.viewer.state import Role, ViewState, same_surfaces
+from app.viewer.widgets.title import PageTitle
 from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult, register_pair
 from gpgrad_core.pipeline.coarse import infer_quick_maps
@@ -53,6 +54,7 @@ class PairTab(Feature):
         host, state = desk.host, desk.state
         self.scene = PairScene(host)
         self._histogram = HistogramOf()
+        self._title = PageTitle(host)
         self._verdict = VerdictCard(host)
         self._status = PictureStatus(host, desk.memo, self._cancel)
         with view:
@@ -89,6 +91,7 @@ class PairTab(Feature):
         if state.options != self._view.options:
             self._view.set(state.options)
         self._choice.show(state)
+        self._title.show(state.query_id, state.database_id, state.dataset.name)
 
     def opened(self, opened: Opened) -> None:
         """Tell what is open, and bring the cameras to it."""
