@@ -53,6 +53,9 @@ class Feature:
     def show(self, state: ViewState, result: PairResult) -> None:
         """Take what the pipeline found for a state, after the scene has shown it."""
 
+    def moved(self, by_hand: bool) -> None:
+        """Take whether the query of the pair lies where a hand has put it, and is not judged."""
+
     def comparing(self, fraction: float | None, message: str) -> None:
         """Take how far the comparison of all pairs is; None once it ended, with the reason."""
 

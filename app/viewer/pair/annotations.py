@@ -8,6 +8,7 @@ from app.viewer.draw.colors import Rgb
 from app.viewer.draw.nodes import LinePoints, LinesNode
 from app.viewer.draw.placement import Extent, Placement
 from app.viewer.host import Host
+from app.viewer.pair.verdict import BY_HAND, CANNOT, headline_of
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.pipeline import PairResult
 
@@ -25,12 +26,19 @@ class Annotations:
     def __init__(self, host: Host, root: str) -> None:
         """Prepare the nodes under a root node; nothing is shown."""
         scene = host.scene
+        self._said, self._moved = "", False
         self._bar = LinesNode(host, f"{root}/scale/bar", BAR, thickness=4.0)
         self._bar_label = scene.add_label(f"{root}/scale/label", "", anchor="top-center")
         self._verdict = scene.add_label(
             f"{root}/verdict", "", anchor="top-center", font_screen_scale=1.3
         )
         self._swipe = LinesNode(host, f"{root}/swipe", BAR, thickness=2.0)
+
+    def set_moved(self, moved: bool) -> None:
+        """Say whether the query has been moved by hand from where it was judged."""
+        if moved != self._moved:
+            self._moved = moved
+            self._verdict.text = BY_HAND if moved else self._said
 
     def outdate(self) -> None:
         """Say that the picture is not what was asked for; the next one takes that back."""
@@ -43,8 +51,10 @@ class Annotations:
 
     def show_verdict(self, result: PairResult, corners: Float[NDArray[np.float64], "k 3"]) -> None:
         """Write the verdict in front of the corners (k, 3) of both submaps [m]."""
-        verdict = "Loop closure" if result.closure.accepted else "No loop closure"
-        self._verdict.text = f"{verdict} · {result.registration.num_inliers} inliers"
+        self._said = headline_of(result)
+        if self._said != CANNOT:
+            self._said += f" · score {result.registration.score:.1f}"
+        self._verdict.text = BY_HAND if self._moved else self._said
         low, high = corners.min(axis=0), corners.max(axis=0)
         x, y, z = (low[0] + high[0]) / 2, low[1] - 0.08 * (high[1] - low[1]), corners[:, 2].mean()
         self._verdict.position = (float(x), float(y), float(z))

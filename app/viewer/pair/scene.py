@@ -258,6 +258,10 @@ class PairScene:
         )
         return shown, layout
 
+    def set_moved(self, moved: bool) -> None:
+        """Say in the picture whether the query has been moved by hand from where it was judged."""
+        self._annotations.set_moved(moved)
+
     def outdate(self) -> None:
         """Say in the picture that it is not what was asked for; the next one takes that back."""
         self._annotations.outdate()
