@@ -28,6 +28,7 @@ from app.viewer.save.exports import Exports
 from app.viewer.save.tab import SaveTab
 from app.viewer.state import ViewOptions, ViewState
 from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.look import Look
 from app.viewer.widgets.presence import PresenceLine
 from app.viewer.world import WorldTab
 from gpgrad_core.run.memo import Memo
@@ -71,6 +72,7 @@ class Session:
         # The verdict and the parameters are on the right, what is drawn on the left.
         gui.main_panel.dock_right()
         gui.main_panel.set_width(CONTROL_WIDTH)
+        Look(host)
         modes = desk.join(Modes(desk))
         tune, explore, demo = gui.add_panel(), gui.add_panel(), gui.add_panel()
         self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View")))

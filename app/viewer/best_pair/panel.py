@@ -8,6 +8,7 @@ import viser
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.bridge import say
+from app.viewer.widgets.html import button
 
 # The first act of a person that follows is told once: a key, a press anywhere, or the wheel. What
 # viser itself puts up, such as its warning of a slow graphics card, may be put away.
@@ -34,11 +35,7 @@ PLACE = (
     "color:light-dark(#222,#eee);border:1px solid light-dark(#b5b5b5,#666);"
     "box-shadow:0 2px 8px rgba(0,0,0,.25)"
 )
-BUTTON = (
-    "font:inherit;min-height:32px;padding:0 .8em;margin:.3em .5em 0 0;border-radius:.3em;"
-    "cursor:pointer;border:1px solid light-dark(#1c6fbf,#74b3f0);background:transparent;"
-    "color:light-dark(#1659a0,#8cc3f7)"
-)
+APART = "margin:.4em .5em 0 0"
 
 
 class BestPairNote:
@@ -67,19 +64,15 @@ class BestPairNote:
         if watch is not None:
             handler = escape(WATCH.replace("NUMBER", str(watch)))
             script = f'<img alt="" src="data:," style="display:none" onerror="{handler}">'
-        buttons = "".join(
-            f'<button type="button" style="{BUTTON}" '
-            f'onclick="{say("show-pair", query=query, database=database)}">{escape(label)}</button>'
+        buttons = [
+            button(label, say("show-pair", query=query, database=database), APART)
             for label, query, database in choices
-        )
-        close = (
-            f'<button type="button" style="{BUTTON}" onclick="{say("close-note")}">Close</button>'
-            if watch is None
-            else ""
-        )
+        ]
+        if watch is None:
+            buttons.append(button("Close", say("close-note"), APART))
         self._handle.content = (
             f'<div data-testid="best-pair" role="status" style="{PLACE}">{escape(text)}'
-            f"<div>{buttons}{close}</div></div>{script}"
+            f"<div>{''.join(buttons)}</div></div>{script}"
         )
 
     def clear(self) -> None:

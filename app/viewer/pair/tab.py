@@ -56,7 +56,7 @@ class PairTab(Feature):
         self._histogram = HistogramOf()
         self._title = PageTitle(host)
         self._verdict = VerdictCard(host)
-        self._status = PictureStatus(host, desk.memo, self._cancel)
+        self._status = PictureStatus(host, desk.bridge, desk.memo, self._cancel)
         with view:
             self._summary = DatasetSummary(host)
             self._summary.show(state.dataset)
@@ -99,6 +99,11 @@ class PairTab(Feature):
         camera = self._start_camera(opened)
         if self.scene.visible:  # the world brings the cameras to itself
             self.scene.move_cameras(camera)
+
+    def moved(self, by_hand: bool) -> None:
+        """Say that what is seen has not been judged."""
+        self._verdict.set_moved(by_hand)
+        self.scene.set_moved(by_hand)
 
     def close(self) -> None:
         """Stop working; what was shown stays until its page goes."""

@@ -191,6 +191,7 @@ def test_another_dataset_is_searched_anew(begin: Callable[..., tuple[Session, He
 
 def test_what_goes_wrong_is_told(begin: Callable[..., tuple[Session, Held]]) -> None:
     session, held = begin(CLOSURES)
+    assert held.begun.wait(20)
     held.pipeline.error = InputError("003 spans 10 km")
     held.free.set()
     assert session.wait_idle(20)
