@@ -25,8 +25,8 @@ from gpgrad_core.types import Registration
 
 CLOSURE, NONE = "Loop closure", "No loop closure"
 CANNOT, BY_HAND = "Cannot judge", "Moved by hand, not judged"
-HEIGHT = 268
-"""Height of the card [pixels]: it is always the same, so that nothing below it ever moves."""
+HEIGHT = 16.75
+"""Height of the card [lines of text]: always the same, so that nothing below it ever moves."""
 END_OF_BAR = 12.0
 """Score at the end of the bar, which the slider of the threshold ends at too."""
 SAYS_SOMETHING = 0.5
@@ -38,6 +38,8 @@ MARKS: dict[Side, str] = {
     "against": f'<span style="color:{BAD}" title="speaks against a loop closure">▼</span>',
     "neither": f'<span style="{FAINT}" title="says nothing">○</span>',
 }
+
+SAID: dict[Side, str] = {"for": "agree", "against": "disagree", "neither": "say little"}
 
 
 @dataclass(frozen=True)
@@ -215,11 +217,11 @@ def _rows(state: ViewState, result: PairResult) -> list[_Row]:
     rows = [
         _Row(
             _side(share),
-            f"waves of {2 * pi * scale * 2**band:.1f} to {4 * pi * scale * 2**band:.1f} m",
-            {"for": "agree", "against": "disagree", "neither": "say little"}[_side(share)]
-            + f" ({share:+.1f})",
+            f"{name} waves",
+            f"{SAID[_side(share)]} ({share:+.1f}), {first * 2 * pi * scale:.1f} to "
+            f"{2 * first * 2 * pi * scale:.1f} m",
         )
-        for band, share in enumerate(bands)
+        for name, first, share in zip(("short", "long"), (1, 2), bands, strict=False)
         if scale is not None
     ]
     needed = state.params.closure.min_inliers
@@ -265,17 +267,19 @@ def _side(evidence: float) -> Side:
 def _table(rows: list[_Row]) -> str:
     lines = "".join(
         f'<tr><td style="width:1.2em">{"" if row.side is None else MARKS[row.side]}</td>'
-        f'<td style="padding-right:.7em;white-space:nowrap;color:{QUIET}">{escape(row.name)}</td>'
+        f'<td style="padding-right:.6em;white-space:nowrap;color:{QUIET}">{escape(row.name)}</td>'
         f'<td style="white-space:nowrap;font-variant-numeric:tabular-nums">{escape(row.value)}</td>'
         "</tr>"
         for row in rows
     )
-    return f'<table style="border-collapse:collapse;line-height:1.4">{lines}</table>'
+    return (
+        f'<table style="border-collapse:collapse;font-size:.94em;line-height:1.45">{lines}</table>'
+    )
 
 
 def frame(content: str) -> str:
     """Give a card its margin and its height."""
     return (
-        f'<div style="position:relative;box-sizing:border-box;height:{HEIGHT}px;overflow:hidden;'
+        f'<div style="position:relative;box-sizing:border-box;height:{HEIGHT}em;overflow:hidden;'
         f'padding:.2em .75em .4em">{content}</div>'
     )

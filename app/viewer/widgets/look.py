@@ -17,7 +17,7 @@ STYLE = """
 :root, :root[data-mantine-color-scheme] {
   --mantine-color-dimmed: light-dark(#50575e, #bfc4c9) !important;
 }
-:where(button.mantine-Button-root[data-variant=filled]:not([data-disabled], [style*="-red-"])) {
+:where(button.mantine-Button-root:not([data-variant=outline], [data-disabled], [style*="-red-"])) {
   --button-bg: transparent !important;
   --button-hover: light-dark(#e6f0fa, #26333f) !important;
   --button-color: light-dark(#1659a0, #8cc3f7) !important;
@@ -31,6 +31,7 @@ button.mantine-Button-root { min-height: 32px; }
 .mantine-Slider-thumb { width: .7rem !important; height: 1.1rem !important; }
 [data-dock-strip] { flex-wrap: nowrap !important; }
 [data-dock-strip] > [data-dock-tab] { padding: 0 .45em !important; min-width: 0; }
+[data-dock-tab][aria-selected=true] {{ color: light-dark(#1659a0, #8cc3f7) !important; }}
 .tabler-icon-cloud-check { visibility: hidden; }
 @media (min-width: 700px) {
   .mantine-Tooltip-tooltip {

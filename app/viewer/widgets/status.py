@@ -13,8 +13,8 @@ from app.viewer.widgets.html import BAD, BUSY, GOOD, QUIET, button
 
 WORTH_TELLING = 0.0005
 """Stages that took less are left out [s]: what they gave was known before."""
-HEIGHT = 62
-"""Of the place [pixels]: three lines and the bar. What is longer can be scrolled."""
+HEIGHT = 3.9
+"""Of the place [lines of text]: three small lines and the bar. What is longer can be scrolled."""
 BAR_STEP = 0.01
 """The bar is drawn anew once it has grown by this share of the whole."""
 
@@ -158,8 +158,8 @@ def status_html(
         f'width:{100 * fraction:.0f}%;background:#1971c2"></div></div>'
     )
     return (
-        f'<div style="height:{HEIGHT}px"><div data-testid="status" role="status" '
-        f'style="padding:.1em .75em;font-size:.8em;line-height:1.4;max-height:{HEIGHT - 6}px;'
+        f'<div style="height:{HEIGHT}em"><div data-testid="status" role="status" '
+        f'style="padding:.1em .75em;font-size:.8em;line-height:1.4;max-height:{(HEIGHT - 0.4) / 0.8:.2f}em;'
         f'box-sizing:border-box;overflow-y:auto;overflow-wrap:anywhere">'
         f'<span style="color:{color}">●</span> {head}{escape(text)}{foot}</div>{bar}</div>'
     )

@@ -92,10 +92,10 @@ def with_evidence(*evidence: float) -> PairResult:
 def test_the_card_tells_what_spoke_for_and_against() -> None:
     html = verdict_html(STATE, with_evidence(7.7, 2.5, -4.25))
     for words in (
-        "waves of 1.3 to 2.5 m",
-        "agree (+2.5)",
-        "waves of 2.5 to 5.0 m",
-        "disagree (-4.2)",
+        "short waves",
+        "agree (+2.5), 1.3 to 2.5 m",
+        "long waves",
+        "disagree (-4.2), 2.5 to 5.0 m",
         "12 of 17 (+7.7)",
         "3 cm, 1 cm possible",
     ):
@@ -158,7 +158,7 @@ def test_a_low_score_is_explained_in_words(changes: dict[str, object], words: st
 
 def test_the_card_has_one_height_whatever_it_says(server: viser.ViserServer) -> None:
     card = VerdictCard(server)
-    height = f"height:{CARD_HEIGHT}px"
+    height = f"height:{CARD_HEIGHT}em"
     assert height in html_of(card)
     card.show(STATE, make_result(STATE))
     assert height in html_of(card)
@@ -267,7 +267,7 @@ def test_the_status_has_one_height_whatever_it_says(server: viser.ViserServer) -
         lambda: status.error("too wide " * 50),
     ):
         say()
-        assert f"height:{HEIGHT}px" in status._handle.content
+        assert f"height:{HEIGHT}em" in status._handle.content
 
 
 def test_a_card_that_is_out_of_date_says_so_until_the_next(server: viser.ViserServer) -> None:
