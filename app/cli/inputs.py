@@ -53,10 +53,16 @@ AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)
 
 
-def load(path: Path) -> Dataset:
-    """Load a dataset, and report what loading left out."""
+def load(path: Path, *, most_bytes: int | None = None) -> Dataset:
+    """Load a dataset, and report what loading left out.
+
+    Args:
+        path: The dataset.
+        most_bytes: Bytes of points to keep in memory; further ones wait in a temporary file. None
+            keeps all in memory.
+    """
     with progress_bar("load") as progress:
-        dataset = load_dataset(path, progress)
+        dataset = load_dataset(path, progress, most_bytes=most_bytes)
     for note in dataset.notes:
         warn(note)
     return dataset

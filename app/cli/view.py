@@ -29,6 +29,7 @@ from app.viewer.permissions import Permissions
 from app.viewer.server import Viewer
 from app.viewer.session_file import read_session
 from gpgrad_core.datasets import demo_path
+from gpgrad_core.datasets.folder import MOST_LOADED
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import read_parameters
 
@@ -124,7 +125,7 @@ class View:
         saved = None if self.state is None else read_session(self.state)
         source = self.dataset or (saved and saved.dataset) or demo_path()
         store = open_store(self.cache)
-        dataset = load(source)
+        dataset = load(source, most_bytes=MOST_LOADED)
         base = base_params(dataset, None if saved else self.params)
         start = base
         if saved is not None:

@@ -2,6 +2,7 @@
 
 import os
 import re
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.memo import array_bytes
 from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run.spool import Spool, Waiting
 from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap, SubmapSource
@@ -26,8 +28,11 @@ ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first one that exists is
 ABOUT_FILE = "dataset.toml"
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
 NO_POINTS = np.empty((0, 3))
+OF_POINTS = ("points", "colors", "noise_std", "ranges")
+"""What a submap has of each of its points."""
 MOST_LOADED = 100_000_000
-"""Bytes of points that `open_dataset` keeps in memory, and that processes send each other."""
+"""Bytes of points that `open_dataset` and the viewer keep in memory, and that processes send each
+other."""
 JOURNAL = "build.jsonl"
 """Name of the journal of a build; it tells what the submaps were made of."""
 SIMULATED = "gpgrad simulate"
@@ -144,13 +149,14 @@ def open_dataset(
         if held <= most_bytes:
             sources.append(submap)
         else:
-            bare = replace(submap, points=NO_POINTS, colors=None, noise_std=None, ranges=None)
-            sources.append(SubmapFile(cloud.absolute(), bare, submap.num_points))
+            sources.append(SubmapFile(cloud.absolute(), _bare(submap), submap.num_points))
         progress((k + 1) / len(outline.clouds))
     return replace(outline.dataset, notes=tuple(notes)), tuple(sources)
 
 
-def load_dataset(path: Path | str, progress: Progress = silent) -> Dataset:
+def load_dataset(
+    path: Path | str, progress: Progress = silent, *, most_bytes: int | None = None
+) -> Dataset:
     """Load a dataset folder, a bare folder of clouds, or a single cloud.
 
     A dataset folder has ``submaps/``, and optionally ``poses_gt.txt``, ``poses_odom.txt`` (or
@@ -160,6 +166,8 @@ def load_dataset(path: Path | str, progress: Progress = silent) -> Dataset:
     Args:
         path: Folder or file.
         progress: Called once per cloud.
+        most_bytes: Bytes of points to keep in memory. Further ones wait in a temporary file, and
+            are used like any others. None keeps all in memory.
 
     Returns:
         The submaps sorted by their numbers; submaps without a number are last, sorted by name.
@@ -167,17 +175,69 @@ def load_dataset(path: Path | str, progress: Progress = silent) -> Dataset:
 
     Raises:
         InputError: If something is missing, broken or contradictory; the message names the file,
-            and in a text file also the line.
+            and in a text file also the line. Or if the disk is too full for the temporary file.
     """
     outline = outline_dataset(path)
-    submaps: list[Submap] = []
+    submaps = _Submaps(most_bytes)
     notes = list(outline.dataset.notes)
     for k in range(len(outline.clouds)):
         submap, of_cloud = outline.load(k)
-        submaps.append(submap)
+        submaps.add(submap)
         notes += of_cloud
         progress((k + 1) / len(outline.clouds))
-    return replace(outline.dataset, submaps=tuple(submaps), notes=tuple(notes))
+    return replace(outline.dataset, submaps=submaps.finish(), notes=tuple(notes))
+
+
+class _Submaps:
+    """Submaps in memory, up to a number of bytes, and further ones in a temporary file."""
+
+    def __init__(self, most_bytes: int | None) -> None:
+        self._most = most_bytes
+        self._held = 0
+        self._submaps: list[Submap] = []
+        self._waiting: dict[int, dict[str, Waiting]] = {}
+        self._spool: Spool | None = None
+
+    def add(self, submap: Submap) -> None:
+        """Take the next one."""
+        self._held += array_bytes(submap)
+        if self._most is not None and self._held > self._most:
+            try:
+                self._waiting[len(self._submaps)] = self._put_away(submap)
+            except OSError as error:
+                raise _no_room(error) from None
+            submap = _bare(submap)
+        self._submaps.append(submap)
+
+    def finish(self) -> tuple[Submap, ...]:
+        """Give all of them."""
+        if self._spool is not None:
+            try:
+                mapped = self._spool.finish()
+            except OSError as error:
+                raise _no_room(error) from None
+            for k, arrays in self._waiting.items():
+                given = {name: give(mapped) for name, give in arrays.items()}
+                self._submaps[k] = replace(self._submaps[k], **given)
+        return tuple(self._submaps)
+
+    def _put_away(self, submap: Submap) -> dict[str, Waiting]:
+        self._spool = self._spool or Spool()
+        arrays = {name: getattr(submap, name) for name in OF_POINTS}
+        return {name: self._spool.write(a) for name, a in arrays.items() if a is not None}
+
+
+def _bare(submap: Submap) -> Submap:
+    """Leave out whatever a submap has of each of its points."""
+    return replace(submap, points=NO_POINTS, **dict.fromkeys(OF_POINTS[1:]))
+
+
+def _no_room(error: OSError) -> InputError:
+    folder = tempfile.gettempdir()
+    return InputError(
+        f"{folder}: the points cannot wait there: {error.strerror or error}; make room, or name "
+        "another folder in TMPDIR"
+    )
 
 
 def outline_dataset(path: Path | str) -> Outline:

@@ -18,6 +18,7 @@ import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -41,14 +42,15 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
+from gpgrad_core.shortlist import num_wanted
 from gpgrad_core.types import Dataset, LoopClosure, SubmapSource
 
 STAGES = {"maps and keypoints": (0.0, 0.5), "shortlist": (0.5, 0.6), "pairs": (0.6, 1.0)}
 """The part of the progress that each stage takes; see `pipeline.all_pairs`."""
 NEIGHBOURS = 3
 """Submaps whose numbers differ by no more than this are no revisit."""
-WINDOW = 0.1
-"""Share of the submaps over which a time is averaged."""
+WINDOW = 0.2
+"""Share of the submaps so far over which a time is averaged."""
 GPGRAD = (sys.executable, "-m", "app")
 
 
@@ -63,6 +65,7 @@ class Bench:
         folder: Where the traverse and the results are kept.
         kills: How often another run is killed before it may end.
         simulate_only: Whether to make the traverse only.
+        plot: Where to draw times and memory over the number of submaps.
     """
 
     submaps: int = 1_000
@@ -71,6 +74,7 @@ class Bench:
     folder: Path = Path("build/bench_traverse")
     kills: int = 0
     simulate_only: bool = False
+    plot: Path | None = None
 
 
 @dataclass
@@ -107,13 +111,21 @@ class Watch:
             ended.set()
             thread.join()
 
-    def seconds_at(self, stage: str, share: float, count: int) -> float:
-        """Compute the time that a stage took for a submap near a share of all [s]."""
+    def when(self, stage: str, numbers: Any, count: int) -> Any:
+        """Tell when a stage was done with so many submaps of all [s]."""
         low, high = STAGES[stage]
+        shares = np.asarray(numbers) / count
+        if stage == "pairs":
+            compared = np.cumsum([0, *(num_wanted("automatic", k) for k in range(count))])
+            shares = np.interp(numbers, np.arange(count + 1), compared / compared[-1])
         times, fractions = np.array(self.progress).T
-        first, last = max(share - WINDOW, 0.0), share
-        when = np.interp([low + first * (high - low), low + last * (high - low)], fractions, times)
-        return float(np.diff(when)[0] / ((last - first) * count))
+        return np.interp(low + shares * (high - low), fractions, times)
+
+    def seconds_at(self, stage: str, number: int, count: int) -> float:
+        """Compute the time that a stage took for a submap, of those before a number [s]."""
+        window = max(round(WINDOW * number), 1)
+        first, last = self.when(stage, [number - window, number], count)
+        return float(last - first) / window
 
 
 def _unique(process: psutil.Process) -> int:
@@ -144,6 +156,8 @@ def main() -> None:
             dataset, sources, counted = _detect(data, out, Store(Path(cache)), watch, closures)
         print(f"compared {counted:,} pairs in {time.monotonic() - start:.0f} s")
         _tell_times(watch, bench)
+        if bench.plot is not None:
+            _draw(watch, bench.submaps, bench.plot)
         _tell_quality(dataset, sources, closures)
     if bench.kills:
         _kill(bench, data, out)
@@ -188,7 +202,7 @@ def _tell_times(watch: Watch, bench: Bench) -> None:
     print(f"| stage | ms a submap at {bench.early:,} | at {bench.submaps:,} |\n|---|---|---|")
     for stage in STAGES:
         cells = [
-            f"{1000 * watch.seconds_at(stage, min(at / bench.submaps, 1.0), bench.submaps):.0f}"
+            f"{1000 * watch.seconds_at(stage, min(at, bench.submaps), bench.submaps):.0f}"
             for at in (bench.early, bench.submaps)
         ]
         print(f"| {stage} | {' | '.join(cells)} |")
@@ -197,6 +211,35 @@ def _tell_times(watch: Watch, bench: Bench) -> None:
     for low, high in STAGES.values():
         part = memory[(done >= low) & (done <= high)]
         print(f"memory while {low:.0%} to {high:.0%}: at most {part.max() / 1e6:.0f} MB")
+
+
+def _draw(watch: Watch, count: int, path: Path) -> None:
+    """Draw the time a submap and the memory over the number of submaps."""
+    import matplotlib as mpl  # noqa: PLC0415
+
+    mpl.use("agg")
+    from matplotlib import pyplot as plt  # noqa: PLC0415
+
+    figure, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
+    edges = np.linspace(0, count, 51)
+    times, memory = np.array(watch.memory).T
+    for stage in STAGES:
+        when = watch.when(stage, edges, count)
+        axes[0].stairs(1000 * np.diff(when) / np.diff(edges), edges, label=stage)
+        most = [
+            memory[(times >= first) & (times < last)].max(initial=0.0) / 1e6
+            for first, last in pairwise(when)
+        ]
+        axes[1].stairs(most, edges, label=stage)
+    axes[0].set_ylabel("time a submap [ms]")
+    axes[1].set_ylabel("memory [MB]")
+    axes[1].set_xlabel("submaps done in a stage")
+    for one in axes:
+        one.set_ylim(bottom=0)
+        one.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
+        one.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
 
 
 def _tell_quality(

@@ -14,6 +14,7 @@ from app.viewer.opened import Opened
 from app.viewer.session_file import SavedSession
 from app.viewer.work import Work
 from gpgrad_core.datasets import demo_path, load_dataset
+from gpgrad_core.datasets.folder import MOST_LOADED
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, resolve_parameters
@@ -155,7 +156,7 @@ class DataTab(Feature):
         else:
             source = request.path or demo_path()
         try:
-            dataset = load_dataset(source, progress=loading)
+            dataset = load_dataset(source, loading, most_bytes=MOST_LOADED)
         except BaseException:
             self._forget(request, source)
             raise

@@ -73,8 +73,9 @@ def stage(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stage:
         stage.viewers.append(FakeViewer(*arguments, **named))  # type: ignore[arg-type]
         return stage.viewers[-1]
 
-    def load(path: Path, progress: object) -> Dataset:
+    def load(path: Path, progress: object, *, most_bytes: int | None) -> Dataset:
         del progress
+        assert most_bytes is not None  # a dataset may be larger than the memory
         stage.loaded.append(path)
         return DATASET
 

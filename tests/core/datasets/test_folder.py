@@ -1,6 +1,7 @@
 """Dataset folders: what belongs together is found, what contradicts itself is refused."""
 
 import random
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,6 +63,24 @@ def test_what_is_written_comes_back(folder: Path) -> None:
             assert after is not None
             np.testing.assert_allclose(after.translation, before.translation, atol=1e-6)
             np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-8)
+
+
+def test_clouds_that_wait_in_a_file_are_used_like_any_others(folder: Path) -> None:
+    whole, some = load_dataset(folder), load_dataset(folder, most_bytes=1000)
+    assert some.notes == whole.notes
+    for one, other in zip(some.submaps, whole.submaps, strict=True):
+        np.testing.assert_array_equal(one.points, other.points)
+        assert (one.id, one.fingerprint) == (other.id, other.fingerprint)
+        assert not one.points.flags.writeable
+
+
+def test_a_folder_without_room_for_them_is_named(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nowhere = tmp_path / "nowhere"
+    monkeypatch.setattr(tempfile, "tempdir", str(nowhere))
+    with pytest.raises(InputError, match=f"{nowhere}: the points cannot wait there"):
+        load_dataset(folder, most_bytes=0)
 
 
 def test_progress_is_told_once_a_cloud(folder: Path, tmp_path: Path) -> None:

@@ -207,11 +207,11 @@ def test_loading_is_told_and_cancelled(
 ) -> None:
     begun, go = threading.Event(), threading.Event()
 
-    def slow(path: Path, progress: Progress = silent) -> Dataset:
+    def slow(path: Path, progress: Progress = silent, *, most_bytes: int) -> Dataset:
         begun.set()
         while not go.wait(0.005):
             progress(0.3)
-        return load_dataset(path)
+        return load_dataset(path, most_bytes=most_bytes)
 
     monkeypatch.setattr(opening_module, "load_dataset", slow)
     opening = make()

@@ -1,0 +1,65 @@
+"""Arrays that wait in a file are used like any others, and take no memory until they are."""
+
+import gc
+import tempfile
+import weakref
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from gpgrad_core.run.memory import give_back
+from gpgrad_core.run.spool import Spool
+
+
+def test_arrays_come_back_as_they_were_and_cannot_be_written() -> None:
+    generator = np.random.default_rng(0)
+    arrays = [
+        generator.normal(size=(7, 3)),
+        np.arange(5, dtype=np.uint8),
+        np.zeros((0, 3)),
+        generator.normal(size=(9, 4)).T,
+    ]
+    spool = Spool()
+    waiting = [spool.write(array) for array in arrays]
+    mapped = spool.finish()
+    for array, give in zip(arrays, waiting, strict=True):
+        given = give(mapped)
+        np.testing.assert_array_equal(given, array)
+        assert given.dtype == array.dtype
+        assert not given.flags.writeable
+
+
+def test_memory_is_taken_when_they_are_looked_at_and_given_back() -> None:
+    size = 60_000_000
+    spool = Spool()
+    give = spool.write(np.ones(size, np.uint8))
+    array = give(spool.finish())
+    process = psutil.Process()
+    give_back()
+    before = process.memory_info().rss
+    assert int(array.sum(dtype=np.int64)) == size
+    looked = process.memory_info().rss
+    give_back()
+    after = process.memory_info().rss
+    assert looked - before > 0.8 * size
+    assert looked - after > 0.8 * size
+    assert int(array.sum(dtype=np.int64)) == size
+
+
+def test_the_file_has_no_name_and_goes_with_its_last_array(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    spool = Spool()
+    give = spool.write(np.ones(1000, np.uint8))
+    mapped = spool.finish()
+    array, is_mapped = give(mapped), weakref.ref(mapped)
+    assert list(tmp_path.iterdir()) == []
+    del mapped
+    gc.collect()
+    assert array.sum() == 1000
+    del array
+    gc.collect()
+    assert is_mapped() is None
