@@ -157,9 +157,10 @@ def status_html(
         f'background:light-dark(#dcdcdc,#4a4a4a)"><div style="height:100%;border-radius:2px;'
         f'width:{100 * fraction:.0f}%;background:#1971c2"></div></div>'
     )
+    words = (HEIGHT - 0.4) / 0.8  # in their own, smaller lines; the rest is for the bar
     return (
         f'<div style="height:{HEIGHT}em"><div data-testid="status" role="status" '
-        f'style="padding:.1em .75em;font-size:.8em;line-height:1.4;max-height:{(HEIGHT - 0.4) / 0.8:.2f}em;'
+        f'style="padding:.1em .75em;font-size:.8em;line-height:1.4;max-height:{words:.2f}em;'
         f'box-sizing:border-box;overflow-y:auto;overflow-wrap:anywhere">'
         f'<span style="color:{color}">●</span> {head}{escape(text)}{foot}</div>{bar}</div>'
     )
