@@ -25,7 +25,7 @@ from gpgrad_core.types import Registration
 
 CLOSURE, NONE = "Loop closure", "No loop closure"
 CANNOT, BY_HAND = "Cannot judge", "Moved by hand, not judged"
-HEIGHT = 16.75
+HEIGHT = 18.25
 """Height of the card [lines of text]: always the same, so that nothing below it ever moves."""
 END_OF_BAR = 12.0
 """Score at the end of the bar, which the slider of the threshold ends at too."""

@@ -13,7 +13,7 @@ from app.viewer.widgets.html import BAD, BUSY, GOOD, QUIET, button
 
 WORTH_TELLING = 0.0005
 """Stages that took less are left out [s]: what they gave was known before."""
-HEIGHT = 3.9
+HEIGHT = 4.1
 """Of the place [lines of text]: three small lines and the bar. What is longer can be scrolled."""
 BAR_STEP = 0.01
 """The bar is drawn anew once it has grown by this share of the whole."""
