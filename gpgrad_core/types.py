@@ -520,6 +520,9 @@ class Registration:
         agreement: How well the heights agree; None if the overlap is too small.
         nothing_trusted: Whether the variance mask trusts no cell of one of the maps, so that
             the pair cannot be judged.
+        evidence: What was added up to give the score: for the inliers, and for each band of
+            wavelengths from the shortest. What is below 0 speaks against the motion. Empty if
+            the terrain was not compared.
     """
 
     T_database_query: SE2 | None
@@ -534,6 +537,7 @@ class Registration:
     scale: float | None = None
     agreement: Agreement | None = None
     nothing_trusted: bool = False
+    evidence: tuple[float, ...] = ()
 
     @property
     def num_inliers(self) -> int:

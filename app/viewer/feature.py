@@ -58,6 +58,9 @@ class Feature:
     def show(self, state: ViewState, result: PairResult) -> None:
         """Take what the pipeline found for a state, after the scene has shown it."""
 
+    def moved(self, by_hand: bool) -> None:
+        """Take whether the query of the pair lies where a hand has put it, and is not judged."""
+
     def comparing(self, fraction: float | None, message: str) -> None:
         """Take how far the comparison of all pairs is; None once it ended, with the reason."""
 
@@ -187,6 +190,7 @@ class Desk:
         options: ViewOptions | None = None,
         match: int | None = None,
         probe: Probe | Literal["as it is"] | None = "as it is",
+        only_from: ViewState | None = None,
     ) -> None:
         """Change the state, and tell all features; without arguments it is only told again.
 
@@ -196,12 +200,16 @@ class Desk:
             options: Of the view.
             match: Number of the association to point at, from 1; 0 for none.
             probe: Place whose values are read; None for none.
+            only_from: Nothing is changed if the state is another than this one by now; None
+                changes it in any case.
 
         Raises:
             InputError: If the dataset has no such submap.
         """
         with self._lock:
             state = self._state
+            if only_from is not None and only_from is not state:
+                return
             if pair is not None:
                 state = with_pair(state, query_id=pair[0], database_id=pair[1])
             if params is not None:

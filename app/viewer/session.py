@@ -8,6 +8,7 @@ never asks which.
 import viser
 
 from app.viewer.all_pairs.tab import AllPairsTab
+from app.viewer.best_pair.search import BestPair
 from app.viewer.canvas.cursor import Cursor
 from app.viewer.canvas.framing import Framing
 from app.viewer.capacity import Capacity
@@ -31,6 +32,7 @@ from app.viewer.save.tab import SaveTab
 from app.viewer.state import ViewOptions, ViewState
 from app.viewer.triage.tab import TriageTab
 from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.look import Look
 from app.viewer.widgets.presence import PresenceLine
 from app.viewer.world import WorldTab
 from gpgrad_core.run.memo import Memo
@@ -72,19 +74,21 @@ class Session:
         commands = Commands(host)
         gui = host.gui
         # The verdict and the parameters are on the right, what is drawn on the left.
-        gui.set_panel_label("Loop closure")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(CONTROL_WIDTH)
         add_script(host)
+        Look(host)
         modes = desk.join(Modes(desk))
-        self._presence = PresenceLine(host)
         tune, explore, demo = gui.add_panel(), gui.add_panel(), gui.add_panel()
         self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View")))
         desk.join(ParamsTab(desk, opened.params, commands, on_error=self.pair.refuse))
+        self._presence = PresenceLine(host)
+        best_pair = desk.join(BestPair(desk, opened, commands))
         scene = self.pair.scene
         with tune.add_tab("Inspect"):
             self.inspect = desk.join(InspectTab(desk, scene.pick, scene.show_ruler))
         with tune.add_tab("All pairs"):
+            best_pair.add_button()
             desk.join(AllPairsTab(desk))
         with tune.add_tab("Triage"):
             desk.join(TriageTab(desk, commands))

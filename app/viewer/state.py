@@ -233,17 +233,21 @@ def promising_pair(dataset: Dataset) -> tuple[str, str]:
         return str(preferred[0]), str(preferred[1])
     last, first = len(submaps) - 1, 0
     best = np.inf
-    positions = [_position(submap) for submap in submaps]
+    positions = np.full((len(submaps), 2), np.nan)
+    for row, submap in enumerate(submaps):
+        pose = believed_pose(submap)
+        if pose is not None:
+            positions[row] = pose.translation[:2]
     for query in range(2, len(submaps)):
-        for database in range(query - 1):
-            a, b = positions[query], positions[database]
-            if a is None or b is None:
-                continue
-            distance = float(np.linalg.norm(a.translation[:2] - b.translation[:2]))
-            if distance < best:
-                best, last, first = distance, query, database
+        # As far as infinity from what has no pose.
+        distances = np.linalg.norm(positions[: query - 1] - positions[query], axis=1)
+        distances = np.where(np.isnan(distances), np.inf, distances)
+        nearest = int(distances.argmin())
+        if distances[nearest] < best:
+            best, last, first = distances[nearest], query, nearest
     return submaps[last].id, submaps[first].id
 
 
-def _position(submap: Submap) -> Pose | None:
+def believed_pose(submap: Submap) -> Pose | None:
+    """Give a submap's pose by odometry, or else the true one; None if neither is known."""
     return submap.pose_odometry or submap.pose_true

@@ -127,10 +127,16 @@ def closure_score(evidence: Evidence, num_inliers: int) -> float:
 
 def total_evidence(evidence: Evidence, num_inliers: int) -> float:
     """Add up the evidence that `closure_score` converts to a score."""
-    total = INLIER_WEIGHT * log1p(num_inliers)
-    for band, (weight, ratio) in enumerate(zip(BAND_WEIGHTS, evidence.log_ratios, strict=True)):
-        total += weight * sqrt(evidence.patches) / 2**band * ratio
-    return total
+    return sum(shares_of_evidence(evidence, num_inliers))
+
+
+def shares_of_evidence(evidence: Evidence, num_inliers: int) -> tuple[float, ...]:
+    """List what is added up: for the inliers, and for each band from the shortest waves."""
+    bands = (
+        weight * sqrt(evidence.patches) / 2**band * ratio
+        for band, (weight, ratio) in enumerate(zip(BAND_WEIGHTS, evidence.log_ratios, strict=True))
+    )
+    return (INLIER_WEIGHT * log1p(num_inliers), *bands)
 
 
 def _log_t(squared: Float[Array, "n"], variance: Float[Array, "n"]) -> Float[Array, "n"]:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.registration.alignment import Alignments, align
 from gpgrad_core.registration.dense_check import DenseCheck, ThinMap, thin_out
-from gpgrad_core.registration.evidence import closure_score, weigh
+from gpgrad_core.registration.evidence import closure_score, shares_of_evidence, weigh
 from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.placement import Sharp, place, sharpen
 from gpgrad_core.registration.ransac import find_motions, one_to_one
@@ -183,6 +183,7 @@ def _finish(
         z_std=best.z_std,
         scale=maps[1].scale,
         agreement=best.agreement,
+        evidence=(rough if rough.score > best.score else best).evidence,
     )
 
 
@@ -203,6 +204,7 @@ class _Candidate:
     inliers: Bool[NDArray[np.bool_], "m"]
     score: float
     agreement: Agreement | None
+    evidence: tuple[float, ...]
 
 
 def _judge(
@@ -214,15 +216,16 @@ def _judge(
 ) -> _Candidate:
     motion, held = placed.motion(k), bool(placed.held[k])
     inliers = one_to_one(motion, matches, params.radius(maps[1].scale))
-    evidence = weigh(*maps, motion)
+    evidence, num_inliers = weigh(*maps, motion), int(inliers.sum())
     return _Candidate(
         motion,
         float(placed.z_offsets[k]) if held else 0.0,
         float(placed.z_stds[k]) if held else None,
         placed.covariances[k] if held else None,
         inliers,
-        closure_score(evidence, int(inliers.sum())),
+        closure_score(evidence, num_inliers),
         evidence.agreement,
+        () if evidence.agreement is None else shares_of_evidence(evidence, num_inliers),
     )
 
 

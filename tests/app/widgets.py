@@ -1,9 +1,12 @@
 """Uses a server's widgets as a user's browser does, without a browser."""
 
 import asyncio
+import json
 from typing import Any
 
 import viser
+
+from app.viewer.widgets.bridge import Bridge
 
 
 def find(server: viser.ViserServer, label: str) -> Any:
@@ -35,3 +38,9 @@ def user_sets(handle: Any, value: object) -> None:
 def user_presses(handle: Any) -> None:
     """Press a button as a user does."""
     user_sets(handle, True)
+
+
+def html_says(bridge: Bridge, name: str, **data: object) -> None:
+    """Say something as a script of a page does."""
+    page = object.__new__(viser.ClientHandle)  # of no server; it only says who speaks
+    bridge._take(page, json.dumps({"number": 1, "name": name, "data": data}))

@@ -231,9 +231,8 @@ def test_a_session_goes_out_as_a_command_and_a_file_and_comes_back(
     assert motion is not None
     for number in (
         f"inliers\t{found.num_inliers}",
-        f"score\t{found.score:.1f}",
-        f"yaw\t{np.degrees(motion.yaw):+.1f}°",
-        f"offset\t{motion.x:+.2f} m, {motion.y:+.2f} m",
+        f"score {found.score:.1f}",
+        f"motion\t{motion.x:+.2f} m, {motion.y:+.2f} m, {np.degrees(motion.yaw):+.1f}°",
         f"overlap\t{found.overlap_area:.1f} m²",
     ):
         assert number in card

@@ -9,6 +9,7 @@ import viser
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.html import BUSY, FAINT, message_line, paragraph
+from app.viewer.widgets.look import make_solid
 from app.viewer.widgets.pair_list import PairList
 from app.viewer.widgets.work_bar import WorkBar
 from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES, Candidates
@@ -114,6 +115,7 @@ class AllPairsPanel:
             f"to {ALL_UP_TO} earlier ones, and the {DEFAULT_CANDIDATES} most promising of more.",
         )
         run = gui.add_button("Run all pairs", hint="You can use the sliders while it runs.")
+        make_solid(host, run)
         self.work_bar = WorkBar(host, "Cancel", "all-pairs", starts=(run,))
         self._summary = gui.add_html("")
         self._matrix = gui.add_html("")

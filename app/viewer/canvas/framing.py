@@ -14,7 +14,7 @@ from app.viewer.feature import Desk, Feature, Subject
 from app.viewer.host import pages
 from app.viewer.opened import Opened
 from app.viewer.pacer import Pacer
-from app.viewer.pair import PairScene
+from app.viewer.pair import BY_HAND, PairScene, headline_of
 from app.viewer.state import FROM_ABOVE, ViewState, same_pair
 from app.viewer.world import WorldTab
 from gpgrad_core.pipeline import PairResult
@@ -46,7 +46,7 @@ class Framing(Feature):
         self._keep_next = False
         self._refit_until = 0.0
         self._shown: tuple[ViewState, PairResult] | None = None
-        self._outdated = False
+        self._outdated = self._moved = False
         self._caption: dict[str, str] = {}
         self._watched: weakref.WeakSet[viser.ClientHandle] = weakref.WeakSet()
         self._lock = threading.RLock()  # the pair's worker and the server's loop both frame
@@ -72,6 +72,11 @@ class Framing(Feature):
     def outdated(self) -> None:
         """Say that what is seen is not what is set."""
         self._outdated = True
+        self._say()
+
+    def moved(self, by_hand: bool) -> None:
+        """Say that what is seen has not been judged."""
+        self._moved = by_hand
         self._say()
 
     def opened(self, opened: Opened) -> None:
@@ -201,8 +206,7 @@ class Framing(Feature):
         line = ""
         if self._shown is not None and same_pair(self._shown[0], state):
             result = self._shown[1]
-            verdict = "Loop closure" if result.closure.accepted else "No loop closure"
-            line = f"{verdict} · {result.registration.num_inliers} inliers"
+            line = BY_HAND if self._moved else headline_of(result, with_score=True)
             if self._outdated:
                 line = OUTDATED + line
         together = state.options.layout == "registered" and self._pair.knows_motion(state)

@@ -6,17 +6,17 @@ from typing import Literal, TypeAlias, get_args
 
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_option, one_of
+from app.viewer.widgets.html import QUIET
+from app.viewer.widgets.look import segment_style
 
 Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
 
 MODES: tuple[Mode, ...] = get_args(Mode)
 GUIDES: dict[Mode, str] = {
-    "Explore": "See all submaps at their poses. Click one for its figures, and correct the map in "
+    "Explore": "All submaps stand at their poses. Click one for its figures, or correct the map in "
     "the tab Pose graph.",
-    "Tune": "Do the two submaps show the same place? Drag a slider: the surfaces, the "
-    "associations and the verdict follow.",
-    "Demo": "Show it to others with saved views, motion and full screen, or as a page to take "
-    "away.",
+    "Tune": "Do the two submaps show the same place? Drag a slider: surfaces and verdict follow.",
+    "Demo": "Show it to others with saved views, motion and full screen, or save it as a page.",
 }
 """What is to be seen in a mode, and what to do next."""
 
@@ -45,7 +45,8 @@ class ModesPanel:
     def show(self, mode: Mode) -> None:
         """Say which mode is the present one."""
         self._guide.content = (
-            f'<div data-testid="mode" style="padding:0 .75em .2em;font-size:.85em;'
-            f'line-height:1.45"><b>{mode}.</b> <span style="opacity:.75">'
-            f"{escape(GUIDES[mode])}</span></div>"
+            f"{segment_style(self._buttons, MODES.index(mode))}"
+            f'<div data-testid="mode" aria-label="Mode {mode}" style="padding:0 .75em .3em;'
+            f'font-size:.8em;line-height:1.4;height:2.8em;overflow:hidden;color:{QUIET}">'
+            f"{escape(GUIDES[mode])}</div>"
         )

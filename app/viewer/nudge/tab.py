@@ -99,6 +99,7 @@ class NudgeTab(Feature):
             self._gizmo.remove()
             self._gizmo = None
         self._refined = None
+        self._desk.tell(Feature.moved, False)
         self._panel.set_active(False)
         self._panel.show(())
         self._panel.say("")
@@ -111,6 +112,7 @@ class NudgeTab(Feature):
         if self._gizmo is None:
             self._gizmo = self._add_gizmo(state)
         self._put(motion, with_gizmo=True)
+        self._desk.tell(Feature.moved, False)
         self._panel.show(_rows(motion, result.registration))
 
     def _add_gizmo(self, state: ViewState) -> viser.TransformControlsHandle:
@@ -143,6 +145,7 @@ class NudgeTab(Feature):
         self._refined = None
         self._panel.offer_use(False)
         self._put(SE2(float(x), float(y), yaw), with_gizmo=False)
+        self._desk.tell(Feature.moved, True)
         self._panel.show((*_motion_rows(self._motion), ("", "not refined yet")))
         del result
 
@@ -196,6 +199,7 @@ class NudgeTab(Feature):
             return
         self._refined = registration
         self._put(motion, with_gizmo=True)
+        self._desk.tell(Feature.moved, True)
         self._panel.show(_rows(motion, registration))
         self._panel.offer_use(True)
         self._panel.say(f"Refined in {1000 * seconds:.0f} ms.")

@@ -9,6 +9,7 @@ from app.viewer.draw.nodes import LinePoints, LinesNode
 from app.viewer.draw.overlay import round_length
 from app.viewer.draw.placement import Extent, Placement
 from app.viewer.host import Host
+from app.viewer.pair.verdict import headline_of
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.pipeline import PairResult
 
@@ -38,8 +39,7 @@ class Annotations:
 
     def show_verdict(self, result: PairResult, corners: Float[NDArray[np.float64], "k 3"]) -> None:
         """Write the verdict in front of the corners (k, 3) of both submaps [m]."""
-        verdict = "Loop closure" if result.closure.accepted else "No loop closure"
-        self._verdict.text = f"{verdict} · {result.registration.num_inliers} inliers"
+        self._verdict.text = headline_of(result, with_score=True)
         low, high = corners.min(axis=0), corners.max(axis=0)
         x, y, z = (low[0] + high[0]) / 2, low[1] - 0.08 * (high[1] - low[1]), corners[:, 2].mean()
         self._verdict.position = (float(x), float(y), float(z))

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 from app.viewer.host import Host
 from app.viewer.pair.timing import TimedMemo
+from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.status import StatusLine
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
@@ -20,15 +21,18 @@ LONG = 1.0
 class PictureStatus:
     """Watches one computation after the other, and writes the status line."""
 
-    def __init__(self, host: Host, memo: Memo, on_cancel: Callable[[], None]) -> None:
+    def __init__(
+        self, host: Host, bridge: Bridge, memo: Memo, on_cancel: Callable[[], None]
+    ) -> None:
         """Make the line in the current container.
 
         Args:
             host: Whose GUI it joins.
+            bridge: Hears its button.
             memo: What remembers the results of the pipeline.
             on_cancel: Called when what is being computed is no longer wanted.
         """
-        self.line = StatusLine(host, on_cancel)
+        self.line = StatusLine(host, bridge, on_cancel)
         self._shared_memo = memo
         self._memo = TimedMemo(memo)
         self._began = time.monotonic()

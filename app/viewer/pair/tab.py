@@ -16,6 +16,7 @@ from app.viewer.pair.status import PictureStatus
 from app.viewer.pair.verdict import VerdictCard
 from app.viewer.runner import Runner
 from app.viewer.state import Role, ViewState, same_surfaces
+from app.viewer.widgets.title import PageTitle
 from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult, register_pair
 from gpgrad_core.pipeline.coarse import infer_quick_maps
@@ -52,8 +53,9 @@ class PairTab(Feature):
         host, state = desk.host, desk.state
         self.scene = PairScene(host, standalone=False)
         self._histogram = HistogramOf()
+        self._title = PageTitle(host)
         self._verdict = VerdictCard(host)
-        self._status = PictureStatus(host, desk.memo, self._cancel)
+        self._status = PictureStatus(host, desk.bridge, desk.memo, self._cancel)
         with view:
             self._summary = DatasetSummary(host)
             self._summary.show(state.dataset)
@@ -88,6 +90,7 @@ class PairTab(Feature):
         if state.options != self._view.options:
             self._view.set(state.options)
         self._choice.show(state)
+        self._title.show(state.query_id, state.database_id, state.dataset.name)
 
     def opened(self, opened: Opened) -> None:
         """Tell what is open, and bring the cameras to it."""
@@ -96,6 +99,10 @@ class PairTab(Feature):
         saved = None if opened.saved is None else opened.saved.camera
         if saved is not None and self.scene.visible:
             self.scene.move_cameras(saved)
+
+    def moved(self, by_hand: bool) -> None:
+        """Say that what is seen has not been judged."""
+        self._verdict.set_moved(by_hand)
 
     def close(self) -> None:
         """Stop working; what was shown stays until its page goes."""

@@ -1,86 +1,286 @@
-"""The verdict on the pair: loop closure or not, why, and the numbers behind it."""
+"""The verdict on the pair: loop closure or not, what spoke for it, and what against it."""
 
+from dataclasses import dataclass
 from html import escape
-from math import degrees
+from math import degrees, pi
+from typing import Literal, TypeAlias
 
 from app.viewer.host import Host
 from app.viewer.state import ViewState
-from app.viewer.widgets.html import BAD_GROUND, BUSY_GROUND, GOOD_GROUND, badge, table
-from gpgrad_core.loop_closure import describe_length
+from app.viewer.widgets.html import (
+    BAD,
+    BAD_GROUND,
+    BUSY_GROUND,
+    DATABASE_WORDS,
+    FAINT,
+    GOOD,
+    GOOD_GROUND,
+    QUERY_WORDS,
+    QUIET,
+    badge,
+)
+from gpgrad_core.loop_closure import IMPOSSIBLE, SMALL_OVERLAP, SMOOTH, describe_length
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.types import Registration
 
+CLOSURE, NONE = "Loop closure", "No loop closure"
+CANNOT, BY_HAND = "Cannot judge", "Moved by hand, not judged"
+HEIGHT = 18.25
+"""Height of the card [lines of text]: always the same, so that nothing below it ever moves."""
+END_OF_BAR = 12.0
+"""Score at the end of the bar, which the slider of the threshold ends at too."""
+SAYS_SOMETHING = 0.5
+"""Evidence that is nearer to zero says nothing."""
+
+Side: TypeAlias = Literal["for", "against", "neither"]
+MARKS: dict[Side, str] = {
+    "for": f'<span style="color:{GOOD}" title="speaks for a loop closure">▲</span>',
+    "against": f'<span style="color:{BAD}" title="speaks against a loop closure">▼</span>',
+    "neither": f'<span style="{FAINT}" title="says nothing">○</span>',
+}
+
+SAID: dict[Side, str] = {"for": "agree", "against": "disagree", "neither": "say little"}
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A figure of the card, whose side a mark shows; None is no evidence."""
+
+    side: Side | None
+    name: str
+    value: str
+
 
 class VerdictCard:
-    """A card that is rewritten with each result."""
+    """A card of fixed height that is rewritten with each result."""
 
     def __init__(self, host: Host) -> None:
         """Make it in the current container, empty."""
-        self._card = frame('<div style="opacity:.7">No result yet.</div>')
-        self._handle = host.gui.add_html(self._card)
+        self._result: tuple[ViewState, PairResult] | None = None
+        self._moved = False
+        self._handle = host.gui.add_html(frame('<div style="opacity:.7">No result yet.</div>'))
 
     def show(self, state: ViewState, result: PairResult) -> None:
         """Show a result."""
-        self._card = verdict_html(state, result)
-        self._handle.content = self._card
+        self._result = state, result
+        self._write()
+
+    def set_moved(self, moved: bool) -> None:
+        """Say whether the query has been moved by hand from where it was judged."""
+        if moved != self._moved:
+            self._moved = moved
+            self._write()
 
     def outdate(self, why: str = "") -> None:
         """Fade the card, because it is not about the present picture.
 
         Args:
-            why: Written above it; empty while a new one is coming.
+            why: Written on it; empty while a new one is coming.
         """
-        above = (
-            f'<div style="padding:0 .75em">{badge(why, BUSY_GROUND, "stale")}</div>' if why else ""
-        )
-        self._handle.content = f'{above}<div style="opacity:.4">{self._card}</div>'
+        self._write(faded=True, why=why)
+
+    def _write(self, *, faded: bool = False, why: str = "") -> None:
+        if self._result is not None:
+            content = verdict_html(*self._result, moved=self._moved, faded=faded, stale=why)
+            self._handle.content = content
 
 
-def verdict_html(state: ViewState, result: PairResult) -> str:
-    """Write the card."""
-    closure, registration = result.closure, result.registration
-    needed, lowest = state.params.closure.min_inliers, state.params.closure.min_score
-    motion = registration.T_database_query
-    rows = [
-        ("inliers", f"{registration.num_inliers}" + (f" (threshold {needed})" if needed else "")),
-        ("associations", f"{len(result.matches):,}"),
-        ("score", f"{registration.score:.1f}" + (f" (threshold {lowest:g})" if lowest else "")),
-    ]
-    if motion is not None:
-        rows += [
-            ("yaw", f"{degrees(motion.yaw):+.1f}°"),
-            ("offset", f"{motion.x:+.2f} m, {motion.y:+.2f} m"),
-            ("overlap", f"{registration.overlap_area:.1f} m²"),
-            ("correlation", f"{registration.correlation:.2f}"),
-        ]
-        rows += _comparison(registration)
-    else:
-        rows.append(("motion", "none found"))
-    headline = (
-        badge("Loop closure", GOOD_GROUND, "verdict")
-        if closure.accepted
-        else badge("No loop closure", BAD_GROUND, "verdict")
+def headline_of(result: PairResult, *, with_score: bool = False) -> str:
+    """Give the verdict in a word or two, and the score if there is one and it is wanted."""
+    if result.registration.nothing_trusted:
+        return CANNOT
+    verdict = CLOSURE if result.closure.accepted else NONE
+    return f"{verdict} · score {result.registration.score:.1f}" if with_score else verdict
+
+
+def verdict_html(
+    state: ViewState,
+    result: PairResult,
+    *,
+    moved: bool = False,
+    faded: bool = False,
+    stale: str = "",
+) -> str:
+    """Write the card.
+
+    Args:
+        state: What was judged.
+        result: What was found.
+        moved: Whether the query no longer lies where it was judged.
+        faded: Whether the card is not about the present picture.
+        stale: Why it is not; empty while a new one is coming.
+    """
+    closure = result.closure
+    headline = BY_HAND if moved else headline_of(result)
+    ground = {CLOSURE: GOOD_GROUND, NONE: BAD_GROUND}.get(headline, BUSY_GROUND)
+    note = (
+        f'<div data-testid="stale" style="position:absolute;right:1.3em;top:.55em;font-size:.8em;'
+        f'padding:.15em .5em;border-radius:.3em;background:#fff;color:#6b3f00">'
+        f"{escape(stale)}</div>"
+        if stale
+        else ""
     )
-    pair = f"query {closure.query_id} → database {closure.database_id}"
-    if closure.query_id == closure.database_id:
-        pair += " (the same submap twice)"
+    same = " (the same submap twice)" if closure.query_id == closure.database_id else ""
+    pair = (
+        f'<b><span style="color:{QUERY_WORDS}">query {escape(closure.query_id)}</span> → '
+        f'<span style="color:{DATABASE_WORDS}">database {escape(closure.database_id)}</span></b>'
+    )
+    inside = (
+        f'<div style="{ONE_LINE};margin:.4em 0 .3em">{pair}{same}</div>'
+        f"{_bar(state, result)}"
+        f'<div title="{escape(closure.reason)}" style="height:2.7em;overflow:hidden;'
+        f'line-height:1.35;margin:.35em 0">{escape(_in_words(state, result))}</div>'
+        f"{_table(_rows(state, result))}"
+    )
+    dim = "opacity:.4" if faded or moved else ""
     return frame(
-        f"{headline}"
-        f'<div style="font-size:.85em;margin:.4em 0 .3em"><b>{escape(pair)}</b><br>'
-        f"{escape(closure.reason)}</div>{table(tuple(rows))}"
+        f"{badge(headline, ground, 'verdict')}{note}"
+        f'<div style="font-size:.85em;{dim}">{inside}</div>'
     )
 
 
-def _comparison(registration: Registration) -> list[tuple[str, str]]:
-    """List at which scale the maps were compared, and how well they agree there."""
-    agreement, scale = registration.agreement, registration.scale
-    if agreement is None or scale is None:
-        return []
-    difference = describe_length(agreement.difference)
-    possible = describe_length(agreement.possible)
-    return [("heights differ", f"{difference} at {scale:.2f} m ({possible} possible)")]
+ONE_LINE = "white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
+
+
+def _bar(state: ViewState, result: PairResult) -> str:
+    """Draw the score as a bar, and the threshold as a tick on it."""
+    score, lowest = result.registration.score, state.params.closure.min_score
+    share, tick = (100 * min(value / END_OF_BAR, 1.0) for value in (score, lowest))
+    color = GOOD_GROUND if score >= lowest else BAD_GROUND
+    return (
+        f'<div data-testid="score" role="img" aria-label="Score {score:.1f}, threshold '
+        f'{lowest:.1f}"><div style="display:flex;justify-content:space-between"><span>score '
+        f"<b>{score:.1f}</b></span><span>threshold {lowest:.1f}</span></div>"
+        '<div style="position:relative;height:12px;margin-top:4px;border-radius:3px;'
+        'background:light-dark(#dcdcdc,#4a4a4a)"><div style="position:absolute;left:0;top:0;'
+        f'bottom:0;width:{share:.1f}%;border-radius:3px;background:{color}"></div>'
+        f'<div style="position:absolute;left:{tick:.1f}%;top:-4px;bottom:-4px;width:3px;'
+        "margin-left:-1.5px;background:light-dark(#111,#fff);outline:1px solid "
+        'light-dark(#fff,#111)"></div></div></div>'
+    )
+
+
+def _in_words(state: ViewState, result: PairResult) -> str:
+    """Say what decided, without the figures that stand beside it."""
+    registration, closure = result.registration, result.closure
+    needed = state.params.closure
+    if registration.nothing_trusted:
+        return "The variance mask hides all ground of one submap. Raise it to see more."
+    if registration.T_database_query is None:
+        return "No motion was found: the maps have too little in common."
+    if closure.accepted:
+        if needed.min_score > 0 or needed.min_inliers > 0:
+            return "Both submaps show one terrain, as far as their ground can tell."
+        return "No threshold is set, so every motion is accepted."
+    return _refusal(state, result)
+
+
+def _refusal(state: ViewState, result: PairResult) -> str:
+    """Say which threshold was missed, and why."""
+    registration, closure = result.registration, result.closure
+    needed = state.params.closure
+    if registration.num_inliers < needed.min_inliers:
+        return "Too few associations agree with the motion."
+    if registration.score < needed.min_score:
+        return _why(registration)
+    return closure.reason[:1].upper() + closure.reason[1:] + "."
+
+
+def _why(registration: Registration) -> str:
+    """Say why a score is low."""
+    found, scale = registration.agreement, registration.scale
+    if found is None or scale is None:
+        return "The maps share too little ground to compare."
+    if found.difference > IMPOSSIBLE * found.possible:
+        return "The heights differ by more than the uncertainty of the maps allows."
+    if _is_small(registration):
+        return "The maps agree, but share too little ground to decide."
+    if found.relief < SMOOTH * found.possible:
+        return "The ground is too smooth to decide."
+    return "The maps agree, but unrelated ground can agree as well."
+
+
+def _is_small(registration: Registration) -> bool:
+    """Say whether the overlap holds too few features to decide."""
+    scale = registration.scale
+    return scale is not None and registration.overlap_area < SMALL_OVERLAP * 2 * pi * scale**2
+
+
+def _rows(state: ViewState, result: PairResult) -> list[_Row]:
+    """List the evidence, and then the motion."""
+    registration = result.registration
+    found, scale, motion = (
+        registration.agreement,
+        registration.scale,
+        registration.T_database_query,
+    )
+    inliers, *bands = registration.evidence or (0.0,)
+    rows = [
+        _Row(
+            _side(share),
+            f"{name} waves",
+            f"{SAID[_side(share)]} ({share:+.1f}), {first * 2 * pi * scale:.1f} to "
+            f"{2 * first * 2 * pi * scale:.1f} m",
+        )
+        for name, first, share in zip(("short", "long"), (1, 2), bands, strict=False)
+        if scale is not None
+    ]
+    needed = state.params.closure.min_inliers
+    count = f"{registration.num_inliers} of {len(result.matches):,}"
+    if needed:
+        count = f"{registration.num_inliers} (threshold {needed}) of {len(result.matches):,}"
+    too_few = registration.num_inliers < needed
+    rows.append(
+        _Row(
+            "against" if too_few else _side(inliers),
+            "inliers",
+            count + (f" ({inliers:+.1f})" if registration.evidence else ""),
+        )
+    )
+    if found is not None:
+        rows.append(
+            _Row(
+                "against" if found.difference > IMPOSSIBLE * found.possible else "for",
+                "heights differ",
+                f"{describe_length(found.difference)}, {describe_length(found.possible)} possible",
+            )
+        )
+    if motion is None:
+        return [*rows, _Row(None, "motion", "none found")]
+    area = f"{registration.overlap_area:.1f} m² · correlation {registration.correlation:.2f}"
+    return [
+        *rows,
+        _Row("against" if _is_small(registration) else "for", "overlap", area),
+        _Row(
+            None,
+            "motion",
+            f"{motion.x:+.2f} m, {motion.y:+.2f} m, {degrees(motion.yaw):+.1f}°",
+        ),
+    ]
+
+
+def _side(evidence: float) -> Side:
+    if abs(evidence) < SAYS_SOMETHING:
+        return "neither"
+    return "for" if evidence > 0 else "against"
+
+
+def _table(rows: list[_Row]) -> str:
+    lines = "".join(
+        f'<tr><td style="width:1.2em">{"" if row.side is None else MARKS[row.side]}</td>'
+        f'<td style="padding-right:.6em;white-space:nowrap;color:{QUIET}">{escape(row.name)}</td>'
+        f'<td style="white-space:nowrap;font-variant-numeric:tabular-nums">{escape(row.value)}</td>'
+        "</tr>"
+        for row in rows
+    )
+    return (
+        f'<table style="border-collapse:collapse;font-size:.94em;line-height:1.45">{lines}</table>'
+    )
 
 
 def frame(content: str) -> str:
-    """Give a card its margin."""
-    return f'<div style="padding:.2em .75em .4em">{content}</div>'
+    """Give a card its margin and its height."""
+    return (
+        f'<div style="position:relative;box-sizing:border-box;height:{HEIGHT}em;overflow:hidden;'
+        f'padding:.2em .75em .4em">{content}</div>'
+    )

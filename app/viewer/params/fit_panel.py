@@ -6,6 +6,7 @@ from html import escape
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.html import box, table
+from app.viewer.widgets.look import make_solid
 from app.viewer.widgets.work_bar import WorkBar
 
 
@@ -24,6 +25,7 @@ class FitPanel:
             hint="Sets length-scale, noise and signal to the values that explain the points of "
             "both submaps best, by maximum marginal likelihood.",
         )
+        make_solid(host, fit)
         self.work_bar = WorkBar(host, "Cancel fit", "fit", starts=(fit,))
         on_press(fit, on_fit)
 

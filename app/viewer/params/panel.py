@@ -188,7 +188,35 @@ class ParamsPanel(Generic[P]):
             if self._on_error is not None:
                 self._on_error(str(error))
             return
+        self._fit_ranges(setting)
         self._on_change(self._value)
+
+    def _fit_ranges(self, moved: Field) -> None:
+        """Let each slider reach its value, and give those that need it no more their range back.
+
+        The one that was moved may be under a hand: its range grows, but does not shrink.
+        """
+        for path, setting in self._settings.items():
+            handle = self._inputs[path]
+            if isinstance(handle, viser.GuiSliderHandle):
+                self._fit_range(setting, handle, get_path(self._value, path), grow=setting is moved)
+
+    @staticmethod
+    def _fit_range(
+        setting: Field, handle: viser.GuiSliderHandle[Any], value: object, *, grow: bool
+    ) -> None:
+        assert setting.bounds is not None
+        kind: Any = setting.kind if setting.kind is int else float
+        low, high = map(kind, setting.bounds.slider_range)
+        if isinstance(value, int | float):
+            low, high = min(low, kind(value)), max(high, kind(value))
+        if grow:
+            low, high = min(low, handle.min), max(high, handle.max)
+        # Only what differs is sent to the pages.
+        if handle.min != low:
+            handle.min = low
+        if handle.max != high:
+            handle.max = high
 
     def _show(self, setting: Field, value: object) -> None:
         handle: Any = self._inputs[setting.path]
@@ -198,10 +226,12 @@ class ParamsPanel(Generic[P]):
             handle.disabled = value is None
         if value is None:
             return
-        if setting.bounds is not None and isinstance(value, int | float):
-            handle.min = min(handle.min, value)
-            handle.max = max(handle.max, value)
-        handle.value = value
+        if isinstance(handle, viser.GuiSliderHandle):
+            self._fit_range(setting, handle, value, grow=True)
+            handle.value = value  # within both ranges
+            self._fit_range(setting, handle, value, grow=False)
+        else:
+            handle.value = value
 
 
 def _is_too_wide(bounds: Bounds) -> bool:

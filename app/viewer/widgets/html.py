@@ -10,7 +10,11 @@ BUSY = "light-dark(#9a5b00, #f0b24a)"
 GOOD_GROUND = "#1a8f3c"
 BAD_GROUND = "#c23b36"
 BUSY_GROUND = "#8a5200"
-FAINT = "opacity:.7"
+FAINT = "opacity:.75"
+# Of the words query and database: the colours of their outlines, made readable.
+QUERY_WORDS = "light-dark(#1663a8, #7cb8f0)"
+DATABASE_WORDS = "light-dark(#a04f00, #f2a65a)"
+QUIET = "light-dark(#555, #bbb)"
 
 
 def paragraph(text: str, style: str = "") -> str:
@@ -25,6 +29,22 @@ def badge(text: str, ground: str, test_id: str) -> str:
         f'<div data-testid="{test_id}" style="background:{ground};color:#fff;border-radius:.4em;'
         f'padding:.35em .7em;font-weight:600;font-size:1em">{escape(text)}</div>'
     )
+
+
+def button(text: str, act: str, style: str = "") -> str:
+    """Write a light button of our own.
+
+    Args:
+        text: Its label.
+        act: What it does: JavaScript, escaped as by `bridge.say`.
+        style: More of its looks.
+    """
+    look = (
+        "font:inherit;line-height:1.2;min-height:32px;padding:.2em .8em;border-radius:.3em;"
+        "cursor:pointer;border:1px solid light-dark(#6f9fce,#5f86ad);"
+        f"background:light-dark(#fff,#2b2b2b);color:light-dark(#1659a0,#8cc3f7);{style}"
+    )
+    return f'<button type="button" style="{look}" onclick="{act}">{escape(text)}</button>'
 
 
 def table(rows: tuple[tuple[str, str], ...]) -> str:

@@ -4,7 +4,7 @@ from html import escape
 
 from app.viewer.draw.colors import legend_uri
 from app.viewer.draw.layers import Scale
-from app.viewer.widgets.html import FAINT
+from app.viewer.widgets.html import QUIET
 
 
 def legend_html(scale: Scale | None, *, histogram: str = "", note: str = "") -> str:
@@ -21,7 +21,13 @@ def legend_html(scale: Scale | None, *, histogram: str = "", note: str = "") -> 
     exponent = _exponent(high - low)
     digits = max(0, min(4, (2 if exponent >= 0 else 1) - exponent))
     low_text, middle, high_text = (f"{value:.{digits}f}" for value in (low, (low + high) / 2, high))
-    below = f'<div style="{FAINT};line-height:1.35">{escape(note)}</div>' if note else ""
+    # In a place of two lines, so that what stands below it keeps its place as the note grows.
+    below = (
+        f'<div style="color:{QUIET};line-height:1.35;height:2.7em;overflow:hidden" '
+        f'title="{escape(note)}">{escape(note)}</div>'
+        if note
+        else ""
+    )
     return (
         f'<div data-testid="legend" style="padding:.1em .75em .3em;font-size:.8em">'
         f"<b>{escape(scale.label)}</b> [{escape(scale.unit)}]{histogram}"

@@ -132,6 +132,24 @@ def test_a_value_beyond_the_slider_stretches_it(server: viser.ViserServer) -> No
     made.panel.set(Params(width=0.5))
     assert find(server, "Width").min == 0.5
     assert find(server, "Width").value == 0.5
+    assert find(server, "Width").max == 5.0  # no longer needed
+
+
+def test_a_value_typed_beyond_the_slider_does_not_stretch_it_for_good(
+    server: viser.ViserServer,
+) -> None:
+    made = Panel(server, Params())
+    slider = find(server, "Width")
+    user_sets(slider, 7.3)
+    assert made.reported[-1].width == 7.3
+    assert (slider.min, slider.max) == (1.0, 7.3)  # the page keeps what was typed
+    user_sets(slider, 4.0)
+    assert (slider.min, slider.max) == (1.0, 7.3)  # it may be under a hand
+    user_sets(find(server, "count"), 21)
+    assert (slider.min, slider.max) == (1.0, 5.0)
+    user_sets(slider, 0.5)
+    made.panel.set(Params(width=3.0))
+    assert (slider.min, slider.max) == (1.0, 5.0)
 
 
 def test_a_refused_value_is_told_and_not_reported(server: viser.ViserServer) -> None:

@@ -9,15 +9,18 @@ from app.viewer.draw.colors import legend_uri
 from app.viewer.draw.layers import Scale
 from app.viewer.pair.choice import DatasetSummary, PairPanel
 from app.viewer.pair.panel import LAYER_NAMES, ViewPanel
+from app.viewer.pair.verdict import HEIGHT as CARD_HEIGHT
 from app.viewer.pair.verdict import VerdictCard, verdict_html
 from app.viewer.save.panel import command_html
-from app.viewer.state import LAYERS, ViewOptions, open_dataset, with_pair
+from app.viewer.state import LAYERS, ViewOptions, open_dataset, with_pair, with_params
+from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.legend import legend_html
-from app.viewer.widgets.status import StatusLine, status_html
-from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.types import Dataset, Submap
+from app.viewer.widgets.status import CANCEL, HEIGHT, StatusLine, status_html
+from gpgrad_core.loop_closure import ClosureParams
+from gpgrad_core.pipeline import PairResult, PipelineParams
+from gpgrad_core.types import Agreement, Dataset, Submap
 from tests.app.synthetic import make_dataset, make_result, needing
-from tests.app.widgets import find, user_presses, user_sets
+from tests.app.widgets import find, html_says, user_presses, user_sets
 
 STATE = open_dataset(make_dataset(), PipelineParams())
 
@@ -44,7 +47,7 @@ def dataset_panel(server: viser.ViserServer, asked: list[str]) -> DatasetPanel:
 
 
 def test_what_is_refused_is_shown_as_text(server: viser.ViserServer) -> None:
-    line = StatusLine(server)
+    line = StatusLine(server, Bridge(server))
     panel = dataset_panel(server, [])
     evil = "<img src=x onerror=alert(1)>"
     line.refused(f"Folder: may not be {evil}")
@@ -68,15 +71,109 @@ def test_the_card_tells_an_accepted_pair_with_units() -> None:
         "+1.00 m, -0.50 m",
         "12.5 m²",
         "0.93",
+        "threshold 3.0",
     ):
         assert words in html
+
+
+def with_evidence(*evidence: float) -> PairResult:
+    """Make a result whose terrain was compared."""
+    result = make_result(STATE)
+    registration = replace(
+        result.registration,
+        evidence=evidence,
+        scale=0.2,
+        agreement=Agreement(0.03, 0.01, 0.2),
+        overlap_area=1.0,
+    )
+    return replace(result, registration=registration)
+
+
+def test_the_card_tells_what_spoke_for_and_against() -> None:
+    html = verdict_html(STATE, with_evidence(7.7, 2.5, -4.25))
+    for words in (
+        "short waves",
+        "agree (+2.5), 1.3 to 2.5 m",
+        "long waves",
+        "disagree (-4.2), 2.5 to 5.0 m",
+        "12 of 17 (+7.7)",
+        "3 cm, 1 cm possible",
+    ):
+        assert words in html
+    assert html.count("▲") == 2  # short waves, inliers
+    assert html.count("▼") == 3  # long waves, heights, a small overlap
+    assert "say little (+0.1)" in verdict_html(STATE, with_evidence(7.7, 0.1, 0.0))
+
+
+def test_the_bar_shows_score_and_threshold() -> None:
+    state = with_params(STATE, PipelineParams(closure=ClosureParams(min_score=6.0)))
+    html = verdict_html(state, make_result(state))
+    assert "width:35.0%" in html  # 4.2 of 12
+    assert "left:50.0%" in html
+    assert "threshold 6.0" in html
+    huge = with_params(STATE, PipelineParams(closure=ClosureParams(min_score=900.0)))
+    assert "left:100.0%" in verdict_html(huge, make_result(huge))
+
+
+def test_where_all_is_masked_nothing_is_judged() -> None:
+    result = make_result(STATE)
+    hidden = replace(result.registration, T_database_query=None, nothing_trusted=True, score=0.0)
+    result = replace(
+        result,
+        registration=hidden,
+        closure=replace(result.closure, registration=hidden, accepted=False),
+    )
+    html = verdict_html(STATE, result)
+    assert ">Cannot judge<" in html
+    assert "oop closure<" not in html
+
+
+def test_a_pair_that_a_hand_has_moved_is_not_judged(server: viser.ViserServer) -> None:
+    card = VerdictCard(server)
+    card.show(STATE, make_result(STATE))
+    card.set_moved(True)
+    assert "Moved by hand, not judged" in html_of(card)
+    assert ">Loop closure<" not in html_of(card)
+    card.set_moved(False)
+    assert ">Loop closure<" in html_of(card)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"agreement": Agreement(0.03, 0.01, 0.2)}, "differ by more than the uncertainty"),
+        ({"agreement": Agreement(0.01, 0.01, 0.2)}, "share too little ground to decide"),
+        ({"agreement": Agreement(0.01, 0.01, 0.02), "overlap_area": 50.0}, "too smooth"),
+        ({"agreement": Agreement(0.01, 0.01, 0.2), "overlap_area": 50.0}, "can agree as well"),
+        ({"agreement": None}, "too little ground to compare"),
+        ({"T_database_query": None}, "No motion was found"),
+    ],
+)
+def test_a_low_score_is_explained_in_words(changes: dict[str, object], words: str) -> None:
+    result = with_evidence(2.0, -1.0, -1.0)
+    registration = replace(result.registration, score=1.0, **changes)  # type: ignore[arg-type]
+    closure = replace(result.closure, registration=registration, accepted=False)
+    assert words in verdict_html(STATE, replace(result, registration=registration, closure=closure))
+
+
+def test_the_card_has_one_height_whatever_it_says(server: viser.ViserServer) -> None:
+    card = VerdictCard(server)
+    height = f"height:{CARD_HEIGHT}em"
+    assert height in html_of(card)
+    card.show(STATE, make_result(STATE))
+    assert height in html_of(card)
+    card.outdate("out of date")
+    assert height in html_of(card)
+    assert html_of(card).count(height) == 1
 
 
 def test_the_card_tells_a_refused_pair_and_why() -> None:
     state = open_dataset(make_dataset(), needing(20))
     html = verdict_html(state, make_result(state))
     assert ">No loop closure<" in html
-    assert "12 inliers &lt; 20" in html
+    assert "12 (threshold 20) of 17" in html
+    assert "Too few associations agree with the motion." in html
+    assert "12 inliers &lt; 20" in html  # the reason as closures.json has it, in the tooltip
 
 
 def test_the_card_tells_when_no_motion_was_found(server: viser.ViserServer) -> None:
@@ -123,7 +220,7 @@ def test_names_cannot_bring_markup_into_the_page(server: viser.ViserServer) -> N
 
 
 def test_the_status_line_says_whether_the_picture_is_current(server: viser.ViserServer) -> None:
-    status = StatusLine(server)
+    status = StatusLine(server, Bridge(server))
     status.computing()
     assert "Computing" in html_of(status)
     status.up_to_date(0.123, "5,000 cells")
@@ -136,7 +233,7 @@ def test_the_status_line_says_whether_the_picture_is_current(server: viser.Viser
 
 
 def test_what_took_how_long_is_told_by_stage(server: viser.ViserServer) -> None:
-    status = StatusLine(server)
+    status = StatusLine(server, Bridge(server))
     status.up_to_date(0.2, "5 cells", {"map": 0.12, "matching": 0.0001, "drawing": 0.008})
     assert "map 120 · drawing 8 ms" in html_of(status)
     assert "matching" not in html_of(status)
@@ -146,18 +243,31 @@ def test_what_took_how_long_is_told_by_stage(server: viser.ViserServer) -> None:
 
 def test_long_work_has_a_bar_and_can_be_cancelled(server: viser.ViserServer) -> None:
     asked: list[str] = []
-    status = StatusLine(server, on_cancel=lambda: asked.append("cancel"))
-    button = find(server, "Cancel computing")
+    bridge = Bridge(server)
+    status = StatusLine(server, bridge, on_cancel=lambda: asked.append("cancel"))
     status.progress(0.2)
-    assert not button.visible  # nothing is being computed
+    assert "Cancel computing" not in html_of(status)  # nothing is being computed
     status.computing()
     status.progress(0.4)
-    assert button.visible
-    user_presses(button)
+    assert "Cancel computing" in html_of(status)
+    assert "width:40%" in html_of(status)
+    html_says(bridge, CANCEL)
     assert asked == ["cancel"]
     status.cancelled()
-    assert not button.visible
+    assert "Cancel computing" not in html_of(status)
     assert "out of date" in html_of(status)
+
+
+def test_the_status_has_one_height_whatever_it_says(server: viser.ViserServer) -> None:
+    status = StatusLine(server, Bridge(server))
+    for say in (
+        status.computing,
+        lambda: status.progress(0.4),
+        lambda: status.up_to_date(0.1, "5,000 cells", {"map": 0.2}),
+        lambda: status.error("too wide " * 50),
+    ):
+        say()
+        assert f"height:{HEIGHT}em" in status._handle.content
 
 
 def test_a_card_that_is_out_of_date_says_so_until_the_next(server: viser.ViserServer) -> None:

@@ -1,0 +1,108 @@
+"""The looks of viser's own widgets: contrast, sizes, one solid button, tooltips beside the panel.
+
+viser has no setting for any of these, but its pages take a style sheet in HTML. What is written
+here depends on how viser builds its pages, as the bridge does, and a browser test watches it.
+"""
+
+from html import escape
+
+import viser
+
+from app.viewer.host import Host
+
+SOLID, SOLID_HOVER = "#1971c2", "#155fa3"
+"""White words on them are readable, which they are not on viser's own blue."""
+
+STYLE = """
+:root, :root[data-mantine-color-scheme] {
+  --mantine-color-dimmed: light-dark(#50575e, #bfc4c9) !important;
+}
+:where(button.mantine-Button-root:not([data-variant=outline], [data-disabled], [style*="-red-"])) {
+  --button-bg: transparent !important;
+  --button-hover: light-dark(#e6f0fa, #26333f) !important;
+  --button-color: light-dark(#1659a0, #8cc3f7) !important;
+  --button-bd: 1px solid light-dark(#6f9fce, #5f86ad) !important;
+}
+:where(button.mantine-Button-root[data-variant=outline]) {
+  --button-color: light-dark(#1659a0, #8cc3f7) !important;
+}
+button.mantine-Button-root { min-height: 32px; }
+.mantine-Slider-root + .mantine-NumberInput-root { width: 3.9rem !important; }
+.mantine-Slider-thumb { width: .7rem !important; height: 1.1rem !important; }
+[data-dock-strip] { flex-wrap: nowrap !important; }
+[data-dock-strip] > [data-dock-tab] { padding: 0 .45em !important; min-width: 0; }
+[data-dock-tab][aria-selected=true] {{ color: light-dark(#1659a0, #8cc3f7) !important; }}
+.tabler-icon-cloud-check { visibility: hidden; }
+@media (min-width: 700px) {
+  .mantine-Tooltip-tooltip {
+    left: var(--gpgrad-tip-left, auto) !important;
+    right: var(--gpgrad-tip-right, auto) !important;
+  }
+  .mantine-Tooltip-arrow { display: none; }
+}
+"""
+# A tooltip stands on that side of the panel on which there is more room, over the picture.
+BESIDE = """
+(() => {
+  if (window.gpgradTips) return;
+  window.gpgradTips = true;
+  document.addEventListener('pointerover', event => {
+    const panel = event.target.closest && event.target.closest('[data-dock-group]');
+    if (!panel) return;
+    const box = panel.getBoundingClientRect(), style = document.documentElement.style;
+    const isLeft = box.left + box.right < window.innerWidth;
+    const left = isLeft ? `${box.right + 8}px` : 'auto';
+    const right = isLeft ? 'auto' : `${window.innerWidth - box.left + 8}px`;
+    style.setProperty('--gpgrad-tip-left', left);
+    style.setProperty('--gpgrad-tip-right', right);
+  }, {passive: true});
+})()
+"""
+
+
+class Look:
+    """The style sheet of a session's pages."""
+
+    def __init__(self, host: Host) -> None:
+        """Put it into the current container, unseen.
+
+        Args:
+            host: Whose pages it is for.
+        """
+        host.gui.add_html(
+            f"<style>{STYLE}</style>"
+            f'<img alt="" src="data:," style="display:none" onerror="{escape(BESIDE)}">'
+        )
+
+
+def uuid_of(handle: viser.GuiButtonHandle | viser.GuiButtonGroupHandle) -> str:
+    """Give the name by which a page knows a widget."""
+    return handle._impl.uuid  # pyright: ignore[reportPrivateUsage]
+
+
+def make_solid(host: Host, button: viser.GuiButtonHandle) -> None:
+    """Let a button stand out: it does what its panel is for. All others are light."""
+    host.gui.add_html(
+        f'<style>button[id="{uuid_of(button)}"]:not([data-disabled]){{'
+        f"--button-bg:{SOLID}!important;--button-hover:{SOLID_HOVER}!important;"
+        f"--button-color:#fff!important;--button-bd:none!important}}</style>"
+    )
+
+
+def segment_style(buttons: viser.GuiButtonGroupHandle, chosen: int) -> str:
+    """Write the style that turns a group of buttons into one control, without its label.
+
+    Args:
+        buttons: The group.
+        chosen: Which of them is filled, from 0.
+    """
+    label = f'div:has(> p > label[for="{uuid_of(buttons)}"])'
+    group = f"{label} + div div:has(> button)"
+    return (
+        f"<style>{label}{{display:none}}{group}{{gap:0!important}}"
+        f"{group} > button{{min-height:34px;border-radius:0;border-left-width:0;font-size:.9em}}"
+        f"{group} > button:first-of-type{{border-radius:6px 0 0 6px;border-left-width:1px}}"
+        f"{group} > button:last-of-type{{border-radius:0 6px 6px 0}}"
+        f"{group} > button:nth-of-type({chosen + 1}){{background:{SOLID}!important;"
+        f"color:#fff!important}}</style>"
+    )

@@ -1,0 +1,41 @@
+"""The title: which pair of which dataset a page shows, in the browser's tab and on the panel."""
+
+import json
+from html import escape
+
+from app.viewer.host import Host
+
+PROGRAM = "gpgrad"
+
+
+class PageTitle:
+    """Names the pages of a session."""
+
+    def __init__(self, host: Host) -> None:
+        """Put the script into the current container, unseen.
+
+        Args:
+            host: Whose pages are named.
+        """
+        self._host = host
+        self._shown = ""
+        self._script = host.gui.add_html("")
+
+    def show(self, query_id: str, database_id: str, dataset: str) -> None:
+        """Name a pair and its dataset; nothing is sent if they are named already."""
+        named = f"{query_id} → {database_id} · {dataset}"
+        if named == self._shown:
+            return
+        self._shown = named
+        self._host.gui.set_panel_label(named)
+        self._script.content = title_html(f"{named} · {PROGRAM}")
+
+
+def title_html(title: str) -> str:
+    """Write a script that names the page into which it is put.
+
+    >>> title_html("a")
+    '<img alt="" src="data:," style="display:none" onerror="document.title=&quot;a&quot;">'
+    """
+    script = escape(f"document.title={json.dumps(title)}")
+    return f'<img alt="" src="data:," style="display:none" onerror="{script}">'

@@ -1,0 +1,176 @@
+"""The panels in a real browser: they keep still, they fit, and a dataset opens on a closure."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from app.viewer.best_pair.search import BestPair
+from app.viewer.params.tab import MAIN_PARAMETERS
+from app.viewer.server import Viewer
+from app.viewer.widgets.bridge import Data
+from gpgrad_core.datasets import demo_path, load_dataset
+from gpgrad_core.run.store import Store
+from tests.browser.conftest import QUICK
+
+if TYPE_CHECKING:
+    from tests.browser.chromium import ViewerPage
+
+pytestmark = pytest.mark.browser
+SIZE = (1280, 900)
+
+# Looks at every frame where the rows are, and keeps the longest way that one has moved.
+WATCH = """
+() => {
+  const kinds = 'label[for], button, [role=tab], [role=slider], [data-testid]';
+  const rows = () => {
+    const found = {}, times = {};
+    for (const one of document.querySelectorAll(kinds)) {
+      const box = one.getBoundingClientRect();
+      if (!one.closest('[data-dock-group]') || !box.height) continue;
+      const slides = one.getAttribute('role') === 'slider';  // sideways, as it is dragged
+      const name = slides ? 'slider' : one.dataset.testid || one.textContent;
+      times[name] = (times[name] || 0) + 1;
+      found[`${name} ${times[name]}`] = [slides ? 0 : box.x, box.y];
+    }
+    return found;
+  };
+  const first = rows();
+  window.calm = {moved: 0, who: '', rows: Object.keys(first).length, on: true};
+  const look = () => {
+    for (const [name, place] of Object.entries(rows())) {
+      const before = first[name];
+      const way = before ? Math.hypot(place[0] - before[0], place[1] - before[1]) : 0;
+      if (way > window.calm.moved) Object.assign(window.calm, {moved: way, who: name});
+    }
+    if (window.calm.on) requestAnimationFrame(look);
+  };
+  look();
+}
+"""
+FITS = """
+() => {
+  const shown = kind => [...document.querySelectorAll(kind)].filter(
+    one => one.closest('[data-dock-group]') && one.getBoundingClientRect().height);
+  const luminance = color => {
+    const part = color.match(/[\\d.]+/g).slice(0, 3).map(v => v / 255).map(
+      v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * part[0] + 0.7152 * part[1] + 0.0722 * part[2];
+  };
+  const ground = one => {
+    for (; one; one = one.parentElement) {
+      const color = getComputedStyle(one).backgroundColor;
+      if (!/rgba\\(.*, 0\\)|transparent/.test(color)) return color;
+    }
+    return 'rgb(255, 255, 255)';
+  };
+  const contrast = one => {
+    const [a, b] = [getComputedStyle(one).color, ground(one)].map(luminance);
+    return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  };
+  const words = [...shown('label[for]'), ...shown('button')].filter(
+    one => one.textContent.trim() && !one.disabled);
+  const buttons = shown('button').filter(one => one.textContent.trim());
+  const tabs = shown('[role=tab]');
+  return {
+    pale: words.filter(one => contrast(one) < 4.5).map(one => one.textContent),
+    low: buttons.filter(one => one.getBoundingClientRect().height < 31.9).map(
+      one => one.textContent),
+    rowsOfTabs: new Set(tabs.map(one => one.getBoundingClientRect().y)).size,
+    cutTabs: tabs.filter(one => one.scrollWidth > one.clientWidth + 1).map(
+      one => one.textContent),
+    sideways: [...document.querySelectorAll('[data-dock-group] *')].filter(
+      one => /auto|scroll/.test(getComputedStyle(one).overflowX)
+        && one.scrollWidth > one.clientWidth + 1).map(one => one.className),
+    card: (() => {
+      const table = document.querySelector('[data-testid=verdict]').parentElement;
+      return [table.scrollWidth - table.clientWidth, table.scrollHeight - table.clientHeight];
+    })(),
+  };
+}
+"""
+
+
+def test_no_row_moves_while_a_slider_is_dragged(
+    open_viewer: Callable[..., "ViewerPage"],
+) -> None:
+    page = open_viewer(QUICK, size=SIZE)
+    for name in MAIN_PARAMETERS.values():
+        page.page.evaluate(WATCH)
+        page.drag(name, 60, steps=12, pause_ms=60)
+        page.drag(name, -40, steps=8, pause_ms=60)
+        page.page.evaluate("document.activeElement && document.activeElement.blur()")
+        page.wait(lambda: "Up to date" in page.status(), "an up-to-date picture")
+        calm: Any = page.page.evaluate("window.calm.on = false, window.calm")
+        assert calm["rows"] > 40
+        assert calm["moved"] < 0.5, (name, calm)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_what_is_drawn_fits_and_can_be_read(
+    open_viewer: Callable[..., "ViewerPage"], dark: bool
+) -> None:
+    page = open_viewer(QUICK, size=SIZE)
+    if dark:
+        desk = page.viewer.sessions[0].desk  # type: ignore[attr-defined]
+        desk.change(options=replace(desk.state.options, dark=True))
+        page.page.wait_for_timeout(1000)
+    found: Any = page.page.evaluate(FITS)
+    assert found["pale"] == []
+    assert found["low"] == []
+    assert found["rowsOfTabs"] == 1
+    assert found["cutTabs"] == []
+    assert found["sideways"] == []
+    assert max(found["card"]) <= 0, found["card"]
+    page.thumb("Noise").hover()
+    tip = page.page.locator(".mantine-Tooltip-tooltip")
+    tip.wait_for(timeout=10_000)
+    page.page.wait_for_timeout(400)
+    label = page.thumb("Noise").bounding_box()
+    box = tip.bounding_box()
+    assert label is not None
+    assert box is not None
+    assert box["x"] + box["width"] <= label["x"] - 60  # beside the panel
+
+
+def test_it_switches_to_a_closure_says_so_and_leads_back(browser: object) -> None:
+    from tests.browser.chromium import ViewerPage  # noqa: PLC0415
+
+    dataset = replace(
+        load_dataset(demo_path()), preferred={"query": "004", "database": "000"}, name="demo <b>"
+    )
+    viewer = Viewer(dataset, QUICK, port=0, store=Store())
+    try:
+        page: Any = browser.new_page()  # type: ignore[attr-defined]
+        page.goto(f"{viewer.url}/?fixedDpr=1")
+        note = page.get_by_test_id("best-pair")
+        note.get_by_text("Switched to").wait_for(timeout=60_000)
+        notice = page.locator(".mantine-Notification-root button")
+        if notice.count():  # of software rendering, over our note
+            notice.first.click()
+        headline = page.get_by_test_id("verdict")
+        assert headline.inner_text() == "Loop closure"
+        state = viewer.sessions[0].state
+        assert page.title() == f"{state.query_id} → {state.database_id} · demo <b> · gpgrad"
+        note.get_by_role("button", name="Back to 004 → 000").click()
+        page.wait_for_function("document.title.startsWith('004 → 000')", timeout=30_000)
+        note.wait_for(state="detached", timeout=30_000)
+        assert "No loop closure" in headline.inner_text()
+        heard: list[Data] = []
+        session = viewer.sessions[0]
+        session.desk.bridge.hear("touched", lambda _, data: heard.append(data))
+        (best,) = (one for one in session.desk.features if isinstance(one, BestPair))
+        best._note.say("Looking …", watch=41)
+        note.wait_for(timeout=30_000)
+        page.mouse.move(640, 500)
+        page.mouse.wheel(0, 60)
+        page.mouse.wheel(0, 60)
+        page.wait_for_timeout(1500)
+        assert heard == [{"number": 41}]
+        late = ViewerPage(browser, viewer.url)  # type: ignore[arg-type]
+        assert late.page.title().startswith("004 → 000")
+        late.close()
+        page.close()
+    finally:
+        viewer.close()
