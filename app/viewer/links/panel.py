@@ -12,7 +12,8 @@ from app.viewer.widgets.html import paragraph
 # knows with what the page was opened. The canvas is to be known first: it decides how submaps
 # stand, and so what a camera sees.
 SCRIPT = """
-(() => {
+(function run() {
+  if (!window.gpgrad) { setTimeout(run, 50); return; }  // the bridge may come later
   const show = () => {
     for (const box of document.querySelectorAll('[data-testid=link]'))
       box.value = window.gpgradLink.link();

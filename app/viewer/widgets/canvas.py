@@ -33,7 +33,8 @@ by hand."""
 # `cover` finds what floats over the canvas, and leaves the largest of the strips beside it. What
 # opens for a moment, such as a list, does not count.
 SCRIPT = """
-(() => {
+(function run() {
+  if (!window.gpgrad) { setTimeout(run, 50); return; }  // the bridge may come later
   if (window.gpgradCanvas) { window.gpgradCanvas.last = ''; return; }
   const own = window.gpgradCanvas = {last: '', height: 0, left: 0, top: 0};
   const make = (parent, style, tag = 'div') => {
