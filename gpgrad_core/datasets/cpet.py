@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gpgrad_core.datasets.poses import parse_numbers
 from gpgrad_core.errors import InputError
@@ -116,6 +115,8 @@ def pose_of_matrix(matrix: np.ndarray[tuple[int, int], np.dtype[np.float64]], wh
         InputError: If the first three columns are not a rotation, or the position is beyond
             `MAX_COORDINATE`.
     """
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - loads slowly
+
     turn, place = matrix[:, :3], matrix[:, 3]
     # The largest number is looked at first: squares of huge ones overflow.
     fits = bool(np.abs(turn).max() <= 2.0)

@@ -9,7 +9,6 @@ import struct
 import zlib
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import UInt16
 
@@ -35,6 +34,8 @@ def read_grey_png(
     Raises:
         InputError: If it cannot be read, is no such image, or is damaged anywhere.
     """
+    import cv2  # noqa: PLC0415 - loads slowly, and few recordings have such images
+
     most = 4 * rows * columns + 65_536
     try:
         with path.open("rb") as file:

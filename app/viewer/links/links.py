@@ -51,7 +51,7 @@ class Links(Feature):
         desk.bridge.hear("arrived", self._arrive)
         desk.bridge.hear("link copied", _say_copied)
         commands.add_for_page(
-            "Session", "Copy link", lambda page: desk.bridge.call(page, "copy", {}), key="Y"
+            "Session", "Copy link", lambda page: desk.bridge.call(page, "copy", {})
         )
 
     def follow(self, state: ViewState) -> None:
