@@ -20,7 +20,7 @@ SCRIPT = """
   };
   if (window.gpgradLink) { show(); return; }
   const opened = performance.getEntriesByType('navigation')[0];
-  const asked = (location.hash || (opened ? new URL(opened.name).hash : '')).slice(1);
+  const asked = (location.hash || (opened ? new window.URL(opened.name).hash : '')).slice(1);
   const own = window.gpgradLink = {
     text: '',
     link() { return own.text ? location.origin + location.pathname + '#' + own.text : ''; },

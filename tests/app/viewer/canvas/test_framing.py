@@ -95,7 +95,8 @@ def test_a_page_that_comes_sees_all_of_it_and_is_told_what(
     assert page.camera == session.pair.scene.camera(session.state, WIDE)
     captions = [text for text in page.told if '"caption"' in text]
     assert f"Query {session.state.query_id}" in captions[-1]
-    assert "inliers" in captions[-1]
+    assert "Loop closure" in captions[-1]
+    assert "score" in captions[-1]
     assert any('"camera"' in text and '"share"' in text for text in page.told)
 
 
