@@ -78,7 +78,10 @@ FITS = """
     low: buttons.filter(one => one.getBoundingClientRect().height < 31.9).map(
       one => one.textContent),
     rowsOfTabs: new Set(tabs.map(one => one.getBoundingClientRect().y)).size,
-    cutTabs: tabs.filter(one => one.scrollWidth > one.clientWidth + 1).map(
+    cutTabs: tabs.filter(one =>
+      [one, ...one.querySelectorAll('*')].some(part => part.scrollWidth > part.clientWidth + 1)
+        || one.getBoundingClientRect().right
+          > one.closest('[data-dock-group]').getBoundingClientRect().right).map(
       one => one.textContent),
     sideways: [...document.querySelectorAll('[data-dock-group] *')].filter(
       one => /auto|scroll/.test(getComputedStyle(one).overflowX)

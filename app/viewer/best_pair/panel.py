@@ -27,9 +27,10 @@ WATCH = """
   window.gpgradWatched = number;
 })(NUMBER)
 """
-# Over the middle of the picture, whose edges the panels cover; no row of a panel moves.
+# Over the lower middle of the picture: the panels cover its sides, and the caption is above. No row
+# of a panel moves.
 PLACE = (
-    "position:fixed;top:10px;left:50%;transform:translateX(-50%);z-index:4;box-sizing:border-box;"
+    "position:fixed;bottom:52px;left:50%;transform:translateX(-50%);z-index:4;box-sizing:border-box;"
     "width:max-content;max-width:min(27rem,94vw);padding:.5em .8em;border-radius:.5em;"
     "font-size:.85em;line-height:1.45;background:light-dark(#fff,#2b2b2b);"
     "color:light-dark(#222,#eee);border:1px solid light-dark(#b5b5b5,#666);"

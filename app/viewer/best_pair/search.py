@@ -9,7 +9,7 @@ import viser
 
 from app.viewer.best_pair.likely import Pair, overlapping_pairs, voted_pairs
 from app.viewer.best_pair.panel import BestPairNote, ShowBestButton
-from app.viewer.feature import Desk, Feature
+from app.viewer.feature import Desk, Feature, Subject
 from app.viewer.opened import Opened
 from app.viewer.runner import Runner
 from app.viewer.state import ViewState
@@ -139,6 +139,12 @@ class BestPair(Feature):
             self._due = False
         if not result.closure.accepted and len(state.dataset.submaps) > 2:
             self._begin(state, asked=False)
+
+    def turned(self, subject: Subject) -> None:
+        """Say nothing of a pair while all submaps are shown."""
+        if subject == "world":
+            self._stop()
+            self._note.clear()
 
     def comparing(self, fraction: float | None, message: str) -> None:
         """Make way for the comparison of all pairs."""

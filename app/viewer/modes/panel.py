@@ -13,8 +13,8 @@ Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
 
 MODES: tuple[Mode, ...] = get_args(Mode)
 GUIDES: dict[Mode, str] = {
-    "Explore": "All submaps stand at their poses. Click one for its figures, or correct the map in "
-    "the tab Pose graph.",
+    "Explore": "All submaps at their poses. Click one for its figures. The tab Pose graph corrects "
+    "the map.",
     "Tune": "Do the two submaps show the same place? Drag a slider: surfaces and verdict follow.",
     "Demo": "Show it to others with saved views, motion and full screen, or save it as a page.",
 }

@@ -180,8 +180,8 @@ def list_html(listing: Listing) -> str:
     return (
         f'<div data-testid="triage">{rows}<div style="display:flex;gap:.5em;align-items:center;'
         f'justify-content:space-between;padding:.3em .75em;font-size:.85em">'
-        f"{_turn('before', listing.first - ROWS, listing.first > 0)}<span>{where}</span>"
-        f"{_turn('after', listing.first + ROWS, last < listing.total)}</div></div>"
+        f"{_turn('previous', listing.first - ROWS, listing.first > 0)}<span>{where}</span>"
+        f"{_turn('next', listing.first + ROWS, last < listing.total)}</div></div>"
     )
 
 

@@ -30,8 +30,13 @@ button.mantine-Button-root { min-height: 32px; }
 .mantine-Slider-root + .mantine-NumberInput-root { width: 3.9rem !important; }
 .mantine-Slider-thumb { width: .7rem !important; height: 1.1rem !important; }
 [data-dock-strip] { flex-wrap: nowrap !important; }
-[data-dock-strip] > [data-dock-tab] { padding: 0 .45em !important; min-width: 0; }
-[data-dock-tab][aria-selected=true] {{ color: light-dark(#1659a0, #8cc3f7) !important; }}
+[data-dock-strip] > [data-dock-tab] {
+  padding: 0 4px !important; flex: 0 0 auto !important; letter-spacing: -.2px;
+}
+[data-dock-strip] > [data-dock-tab], [data-dock-strip] > [data-dock-tab] * {
+  font-size: 12.5px !important; max-width: none !important;
+}
+[data-dock-tab][aria-selected=true] { color: light-dark(#1659a0, #8cc3f7) !important; }
 .tabler-icon-cloud-check { visibility: hidden; }
 @media (min-width: 700px) {
   .mantine-Tooltip-tooltip {
