@@ -97,9 +97,9 @@ def read_truth_file(path: Path) -> PoseFile:
 
     Poses are those of `read_pose_file`. Positions are rows ``timestamp x y z`` [s, m], z up, or a
     solution of RTKLIB (a file that ends in ``.pos``): rows of week and seconds, or date and time,
-    then latitude, longitude and height, as the manual of RTKLIB 2.4.2 gives them in its appendix
-    B.1. Its places become metres east, north and up of the first one. Its times become seconds
-    since 1970 in UTC; those in GPS time are `LEAP_SECONDS` less. Not verified on a real file.
+    then latitude, longitude and height, as RTKLIB 2.4.2 writes them. Its places become metres east,
+    north and up of the first one. Its times become seconds since 1970 in UTC; those in GPS time are
+    `LEAP_SECONDS` less. Not verified on a real file.
 
     Args:
         path: The file; ``#``, or ``%`` in a ``.pos``, starts a comment.
