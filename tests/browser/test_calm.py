@@ -17,7 +17,7 @@ from tests.browser.conftest import QUICK
 if TYPE_CHECKING:
     from tests.browser.chromium import ViewerPage
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
 SIZE = (1280, 900)
 
 # Looks at every frame where the rows are, and keeps the longest way that one has moved.
