@@ -1,4 +1,8 @@
-"""The canvas and the address in a real browser: one is filled, and the other says with what."""
+"""The canvas and the address in a real browser: one is filled, and the other says with what.
+
+Not collected by itself, because it takes minutes where no graphics card draws:
+``pytest tests/browser/look_at_canvas.py -n 0 -m slow``.
+"""
 
 import io
 from collections.abc import Iterator
