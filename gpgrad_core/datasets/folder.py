@@ -4,6 +4,7 @@ import os
 import re
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -204,14 +205,14 @@ def load_dataset(
             and in a text file also the line. Or if the disk is too full for the temporary file.
     """
     outline = outline_dataset(path)
-    submaps = _Submaps(most_bytes)
     notes = list(outline.dataset.notes)
-    for k in range(len(outline.clouds)):
-        submap, of_cloud = outline.load(k)
-        submaps.add(submap)
-        notes += of_cloud
-        progress((k + 1) / len(outline.clouds))
-    return replace(outline.dataset, submaps=submaps.finish(), notes=tuple(notes))
+    with closing(_Submaps(most_bytes)) as submaps:
+        for k in range(len(outline.clouds)):
+            submap, of_cloud = outline.load(k)
+            submaps.add(submap)
+            notes += of_cloud
+            progress((k + 1) / len(outline.clouds))
+        return replace(outline.dataset, submaps=submaps.finish(), notes=tuple(notes))
 
 
 class _Submaps:
@@ -246,6 +247,11 @@ class _Submaps:
                 given = {name: give(mapped) for name, give in arrays.items()}
                 self._submaps[k] = replace(self._submaps[k], **given)
         return tuple(self._submaps)
+
+    def close(self) -> None:
+        """Leave no file behind if not all were taken."""
+        if self._spool is not None:
+            self._spool.close()
 
     def _put_away(self, submap: Submap) -> dict[str, Waiting]:
         self._spool = self._spool or Spool()

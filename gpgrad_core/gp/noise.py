@@ -25,7 +25,7 @@ PRIOR_WEIGHT = 2.0
 """Degrees of freedom of the cloud in the pool of a cell, and of the prior in a small cloud."""
 ENOUGH_FREEDOM = 30.0
 """The prior counts half as much in a cloud of so many degrees of freedom, and ever less in a larger
-one. A prior of fifty times the noise would else double it among 4,000."""
+one. A prior of fifty times the noise would else more than double the variance of one of 4,000."""
 CLIPPED_AT = 1.5
 """Residuals are clipped at this many standard deviations (Huber's second proposal), so that a few
 large ones do not raise the noise of all others."""

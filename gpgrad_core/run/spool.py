@@ -68,6 +68,10 @@ class Spool:
         _MAPPED.add(mapped)
         return mapped
 
+    def close(self) -> None:
+        """Give up what was not finished; what was, stays."""
+        self._file.close()
+
 
 def forget_pages() -> None:
     """Hold nothing in memory of what waits in files; it is read again when it is looked at."""

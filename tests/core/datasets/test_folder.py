@@ -1,5 +1,6 @@
 """Dataset folders: what belongs together is found, what contradicts itself is refused."""
 
+import gc
 import random
 import tempfile
 from dataclasses import replace
@@ -72,6 +73,16 @@ def test_clouds_that_wait_in_a_file_are_used_like_any_others(folder: Path) -> No
         np.testing.assert_array_equal(one.points, other.points)
         assert (one.id, one.fingerprint) == (other.id, other.fingerprint)
         assert not one.points.flags.writeable
+
+
+def test_a_cancelled_loading_leaves_no_file_open(folder: Path) -> None:
+    def cancel(fraction: float) -> None:
+        raise Cancelled
+
+    # A file that is left to the garbage collector is a warning, and so a failure.
+    with pytest.raises(Cancelled):
+        load_dataset(folder, cancel, most_bytes=0)
+    gc.collect()
 
 
 def test_a_folder_without_room_for_them_is_named(
