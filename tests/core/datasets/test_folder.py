@@ -76,7 +76,7 @@ def test_clouds_that_wait_in_a_file_are_used_like_any_others(folder: Path) -> No
 
 
 def test_a_cancelled_loading_leaves_no_file_open(folder: Path) -> None:
-    def cancel(fraction: float) -> None:
+    def cancel(_fraction: float) -> None:
         raise Cancelled
 
     # A file that is left to the garbage collector is a warning, and so a failure.
