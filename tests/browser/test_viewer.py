@@ -45,6 +45,7 @@ def test_the_demo_opens_as_a_stranger_finds_it(open_viewer: Open) -> None:
     assert not page.is_blank()
 
 
+@pytest.mark.slow
 def test_each_slider_moves_picture_and_verdict_and_reset_brings_all_back(
     page: "ViewerPage",
 ) -> None:
@@ -69,6 +70,7 @@ def test_each_slider_moves_picture_and_verdict_and_reset_brings_all_back(
     page.settle()
 
 
+@pytest.mark.slow
 def test_a_drag_of_200_events_ends_on_the_last_value(page: "ViewerPage") -> None:
     page.drag("Minimum inliers", 60, steps=50)
     page.drag("Minimum inliers", 30, steps=50)

@@ -129,6 +129,7 @@ def test_an_interrupt_ends_all_workers_and_leaves_nothing(tmp_path: Path) -> Non
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_without_a_cache_the_results_of_many_lie_in_a_folder_that_goes_with_the_run(
     traverse: Path, detected: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,6 +11,7 @@ from gpgrad_core.outputs import read_closures
 from tests.end_to_end.process import Run
 
 
+@pytest.mark.slow
 def test_a_traverse_is_corrected_and_merged(gpgrad: Run, traverse: Path, tmp_path: Path) -> None:
     out = tmp_path / "map"
     finished = gpgrad("slam", traverse, "--out", out, "--merged.resolution", "0.1")
