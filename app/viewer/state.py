@@ -12,10 +12,17 @@ from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap
 
 Layer: TypeAlias = Literal[
-    "elevation", "std", "gradient", "slope_x", "slope_y", "mask", "difference"
+    "elevation", "std", "gradient", "slope_x", "slope_y", "mask", "difference", "agreement"
 ]
 ColorMap: TypeAlias = Literal[
-    "automatic", "viridis", "cividis", "magma", "turbo", "grey", "blue-white-red"
+    "automatic",
+    "viridis",
+    "cividis",
+    "magma",
+    "turbo",
+    "grey",
+    "blue-white-red",
+    "red-white-blue",
 ]
 Layout: TypeAlias = Literal["side by side", "registered", "gradient from above"]
 Untrusted: TypeAlias = Literal["hidden", "grey", "shown"]
@@ -27,6 +34,8 @@ COLOR_MAPS: tuple[ColorMap, ...] = get_args(ColorMap)
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 UNTRUSTED: tuple[Untrusted, ...] = get_args(Untrusted)
 COMPARE: tuple[Compare, ...] = get_args(Compare)
+COMPARED: tuple[Layer, ...] = ("difference", "agreement")
+"""Layers that show both maps against each other, under the registration."""
 FROM_ABOVE: Layout = "gradient from above"
 """Side by side like two maps, whatever the layer."""
 

@@ -1,5 +1,6 @@
 """Registers a pair of maps: candidate motions, their alignment, and the score."""
 
+from gpgrad_core.registration.agreement import map_agreement
 from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.register import (
     Prepared,
@@ -9,4 +10,12 @@ from gpgrad_core.registration.register import (
     register_prepared,
 )
 
-__all__ = ["Prepared", "RegistrationParams", "prepare", "refine", "register", "register_prepared"]
+__all__ = [
+    "Prepared",
+    "RegistrationParams",
+    "map_agreement",
+    "prepare",
+    "refine",
+    "register",
+    "register_prepared",
+]

@@ -1,17 +1,18 @@
 """The evidence that two maps show one terrain: the score of a registration."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import exp, expm1, log, log1p, pi, sqrt
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
-from gpgrad_core.arrays import Array
-from gpgrad_core.registration.overlay import overlay, smooth_between, take_warp_out
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.registration.overlay import Overlay, overlay, smooth_between, take_warp_out
 from gpgrad_core.registration.relief import Relief
 from gpgrad_core.registration.uncertainty import NUM_BANDS, band_edges
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Agreement
+from gpgrad_core.types import Agreement, Grid
 
 FEWEST_CELLS = 30
 """Smallest number of common cells that are compared."""
@@ -72,14 +73,69 @@ def weigh(query: Relief, database: Relief, T_database_query: SE2) -> Evidence:
         The evidence; its log ratios are 0 if fewer than `FEWEST_CELLS` cells are common.
     """
     laid = overlay(query, database, T_database_query)
-    count, common = laid.count, laid.common
-    patches = count * laid.step**2 / (2 * pi * laid.scale**2)
-    if count < FEWEST_CELLS:
+    patches = laid.count * laid.step**2 / (2 * pi * laid.scale**2)
+    if laid.count < FEWEST_CELLS:
         return Evidence(patches, (0.0,) * NUM_BANDS)
-    unknown = laid.noise[common].astype(np.float64)
-    pair = take_warp_out(laid)
     log_ratios: list[float] = []
     difference = possible = relief = 0.0
+    for band in _compare_bands(laid):
+        log_ratios.append(float(np.mean(band.log_ratio)))
+        difference += 2 * float(np.median(band.squared)) / 0.455
+        possible += 2 * float(np.mean(band.of_one))
+        relief += band.signal
+    agreement = Agreement(sqrt(difference), sqrt(possible), sqrt(relief))
+    return Evidence(patches, tuple(log_ratios), agreement)
+
+
+def map_evidence(
+    query: Relief, database: Relief, T_database_query: SE2
+) -> tuple[Grid, Float32[NDArray[np.float32], "rows columns"]]:
+    """Show where two maps agree under a motion, and where not.
+
+    A cell has the log ratio of `weigh`, with the bands weighed as in `closure_score`. So the mean
+    over the cells, times √N, is what the terrain adds to the evidence.
+
+    Args:
+        query: The map to be placed.
+        database: The map on which it is placed.
+        T_database_query: The motion.
+
+    Returns:
+        The cells around the overlap in the database's frame, and the log ratios: above 0 where one
+        terrain is likelier than two, NaN where there is nothing to compare.
+    """
+    laid = overlay(query, database, T_database_query)
+    shown = np.full(laid.common.shape, np.nan, np.float32)
+    if laid.count >= FEWEST_CELLS:
+        shown[laid.common] = sum(
+            weight / 2**k * band.log_ratio
+            for k, (weight, band) in enumerate(zip(BAND_WEIGHTS, _compare_bands(laid), strict=True))
+        )
+    return laid.grid, shown
+
+
+@dataclass(frozen=True, eq=False)
+class _Band:
+    """The common cells in one band.
+
+    Attributes:
+        squared: Square of the difference of the heights, divided by 2 [m²].
+        of_one: Variance of that if both maps show one terrain [m²].
+        signal: Variance S of the terrain itself [m²].
+        log_ratio: Of one terrain against two.
+    """
+
+    squared: Float[Array, "n"]
+    of_one: Float[Array, "n"]
+    signal: float
+    log_ratio: Float[Array, "n"]
+
+
+def _compare_bands(laid: Overlay) -> Iterator[_Band]:
+    """Compare the heights in one band after the other, from the shortest waves."""
+    common, count = laid.common, laid.count
+    unknown = laid.noise[common].astype(np.float64)
+    pair = take_warp_out(laid)
     for band in range(NUM_BANDS):
         smoother = smooth_between(pair, common, band_edges(laid.scale, band), laid.step)
         a, b = (pair - smoother)[common].astype(np.float64).T
@@ -88,12 +144,8 @@ def weigh(query: Relief, database: Relief, T_database_query: SE2) -> Evidence:
         signal = 0.5 * float(a @ a + b @ b) / count
         of_one = unknown[:, band] + DRIFT_SHARE**2 * signal + 1e-8
         of_two = unknown[:, band] + signal + 1e-8
-        log_ratios.append(float(np.mean(_log_t(squared, of_one) - _log_t(squared, of_two))))
-        difference += 2 * float(np.median(squared)) / 0.455
-        possible += 2 * float(np.mean(of_one))
-        relief += signal
-    agreement = Agreement(sqrt(difference), sqrt(possible), sqrt(relief))
-    return Evidence(patches, tuple(log_ratios), agreement)
+        log_ratio = _log_t(squared, of_one) - _log_t(squared, of_two)
+        yield _Band(squared, of_one, signal, log_ratio)
 
 
 def closure_score(evidence: Evidence, num_inliers: int) -> float:

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float32
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.registration.relief import Relief
 from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Grid
 
 TILT_STD, BEND_STD = 0.03, 0.005
 """Standard deviations of the tilt [rad] and the bend [1/m] between two submaps, which drift brings
@@ -33,15 +34,20 @@ class Overlay:
         heights: Elevation of the query and of the database (rows, columns, 2) [m].
         noise: Half the variance of the uncertainty of both maps in each band
             (rows, columns, bands) [m²].
-        step: Side of a cell [m].
+        grid: Of these cells, in the database's frame.
         scale: Scale of comparison [m].
     """
 
     common: Mask
     heights: Pair
     noise: Float32[NDArray[np.float32], "rows columns bands"]
-    step: float
+    grid: Grid
     scale: float
+
+    @property
+    def step(self) -> float:
+        """Side of a cell [m]."""
+        return self.grid.resolution
 
     @property
     def count(self) -> int:
@@ -73,7 +79,11 @@ def overlay(query: Relief, database: Relief, T_database_query: SE2) -> Overlay:
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     heights = np.asarray(np.dstack([moved[..., 0], database.elevation])[box], np.float32)
     noise = np.float32(0.5) * (moved[..., 2:] + database.noise)[box]
-    return Overlay(common[box], heights, np.asarray(noise, np.float32), step, database.scale)
+    x, y = database.grid.origin
+    corner = x + step * int(columns[0]), y + step * int(rows[0])
+    height, width = common[box].shape
+    grid = Grid(corner, step, (height, width))
+    return Overlay(common[box], heights, np.asarray(noise, np.float32), grid, database.scale)
 
 
 def take_warp_out(laid: Overlay) -> Pair:

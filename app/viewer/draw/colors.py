@@ -61,10 +61,11 @@ def lookup_table(name: ColorMap) -> UInt8[NDArray[np.uint8], "256 3"]:
         colors = cv2.applyColorMap(ramp[:, None], _OPENCV_MAPS[name])[:, 0, ::-1]
     elif name == "grey":
         colors = np.stack([np.linspace(30, 240, 256).round()] * 3, axis=1)
-    elif name == "blue-white-red":
+    elif name in ("blue-white-red", "red-white-blue"):
         stops = np.linspace(0, 255, len(_BLUE_WHITE_RED))
+        places = ramp if name == "blue-white-red" else ramp[::-1]
         colors = np.stack(
-            [np.interp(ramp, stops, channel).round() for channel in _BLUE_WHITE_RED.T], axis=1
+            [np.interp(places, stops, channel).round() for channel in _BLUE_WHITE_RED.T], axis=1
         )
     else:
         raise InputError(f"no colour map is named {name!r}")

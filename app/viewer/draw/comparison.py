@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from app.viewer.draw.placement import Placement
-from app.viewer.state import Role
+from app.viewer.state import Layer, Role
 from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.registration import map_agreement
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Grid
 
@@ -48,26 +49,48 @@ def resample(
     return np.asarray(moved, dtype=np.float32)
 
 
-def height_difference(
+def compare(
+    layer: Layer,
+    maps: tuple[GradientMap, GradientMap],
+    T_database_query: SE2,
+    z_offset: float,
+    max_std_ratio: float,
+) -> tuple[Values, Values]:
+    """Compare two registered maps: by the height of the query above the database, or by evidence.
+
+    Args:
+        layer: One of `state.COMPARED`.
+        maps: Of (query, database).
+        T_database_query: The registration.
+        z_offset: What is to be added to the query's heights [m].
+        max_std_ratio: The variance mask.
+
+    Returns:
+        The same values twice: at the query's cells and at the database's. NaN where not both maps
+        are trusted.
+    """
+    if layer == "agreement":
+        return _agreement(*maps, T_database_query, max_std_ratio)
+    return _height_difference(*maps, T_database_query, z_offset, max_std_ratio)
+
+
+def _agreement(
+    query_map: GradientMap, database_map: GradientMap, T_database_query: SE2, max_std_ratio: float
+) -> tuple[Values, Values]:
+    grid, shown = map_agreement(query_map, database_map, T_database_query, max_std_ratio)
+    return (
+        resample(shown, grid, query_map.grid, T_database_query),
+        resample(shown, grid, database_map.grid, SE2()),
+    )
+
+
+def _height_difference(
     query_map: GradientMap,
     database_map: GradientMap,
     T_database_query: SE2,
     z_offset: float,
     max_std_ratio: float,
 ) -> tuple[Values, Values]:
-    """Give the height of the query above the database after registration [m].
-
-    Args:
-        query_map: The query's map.
-        database_map: The database's map.
-        T_database_query: The registration.
-        z_offset: What is to be added to the query's heights [m].
-        max_std_ratio: The variance mask.
-
-    Returns:
-        The same differences twice: at the query's cells and at the database's. NaN where not
-        both maps are trusted.
-    """
     query, database = (
         np.where(a_map.trusted(max_std_ratio), a_map.elevation, np.nan).astype(np.float32)
         for a_map in (query_map, database_map)

@@ -36,6 +36,9 @@ STYLES: dict[Layer, LayerStyle] = {
     "difference": LayerStyle(
         "Height difference, query minus database", "m", "blue-white-red", symmetric=True
     ),
+    "agreement": LayerStyle(
+        "Agreement: one terrain against two", "log ratio", "red-white-blue", symmetric=True
+    ),
 }
 NO_RANGE = (0.0, 1.0)
 """Ends of the colours where no cell has a value."""
@@ -55,7 +58,7 @@ class Scale:
 def layer_values(gradient_map: GradientMap, layer: Layer) -> Float[Array, "rows columns"]:
     """Give the field that a layer shows, in the unit of its style.
 
-    One map alone has no height difference (`comparison.height_difference`): that is NaN.
+    One map alone has none of the layers that compare two (`comparison.compare`): those are NaN.
     """
     match layer:
         case "elevation":
@@ -68,7 +71,7 @@ def layer_values(gradient_map: GradientMap, layer: Layer) -> Float[Array, "rows 
             return gradient_map.slope[..., 0 if layer == "slope_x" else 1]
         case "mask":
             return gradient_map.std / gradient_map.signal_std
-        case "difference":
+        case "difference" | "agreement":
             return np.full(gradient_map.grid.shape, np.nan)
 
 

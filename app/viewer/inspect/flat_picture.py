@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from app.viewer.draw.associations import inlier_color, keypoint_colors, shown_matches
 from app.viewer.draw.colors import CHOSEN, DATABASE, OUTLIER, QUERY, Rgb, colorize
-from app.viewer.draw.comparison import height_difference, pixel_motion, resample
+from app.viewer.draw.comparison import compare, pixel_motion, resample
 from app.viewer.draw.layers import Scale, shared_scale
 from app.viewer.draw.placement import z_offset_of
-from app.viewer.state import ViewState
+from app.viewer.state import COMPARED, ViewState
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.se2 import SE2
@@ -150,8 +150,8 @@ def _stacked_ground(state: ViewState, result: PairResult) -> tuple[tuple[_Sheet,
 def _registered_ground(state: ViewState, result: PairResult, motion: SE2, sheet: _Sheet) -> Image:
     """Draw both maps in one frame as the comparison asks; row 0 is the lowest y."""
     options, grid = state.options, sheet.grid
-    if options.layer == "difference":
-        return _difference_ground(state, result, motion, grid)
+    if options.layer in COMPARED:
+        return _compared_ground(state, result, motion, grid)
     scale = _gradient_scale(state, result)
     both = options.compare in ("both", "blink")
     beyond = (0, 0, 0) if both else NOTHING
@@ -179,11 +179,12 @@ def _registered_ground(state: ViewState, result: PairResult, motion: SE2, sheet:
             return np.maximum(cv2.add(query, database), np.array(NOTHING, np.uint8))
 
 
-def _difference_ground(state: ViewState, result: PairResult, motion: SE2, grid: Grid) -> Image:
+def _compared_ground(state: ViewState, result: PairResult, motion: SE2, grid: Grid) -> Image:
     ratio = state.params.features.max_std_ratio
     maps = result.query_map, result.database_map
-    fields = height_difference(*maps, motion, z_offset_of(result.registration, maps, ratio), ratio)
-    scale = shared_scale(maps, "difference", state.options.color_map, ratio, (0.0, 0.0), fields)
+    layer, z_offset = state.options.layer, z_offset_of(result.registration, maps, ratio)
+    fields = compare(layer, maps, motion, z_offset, ratio)
+    scale = shared_scale(maps, layer, state.options.color_map, ratio, (0.0, 0.0), fields)
     seen = resample(fields[1], result.database_map.grid, grid, SE2())
     image = np.full((*grid.shape, 3), NOTHING, dtype=np.uint8)
     known = np.isfinite(seen)

@@ -18,12 +18,16 @@ from app.viewer.inspect.panel import Key, MatchesPanel, MatchFigures
 from app.viewer.inspect.profile import RulerPanel
 from app.viewer.inspect.reading import ReadingPanel
 from app.viewer.runner import Runner
-from app.viewer.state import Probe, Role, ViewState, same_pair
+from app.viewer.state import COMPARED, Layer, Probe, Role, ViewState, same_pair
 from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.run.progress import Progress
 
 _ShownPair = tuple[ViewState, PairResult]
+COMPARED_TITLES: dict[Layer, str] = {
+    "difference": "The height of the query above the database, in the colours of the legend.",
+    "agreement": "Where the heights speak for one terrain (blue), and where against it (red).",
+}
 
 
 class InspectTab(Feature):
@@ -226,8 +230,8 @@ def title_of(state: ViewState, result: PairResult) -> str:
             f"The gradient from above, light where the ground is steep: query {state.query_id}, "
             f"and below it database {state.database_id}."
         )
-    if state.options.layer == "difference":
-        return "The height of the query above the database, in the colours of the legend."
+    if state.options.layer in COMPARED:
+        return COMPARED_TITLES[state.options.layer]
     match state.options.compare:
         case "query" | "database" as role:
             return f"The gradient of the {role}, in the database's frame."
@@ -244,7 +248,7 @@ def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
     registered = options.layout == "registered" and registration.T_database_query is not None
     overlaid = registered and options.compare in ("both", "blink")
     key: list[Key] = []
-    if registered and options.layer == "difference":
+    if registered and options.layer in COMPARED:
         key.append(Key("rgb(38,38,42)", "masked in one of the two maps"))
     elif overlaid:
         key += [Key(css(QUERY), "the query alone"), Key(css(DATABASE), "the database alone")]

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from app.viewer.draw.colors import DATABASE, QUERY, Rgb
-from app.viewer.draw.comparison import Cells, Values, compared_cells, height_difference
+from app.viewer.draw.comparison import Cells, Values, compare, compared_cells
 from app.viewer.draw.histogram import Histogram, count_values, histogram_svg, summary
 from app.viewer.draw.layers import Scale, layer_values, shared_scale
 from app.viewer.draw.picking import Hit, Ray, first_hit
@@ -20,30 +20,45 @@ ROLES: tuple[Role, Role] = ("query", "database")
 
 
 @dataclass(frozen=True, eq=False)
-class Difference:
-    """Height of the query above the database, at the cells of either map."""
+class Comparison:
+    """Both maps against each other, at the cells of either.
 
+    Attributes:
+        layer: What is compared; one of `state.COMPARED`.
+        maps: Of (query, database).
+        registration: Under which they are compared.
+        z_offset: Added to the query's heights [m].
+        max_std_ratio: The variance mask.
+        fields: The values at the cells of the query and of the database, in the layer's unit.
+    """
+
+    layer: Layer
     maps: tuple[GradientMap, GradientMap]
     registration: Registration
-    z_offset: float  # [m]
+    z_offset: float
     max_std_ratio: float
-    fields: tuple[Values, Values]  # [m]
+    fields: tuple[Values, Values]
 
     @property
-    def rms(self) -> float:
-        """Root mean square over the common cells [m]; NaN if there are none."""
+    def in_words(self) -> str:
+        """The whole in a few words; empty if no cell is common."""
         common = self.fields[1][np.isfinite(self.fields[1])]
-        return float(np.sqrt(np.mean(common**2))) if len(common) else np.nan
+        if not len(common):
+            return ""
+        if self.layer == "agreement":
+            return f"; blue agrees: {np.mean(common > 0):.0%} of the common ground"
+        return f"; root mean square {np.sqrt(np.mean(common**2)):.3f} m"
 
     @classmethod
     def between(
         cls,
+        layer: Layer,
         maps: tuple[GradientMap, GradientMap],
         registration: Registration,
         z_offset: float,
         max_std_ratio: float,
-        last: "Difference | None" = None,
-    ) -> "Difference | None":
+        last: "Comparison | None" = None,
+    ) -> "Comparison | None":
         """Compare two registered maps, unless the last comparison was of the same.
 
         Returns:
@@ -52,16 +67,17 @@ class Difference:
         motion = registration.T_database_query
         if motion is None:
             return None
-        made_from = (*maps, registration, z_offset, max_std_ratio)
+        made_from = (layer, *maps, registration, z_offset, max_std_ratio)
         if last is not None and made_from == (
+            last.layer,
             *last.maps,
             last.registration,
             last.z_offset,
             last.max_std_ratio,
         ):
             return last
-        fields = height_difference(*maps, motion, z_offset, max_std_ratio)
-        return cls(maps, registration, z_offset, max_std_ratio, fields)
+        fields = compare(layer, maps, motion, z_offset, max_std_ratio)
+        return cls(layer, maps, registration, z_offset, max_std_ratio, fields)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +90,7 @@ class Ground:
         placements: Where each stands.
         lifts: Added to each map's elevation before it is coloured [m].
         scale: What the colours mean.
-        difference: What colours them in the layer of that name; None if there is no motion.
+        comparison: What colours them in a layer that compares them; None if there is no motion.
         swipe_at: Where the swipe stands along the scene's x [m]; None while there is none.
     """
 
@@ -83,7 +99,7 @@ class Ground:
     placements: tuple[Placement, Placement]
     lifts: tuple[float, float]
     scale: Scale
-    difference: Difference | None
+    comparison: Comparison | None
     swipe_at: float | None
 
     @classmethod
@@ -93,7 +109,7 @@ class Ground:
         maps: tuple[GradientMap, GradientMap],
         placements: tuple[Placement, Placement],
         lifts: tuple[float, float],
-        difference: Difference | None,
+        comparison: Comparison | None,
         swipe_at: float | None,
     ) -> "Ground":
         """Choose the scale that both maps are coloured by."""
@@ -104,9 +120,9 @@ class Ground:
             options.color_map,
             state.params.features.max_std_ratio,
             lifts,
-            None if difference is None else difference.fields,
+            None if comparison is None else comparison.fields,
         )
-        return cls(state, maps, placements, lifts, scale, difference, swipe_at)
+        return cls(state, maps, placements, lifts, scale, comparison, swipe_at)
 
     def seen(self, index: int) -> Cells | None:
         """Say which cells of the query (0) or the database (1) the swipe leaves; None for all."""
@@ -161,8 +177,8 @@ class Ground:
         """Count the values that the layer shows."""
         layer, ratio = self.state.options.layer, self.state.params.features.max_std_ratio
         fields: tuple[Float[NDArray[np.floating], "_rows _columns"], ...]
-        if self.difference is not None:
-            fields = self.difference.fields
+        if self.comparison is not None:
+            fields = self.comparison.fields
         else:
             fields = tuple(
                 layer_values(gradient_map, layer) + lift
@@ -193,13 +209,13 @@ class HistogramOf:
     def of(self, ground: Ground) -> DrawnHistogram:
         """Draw it, with the mask's threshold where the layer has one."""
         layer, ratio = ground.state.options.layer, ground.state.params.features.max_std_ratio
-        made_from = (*ground.maps, layer, ratio, ground.lifts, ground.scale, ground.difference)
+        made_from = (*ground.maps, layer, ratio, ground.lifts, ground.scale, ground.comparison)
         if made_from != self._made_from:
             counted = ground.count()
             thresholds = _thresholds(ground.maps, layer, ratio)
             note = summary(counted)
-            if ground.difference is not None:
-                note += f"; root mean square {ground.difference.rms:.3f} m"
+            if ground.comparison is not None:
+                note += ground.comparison.in_words
             if thresholds:
                 values = " and ".join(f"{value:.3g}" for value, _ in thresholds)
                 note += f"; dashed: the mask's threshold, {values} {ground.scale.unit}"

@@ -29,6 +29,7 @@ LAYER_NAMES: dict[Layer, str] = {
     "slope_y": "dz/dy",
     "mask": "mask",
     "difference": "height difference",
+    "agreement": "agreement",
 }
 COMPARE_NAMES: dict[Compare, str] = {
     "both": "both",
@@ -101,7 +102,8 @@ class ViewPanel:
                 tuple(LAYER_NAMES[layer] for layer in LAYERS),
                 initial_value=LAYER_NAMES[options.layer],
                 hint="What the colours show. The height difference is query minus database after "
-                "registration; it is grey where only one of them saw the ground.",
+                "registration. Agreement is blue where the heights speak for one terrain, and red "
+                "where they speak against it. Both are grey where only one of them saw the ground.",
             ),
             LAYER_NAMES,
         )

@@ -32,9 +32,17 @@ from app.viewer.host import Host, pages
 from app.viewer.pair.annotations import Annotations
 from app.viewer.pair.association_nodes import AssociationNodes
 from app.viewer.pair.blinker import Blinker
-from app.viewer.pair.ground import ROLES, Difference, Ground, shown_roles
+from app.viewer.pair.ground import ROLES, Comparison, Ground, shown_roles
 from app.viewer.pair.ruler_nodes import RulerNodes
-from app.viewer.state import FROM_ABOVE, Layout, Probe, ViewState, as_drawn, same_pair
+from app.viewer.state import (
+    COMPARED,
+    FROM_ABOVE,
+    Layout,
+    Probe,
+    ViewState,
+    as_drawn,
+    same_pair,
+)
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.types import GradientMap, Registration, Submap
@@ -121,7 +129,7 @@ class PairScene:
         self._lock = threading.Lock()  # two workers draw: the pair's, and the one that plays
         self._last: PairResult | None = None
         self._ground: Ground | None = None
-        self._difference: Difference | None = None
+        self._comparison: Comparison | None = None
 
     @property
     def visible(self) -> bool:
@@ -265,14 +273,16 @@ class PairScene:
         options, ratio = state.options, state.params.features.max_std_ratio
         motion = None if registration is None else registration.T_database_query
         registered = _is_registered(state, registration)
-        compared = options.layer == "difference"
+        compared = options.layer in COMPARED
         dz = 0.0
         if registration is not None and (registered or compared):
             dz = z_offset_of(registration, maps, ratio)
-        difference = None
+        comparison = None
         if registration is not None and compared:
-            difference = Difference.between(maps, registration, dz, ratio, self._difference)
-            self._difference = difference
+            comparison = Comparison.between(
+                options.layer, maps, registration, dz, ratio, self._comparison
+            )
+            self._comparison = comparison
         boxes = Extent.of(state.query), Extent.of(state.database)
         layout = _Layout(boxes, *place(*boxes, options.layout, motion, dz, tall=self.tall))
         lift = dz if registered and options.layer == "elevation" else 0.0
@@ -282,7 +292,7 @@ class PairScene:
             maps,
             (layout.at_query, layout.at_database),
             (lift, 0.0),
-            difference,
+            comparison,
             swipe_at if registered else None,
         )
         nodes = (self._query, self._database)
@@ -352,7 +362,7 @@ class PairScene:
         options = ground.state.options
         ratio = ground.state.params.features.max_std_ratio
         gradient_map, placement = ground.maps[index], ground.placements[index]
-        offset, difference = ground.lifts[index], ground.difference
+        offset, comparison = ground.lifts[index], ground.comparison
         if not options.surfaces:
             node.surface.hide()
             return
@@ -368,7 +378,7 @@ class PairScene:
                 yaw=placement.yaw,
                 offset=offset,
                 stride=stride_for(gradient_map.grid.num_cells, MAX_SURFELS),
-                values=None if difference is None else difference.fields[index],
+                values=None if comparison is None else comparison.fields[index],
                 seen=ground.seen(index),
             )
             return surfels.positions, surfels.colors, surfels.size
@@ -382,7 +392,7 @@ class PairScene:
             options.hillshade,
             placement.yaw,
             offset,
-            difference,
+            comparison,
             None if ground.swipe_at is None else (ground.swipe_at, placement),
         )
         node.surface.show(needs, make)

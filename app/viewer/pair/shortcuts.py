@@ -7,7 +7,7 @@ from app.viewer.draw.cameras import set_view
 from app.viewer.feature import Desk, Feature
 from app.viewer.pair.panel import LAYER_NAMES
 from app.viewer.pair.tab import PairTab
-from app.viewer.state import FROM_ABOVE, LAYERS, Role, ViewOptions, registered
+from app.viewer.state import COMPARED, FROM_ABOVE, LAYERS, Role, ViewOptions, registered
 from app.viewer.widgets.commands import Commands
 
 
@@ -43,8 +43,8 @@ def add_shortcuts(
 
     def both() -> None:
         options = registered(desk.state.options)
-        # Out of the difference too: it shows neither of the two.
-        layer = "elevation" if options.layer == "difference" else options.layer
+        # Out of what compares them too: it shows neither of the two.
+        layer = "elevation" if options.layer in COMPARED else options.layer
         desk.change(options=changed(options, layer=layer))
 
     commands.add_for_page(
@@ -70,6 +70,14 @@ def add_shortcuts(
         layout="registered",
         compare="both",
         layer="difference",
+    )
+    choose(
+        "Compare",
+        "Agreement of the registered maps",
+        None,
+        layout="registered",
+        compare="both",
+        layer="agreement",
     )
     commands.add("Compare", "Both at once", both, key="Z")
     commands.add("Association", "Next association", lambda: step_match(1), key="N")

@@ -14,6 +14,8 @@ from gpgrad_core.registration.evidence import (
     UNRELATED_SPREAD,
     Evidence,
     closure_score,
+    map_evidence,
+    shares_of_evidence,
     weigh,
 )
 from gpgrad_core.registration.placement import sharpen
@@ -180,6 +182,25 @@ def test_a_map_agrees_with_itself_and_not_with_another() -> None:
     assert other.log_ratios[0] < 0
     assert other.agreement is not None
     assert other.agreement.difference > 3 * other.agreement.possible
+
+
+def test_the_map_of_the_evidence_adds_up_to_what_is_scored() -> None:
+    true = SE2(1.0, -0.7, 2.0)
+    relief = make_relief(map_of(true))
+    grid, shown = map_evidence(relief, RELIEF, true)
+    evidence = weigh(relief, RELIEF, true)
+    count = np.isfinite(shown).sum()
+    assert grid.shape == shown.shape
+    assert count * grid.resolution**2 / (2 * math.pi * RELIEF.scale**2) == evidence.patches
+    of_terrain = shares_of_evidence(evidence, 0)[1:]
+    assert np.nanmean(shown) * math.sqrt(evidence.patches) == pytest.approx(sum(of_terrain))
+    # The cells lie where the maps overlap, in the database's frame.
+    rows, columns = np.nonzero(np.isfinite(shown))
+    places = grid.to_position(np.column_stack([columns, rows]).astype(float))
+    assert relief.grid.to_pixel(true.inverse().apply(places)).min() > -1
+    assert RELIEF.grid.to_pixel(places).min() > -0.001
+    nowhere = map_evidence(relief, RELIEF, SE2(100.0, 0.0, 0.0))[1]
+    assert np.isnan(nowhere).all()
 
 
 def test_the_evidence_asks_for_the_same_height() -> None:

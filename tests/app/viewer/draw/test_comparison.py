@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.viewer.draw.comparison import compared_cells, height_difference, pixel_motion, resample
+from app.viewer.draw.comparison import compare, compared_cells, pixel_motion, resample
 from app.viewer.draw.placement import Placement
 from app.viewer.state import open_dataset
 from gpgrad_core.pipeline import PipelineParams
@@ -34,7 +34,7 @@ def test_resampling_onto_itself_changes_nothing_and_beyond_the_rim_is_nothing() 
 
 def test_registered_ground_differs_by_next_to_nothing() -> None:
     lowered = replace(QUERY, elevation=QUERY.elevation - 0.7)
-    for field in height_difference(lowered, DATABASE, T_DATABASE_QUERY, 0.7, 0.3):
+    for field in compare("difference", (lowered, DATABASE), T_DATABASE_QUERY, 0.7, 0.3):
         assert np.isfinite(field).sum() > 300
         assert np.nanmax(np.abs(field)) < 0.01
 
@@ -43,13 +43,27 @@ def test_a_bump_of_the_query_is_red_in_both_and_masked_cells_are_nothing() -> No
     bumpy = QUERY.elevation.copy()
     rows, columns = bumpy.shape
     bumpy[rows // 2, columns // 2] += 0.2
-    at_query, at_database = height_difference(
-        replace(QUERY, elevation=bumpy), DATABASE, T_DATABASE_QUERY, 0.0, 0.3
-    )
+    maps = replace(QUERY, elevation=bumpy), DATABASE
+    at_query, at_database = compare("difference", maps, T_DATABASE_QUERY, 0.0, 0.3)
     assert at_query[rows // 2, columns // 2] == pytest.approx(0.2, abs=0.01)
     assert 0.05 < np.nanmax(at_database) < 0.21  # between cells it is read lower
     assert np.isnan(at_query[~QUERY.trusted(0.3)]).all()
     assert np.isnan(at_database[~DATABASE.trusted(0.3)]).all()
+
+
+def test_agreement_is_above_zero_but_where_the_ground_has_changed() -> None:
+    changed = QUERY.elevation.copy()
+    rows, columns = changed.shape
+    middle = slice(rows // 2 - 5, rows // 2 + 5), slice(columns // 2 - 5, columns // 2 + 5)
+    changed[middle] += 0.3
+    as_it_was, after = (
+        compare("agreement", (query, DATABASE), T_DATABASE_QUERY, 0.0, 0.3)
+        for query in (QUERY, replace(QUERY, elevation=changed))
+    )
+    for field, a_map in zip(as_it_was, (QUERY, DATABASE), strict=True):
+        assert field.shape == a_map.grid.shape
+        assert np.nanmean(field) > 0.3
+    assert np.nanmean(after[0][middle]) < 0 < np.nanmean(as_it_was[0][middle])
 
 
 def test_a_swipe_parts_the_scene_at_its_line() -> None:

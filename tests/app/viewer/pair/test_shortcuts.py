@@ -71,7 +71,7 @@ def test_keys_change_what_is_shown_and_the_widgets_follow(
     for number, layer in enumerate(LAYERS, start=1):
         press(server, str(number))
         assert session.state.options.layer == layer
-    assert find(server, "Layer").value == "height difference"
+    assert find(server, "Layer").value == "agreement"
     press(server, "Z")
     assert find(server, "Layer").value == "elevation"
     press(server, "L")
