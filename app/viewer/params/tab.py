@@ -1,4 +1,4 @@
-"""The parameters: wires sliders, fit, undo, reset and presets to the session."""
+"""The parameters: wires the sliders, and the tools beside them, to the session."""
 
 from collections.abc import Callable
 
@@ -7,12 +7,21 @@ from app.viewer.opened import Opened
 from app.viewer.params.fit import FitTool
 from app.viewer.params.panel import ParamsPanel
 from app.viewer.params.presets import PresetsTool
+from app.viewer.params.sensitivity import SensitivityTool
+from app.viewer.params.snapshots import SnapshotsTool
 from app.viewer.params.undo import UndoTool
 from app.viewer.state import ViewState
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.pipeline import PipelineParams, is_resolved
 
+SWEPT = (
+    "map.length_scale",
+    "map.noise_std",
+    "features.max_std_ratio",
+    "registration.inlier_radius",
+)
+"""Those of the main parameters that change the score; the others are thresholds of it."""
 MAIN_PARAMETERS = {
     "map.length_scale": "Length-scale",
     "map.noise_std": "Noise",
@@ -57,6 +66,8 @@ class ParamsTab(Feature):
             "Reset parameters", hint="Goes back to the parameters that this dataset started with."
         )
         on_press(reset, lambda: desk.change(params=self._panel.reset()))
+        desk.join(SnapshotsTool(desk, commands))
+        desk.join(SensitivityTool(desk, commands, {path: MAIN_PARAMETERS[path] for path in SWEPT}))
         desk.join(PresetsTool(desk))
 
     def follow(self, state: ViewState) -> None:

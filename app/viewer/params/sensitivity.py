@@ -1,0 +1,138 @@
+"""Sensitivity: wires its panel to a worker that registers the pair at many values."""
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import viser
+
+from app.viewer.feature import Desk, Feature
+from app.viewer.params.sweep import Tried, sweep_html, values_of
+from app.viewer.params.sweep_panel import SweepPanel
+from app.viewer.state import ViewState, same_pair
+from app.viewer.widgets.bridge import Data
+from app.viewer.widgets.commands import Commands
+from app.viewer.work import Work
+from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path
+from gpgrad_core.pipeline import PipelineParams, register_pair
+from gpgrad_core.run.progress import Progress, part
+
+
+@dataclass(frozen=True, eq=False)
+class _Sweep:
+    """What is swept: a parameter, at a state."""
+
+    field: Field
+    name: str
+    state: ViewState
+
+
+class SensitivityTool(Feature):
+    """Varies one parameter in the background, and draws what it does to the verdict."""
+
+    def __init__(self, desk: Desk, commands: Commands, main: Mapping[str, str]) -> None:
+        """Make the panel in the current container.
+
+        Args:
+            desk: Of the session.
+            commands: Get "Sweep the chosen parameter".
+            main: Paths of the parameters to choose from, and their names for people.
+        """
+        self._desk = desk
+        self._state = desk.state
+        self._lock = threading.Lock()
+        fields = {field.path: field for field in parameters_of(PipelineParams)}
+        self._fields = {name: fields[path] for path, name in main.items()}
+        self._done: tuple[_Sweep, tuple[Tried, ...]] | None = None
+        self._panel = SweepPanel(desk.host, tuple(self._fields), self.sweep, self._forget)
+        self._work: Work[_Sweep, tuple[Tried, ...]] = Work(
+            self._panel.work_bar,
+            lambda job: f"Sweeping {job.name.lower()}",
+            self._register,
+            lambda job, tried, _: self._take(job, tried),
+            slots=desk.capacity.long,
+            name="sensitivity",
+        )
+        self.workers = (self._work,)
+        desk.bridge.hear("sweep-value", self._set)
+        commands.add("Parameters", "Sweep the chosen parameter", self.sweep)
+
+    def sweep(self) -> None:
+        """Vary the chosen parameter, the others as they are."""
+        self._work.start(_Sweep(self._fields[self._panel.name], self._panel.name, self._state))
+
+    def follow(self, state: ViewState) -> None:
+        """Move the mark of the present value; what is swept for another pair is stopped."""
+        before, self._state = self._state, state
+        if not same_pair(before, state):
+            self._work.cancel()
+            self._forget()
+        elif state.params != before.params:
+            self._draw()
+
+    def _register(self, job: _Sweep, progress: Progress) -> tuple[Tried, ...]:
+        state, tried = job.state, list[Tried]()
+        values = values_of(job.field, _value_of(state.params, job.field))
+        for k, value in enumerate(values):
+            progress(k / len(values))
+            params = with_path(state.params, job.field.path, value)
+            share = part(progress, k / len(values), (k + 1) / len(values))
+            result = register_pair(state.query, state.database, params, self._desk.memo, share)
+            found = result.registration
+            tried.append(Tried(value, found.score, found.num_inliers, result.closure.accepted))
+            if len(tried) > 1:
+                self._take(job, tuple(tried))
+        return tuple(tried)
+
+    def _take(self, job: _Sweep, tried: tuple[Tried, ...]) -> None:
+        with self._lock:
+            if not same_pair(job.state, self._state):
+                return
+            self._done = job, tried
+        self._draw()
+        self._desk.host.flush()
+
+    def _draw(self) -> None:
+        with self._lock:
+            done = self._done
+        if done is None:
+            return
+        job, tried = done
+        now = _value_of(self._state.params, job.field)
+        on_axis = now is not None and tried[0].value <= now <= tried[-1].value
+        stale = with_path(job.state.params, job.field.path, now) != self._state.params
+        self._panel.show(
+            sweep_html(
+                job.field,
+                job.name,
+                tried,
+                current=now if on_axis else None,
+                threshold=job.state.params.closure.min_score,
+                stale=stale,
+            )
+        )
+
+    def _forget(self) -> None:
+        with self._lock:
+            self._done = None
+        self._panel.show("")
+
+    def _set(self, page: viser.ClientHandle, data: Data) -> None:
+        """Set the parameter to a value that a page has clicked on."""
+        del page
+        with self._lock:
+            done = self._done
+        if done is None:
+            return
+        job, tried = done
+        for one in tried:
+            if one.value == data.get("value"):
+                self._desk.change(params=with_path(self._state.params, job.field.path, one.value))
+                return
+
+
+def _value_of(params: PipelineParams, field: Field) -> float | None:
+    """Give the value of a parameter; None if it is automatic."""
+    value = get_path(params, field.path)
+    assert value is None or isinstance(value, float | int)
+    return value
