@@ -37,7 +37,10 @@ STYLES: dict[Layer, LayerStyle] = {
         "Height difference, query minus database", "m", "blue-white-red", symmetric=True
     ),
     "agreement": LayerStyle(
-        "Agreement: one terrain against two", "log ratio", "red-white-blue", symmetric=True
+        "Agreement: blue for one terrain, red for two",
+        "log ratio",
+        "red-white-blue",
+        symmetric=True,
     ),
 }
 NO_RANGE = (0.0, 1.0)

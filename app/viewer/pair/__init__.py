@@ -4,6 +4,6 @@ Other features may draw on its scene and repeat its verdict, and know nothing el
 """
 
 from app.viewer.pair.scene import PAIR, PairScene
-from app.viewer.pair.verdict import BY_HAND, headline_of
+from app.viewer.pair.verdict import BY_HAND, headline_of, in_words, rows_of
 
-__all__ = ["BY_HAND", "PAIR", "PairScene", "headline_of"]
+__all__ = ["BY_HAND", "PAIR", "PairScene", "headline_of", "in_words", "rows_of"]

@@ -43,8 +43,14 @@ SAID: dict[Side, str] = {"for": "agree", "against": "disagree", "neither": "say 
 
 
 @dataclass(frozen=True)
-class _Row:
-    """A figure of the card, whose side a mark shows; None is no evidence."""
+class Row:
+    """A figure of the card.
+
+    Attributes:
+        side: For what it speaks, shown by a mark; None is no evidence.
+        name: Of the figure.
+        value: As text, with its unit.
+    """
 
     side: Side | None
     name: str
@@ -129,8 +135,8 @@ def verdict_html(
         f'<div style="{ONE_LINE};margin:.4em 0 .3em">{pair}{same}</div>'
         f"{_bar(state, result)}"
         f'<div title="{escape(closure.reason)}" style="height:2.7em;overflow:hidden;'
-        f'line-height:1.35;margin:.35em 0">{escape(_in_words(state, result))}</div>'
-        f"{_table(_rows(state, result))}"
+        f'line-height:1.35;margin:.35em 0">{escape(in_words(state, result))}</div>'
+        f"{_table(rows_of(state, result))}"
     )
     dim = "opacity:.4" if faded or moved else ""
     return frame(
@@ -160,7 +166,7 @@ def _bar(state: ViewState, result: PairResult) -> str:
     )
 
 
-def _in_words(state: ViewState, result: PairResult) -> str:
+def in_words(state: ViewState, result: PairResult) -> str:
     """Say what decided, without the figures that stand beside it."""
     registration, closure = result.registration, result.closure
     needed = state.params.closure
@@ -206,7 +212,7 @@ def _is_small(registration: Registration) -> bool:
     return scale is not None and registration.overlap_area < SMALL_OVERLAP * 2 * pi * scale**2
 
 
-def _rows(state: ViewState, result: PairResult) -> list[_Row]:
+def rows_of(state: ViewState, result: PairResult) -> list[Row]:
     """List the evidence, and then the motion."""
     registration = result.registration
     found, scale, motion = (
@@ -216,7 +222,7 @@ def _rows(state: ViewState, result: PairResult) -> list[_Row]:
     )
     inliers, *bands = registration.evidence or (0.0,)
     rows = [
-        _Row(
+        Row(
             _side(share),
             f"{name} waves",
             f"{SAID[_side(share)]} ({share:+.1f}), {first * 2 * pi * scale:.1f} to "
@@ -231,7 +237,7 @@ def _rows(state: ViewState, result: PairResult) -> list[_Row]:
         count = f"{registration.num_inliers} (threshold {needed}) of {len(result.matches):,}"
     too_few = registration.num_inliers < needed
     rows.append(
-        _Row(
+        Row(
             "against" if too_few else _side(inliers),
             "inliers",
             count + (f" ({inliers:+.1f})" if registration.evidence else ""),
@@ -239,19 +245,19 @@ def _rows(state: ViewState, result: PairResult) -> list[_Row]:
     )
     if found is not None:
         rows.append(
-            _Row(
+            Row(
                 "against" if found.difference > IMPOSSIBLE * found.possible else "for",
                 "heights differ",
                 f"{describe_length(found.difference)}, {describe_length(found.possible)} possible",
             )
         )
     if motion is None:
-        return [*rows, _Row(None, "motion", "none found")]
+        return [*rows, Row(None, "motion", "none found")]
     area = f"{registration.overlap_area:.1f} m² · correlation {registration.correlation:.2f}"
     return [
         *rows,
-        _Row("against" if _is_small(registration) else "for", "overlap", area),
-        _Row(
+        Row("against" if _is_small(registration) else "for", "overlap", area),
+        Row(
             None,
             "motion",
             f"{motion.x:+.2f} m, {motion.y:+.2f} m, {degrees(motion.yaw):+.1f}°",
@@ -265,7 +271,7 @@ def _side(evidence: float) -> Side:
     return "for" if evidence > 0 else "against"
 
 
-def _table(rows: list[_Row]) -> str:
+def _table(rows: list[Row]) -> str:
     lines = "".join(
         f'<tr><td style="width:1.2em">{"" if row.side is None else MARKS[row.side]}</td>'
         f'<td style="padding-right:.6em;white-space:nowrap;color:{QUIET}">{escape(row.name)}</td>'

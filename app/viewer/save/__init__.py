@@ -1,1 +1,1 @@
-"""Save: the command that gives the same result, the session file, and exports."""
+"""Save: the command that gives the same result, the session file, reports and exports."""
