@@ -28,6 +28,7 @@ from app.viewer.params.tab import ParamsTab
 from app.viewer.permissions import READ_ALL, Permissions
 from app.viewer.pose_graph.tab import PoseGraphTab
 from app.viewer.save.exports import Exports
+from app.viewer.save.report import ReportTool
 from app.viewer.save.tab import SaveTab
 from app.viewer.state import ViewOptions, ViewState
 from app.viewer.triage.tab import TriageTab
@@ -96,6 +97,7 @@ class Session:
             self.data = desk.join(DataTab(desk))
         with tune.add_tab("Save"):
             desk.join(SaveTab(desk))
+            desk.join(ReportTool(desk, commands))
             desk.join(Exports(desk))
             desk.join(Links(desk, commands))
         with tune.add_tab("Nudge"):
@@ -111,6 +113,7 @@ class Session:
         desk.join(Cursor(desk, scene))
         modes.arrange(scene, self.world, panels, commands)
         add_shortcuts(commands, desk, self.pair, self.inspect.step)
+        commands.add_buttons()
         desk.change()  # the first picture
 
     @property

@@ -253,6 +253,7 @@ def test_a_session_goes_out_as_a_command_and_a_file_and_comes_back(
     assert view.verdict() != card
     tour.tab("Save")
     tour.upload("Restore session", "demo.gpgrad.toml", saved)
+    page.page.get_by_role("button", name="Replace it").click()
     tour.wait(lambda: view.verdict() == card, "the same verdict")
     view.settle()
     assert view.value("Inlier radius") == 0.22

@@ -76,7 +76,7 @@ class AllPairsTab(Feature):
         )
         self._comparer: Work[ViewState, ComparedPairs] = Work(
             self._panel.work_bar,
-            lambda _: "Running all pairs",
+            lambda state: f"Running all pairs of {len(state.dataset.submaps):,} submaps",
             self._compare,
             self._on_compared,
             slots=desk.capacity.long,

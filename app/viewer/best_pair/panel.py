@@ -7,7 +7,7 @@ import viser
 
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_press
-from app.viewer.widgets.bridge import say
+from app.viewer.widgets.bridge import run_when_shown, say
 from app.viewer.widgets.html import button
 
 # The first act of a person that follows is told once: a key, a press anywhere, or the wheel. What
@@ -63,8 +63,7 @@ class BestPairNote:
         """
         script = ""
         if watch is not None:
-            handler = escape(WATCH.replace("NUMBER", str(watch)))
-            script = f'<img alt="" src="data:," style="display:none" onerror="{handler}">'
+            script = run_when_shown(WATCH.replace("NUMBER", str(watch)))
         buttons = [
             button(label, say("show-pair", query=query, database=database), APART)
             for label, query, database in choices

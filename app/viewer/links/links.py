@@ -102,7 +102,7 @@ class Links(Feature):
         self._arrived[page] = ""
         text = data.get("text")
         if isinstance(text, str) and text:
-            self._open(page, text)
+            self._open(page, text, again=data.get("again") is True)
 
         @page.camera.on_update
         async def _(camera: viser.CameraHandle) -> None:
@@ -111,8 +111,15 @@ class Links(Feature):
 
         self._pacer.ask(page)
 
-    def _open(self, page: viser.ClientHandle, text: str) -> None:
-        """Show what an address asks for, unless others would lose what they look at."""
+    def _open(self, page: viser.ClientHandle, text: str, *, again: bool = False) -> None:
+        """Show what an address asks for, unless others would lose what they look at.
+
+        Args:
+            page: That has come.
+            text: Of its address.
+            again: Whether the server was gone meanwhile. It may have been started again with
+                another dataset, which stays open.
+        """
         state = self._desk.state
         try:
             link = read_address(text, state.options)
@@ -130,6 +137,14 @@ class Links(Feature):
             return
         if _has_open(link, state):
             self._change(page, link)
+            return
+        if again:
+            tell(
+                page,
+                "The server shows another dataset now",
+                f"Before, this page showed {link.saved.dataset or 'the demo'}. Open it in the tab "
+                "Data.",
+            )
             return
         # By the same way as a saved session: what may not be opened there may not be here.
         with self._lock:

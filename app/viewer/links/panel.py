@@ -6,6 +6,7 @@ import viser
 
 from app.viewer.host import Host
 from app.viewer.links.address import LONGEST
+from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.html import paragraph
 
 # viser drops what is behind # when it starts, if there is something behind ?; the browser still
@@ -18,7 +19,8 @@ SCRIPT = """
     for (const box of document.querySelectorAll('[data-testid=link]'))
       box.value = window.gpgradLink.link();
   };
-  if (window.gpgradLink) { show(); return; }
+  // After the server was gone: what was shown is asked for again.
+  if (window.gpgradLink) { show(); window.gpgradLink.arrive(window.gpgradLink.text, true); return; }
   const opened = performance.getEntriesByType('navigation')[0];
   const asked = (location.hash || (opened ? new window.URL(opened.name).hash : '')).slice(1);
   const own = window.gpgradLink = {
@@ -43,12 +45,14 @@ SCRIPT = """
       (text ? '#' + text : ''));
     show();
   };
+  gpgrad.acts.where = data => gpgrad.say('here', {...data, link: own.link()});
   gpgrad.acts.copy = () => own.copy(copied => gpgrad.say('link copied', {copied}));
-  const arrive = () => {
-    if (!window.gpgradCanvas || !window.gpgradCanvas.last) { setTimeout(arrive, 100); return; }
-    gpgrad.say('arrived', {text: asked.slice(0, LONGEST + 1)});
+  own.arrive = (text, again) => {
+    if (window.gpgradCanvas && window.gpgradCanvas.last)
+      gpgrad.say('arrived', {text: text.slice(0, LONGEST + 1), again});
+    else setTimeout(own.arrive, 100, text, again);
   };
-  arrive();
+  own.arrive(asked, false);
 })()
 """.replace("LONGEST", str(LONGEST))
 COPY = (
@@ -81,7 +85,7 @@ class LinkPanel:
 
 def script_html() -> str:
     """Write the script, for a place that is always mounted."""
-    return f'<div style="display:none"><img alt="" src="data:," onerror="{escape(SCRIPT)}"></div>'
+    return run_when_shown(SCRIPT)
 
 
 def link_html(*, has_link: bool) -> str:
@@ -92,7 +96,7 @@ def link_html(*, has_link: bool) -> str:
         "The address of this page follows what is shown: dataset, pair, parameters, layers and "
         "camera. Whoever opens it on this viewer sees the same."
     )
-    fill = escape(
+    fill = run_when_shown(
         "window.gpgradLink&&(this.parentNode.querySelector('input').value=gpgradLink.link())"
     )
     return (
@@ -101,7 +105,7 @@ def link_html(*, has_link: bool) -> str:
         f'style="width:100%;box-sizing:border-box;font:.75em monospace;color:inherit;height:32px;'
         f"background:transparent;border:1px solid currentColor;border-radius:.3em;"
         f'opacity:.9;margin-bottom:.3em">'
-        f'<img alt="" src="data:," style="display:none" onerror="{fill}">'
+        f"{fill}"
         f'<button type="button" data-testid="copy-link" onclick="{escape(COPY)}" '
         f'style="width:100%;min-height:32px;background:#1971c2;color:#fff;border:0;'
         f'border-radius:.2em;cursor:pointer;font:inherit;font-size:.85em">Copy link</button></div>'

@@ -7,7 +7,8 @@ import viser
 
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_press_by, on_upload
-from app.viewer.widgets.html import BAD, FAINT, paragraph
+from app.viewer.widgets.bridge import say
+from app.viewer.widgets.html import BAD, FAINT, button, paragraph
 
 # The button's own script: a page may write to the clipboard only while it is being clicked, and
 # only if it comes from this machine or over HTTPS; elsewhere a selected box is copied from.
@@ -54,6 +55,21 @@ class SavingPanel:
     def show_command(self, command: str) -> None:
         """Show the command; empty where there is none, as for one submap beside itself."""
         self._command.content = command_html(command)
+
+    def ask(self, name: str) -> None:
+        """Ask whether a file may replace what is open; the page says "restore" with the answer."""
+        choices = "".join(
+            button(label, say("restore", sure=sure), "margin:.3em .5em 0 0")
+            for label, sure in (("Replace it", True), ("Keep it", False))
+        )
+        question = (
+            f"{name} replaces the dataset, the pair, the parameters, the view and all decisions of "
+            "this session."
+        )
+        self._message.content = (
+            f'<div data-testid="saving-message">{paragraph(question)}'
+            f'<div style="padding:0 .75em">{choices}</div></div>'
+        )
 
     def tell(self, message: str, *, bad: bool = False) -> None:
         """Say what came of restoring."""

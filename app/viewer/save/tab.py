@@ -1,5 +1,6 @@
 """The session as a command and as a file: wires their panel to what writes and reads them."""
 
+import threading
 from pathlib import Path
 
 import viser
@@ -10,8 +11,9 @@ from app.viewer.feature import Desk, Feature
 from app.viewer.opened import Opened
 from app.viewer.save.command_line import detect_command
 from app.viewer.save.panel import SavingPanel
-from app.viewer.session_file import ENDING, parse_session, session_text
+from app.viewer.session_file import ENDING, SavedSession, parse_session, session_text
 from app.viewer.state import ViewState
+from app.viewer.widgets.bridge import Data
 from gpgrad_core.errors import InputError
 
 
@@ -21,7 +23,10 @@ class SaveTab(Feature):
     def __init__(self, desk: Desk) -> None:
         """Make the panel in the current container."""
         self._desk = desk
+        self._lock = threading.Lock()
+        self._asked: tuple[str, SavedSession] | None = None  # file and content to be confirmed
         self._panel = SavingPanel(desk.host, on_save=self._save, on_restore=self._restore)
+        desk.bridge.hear("restore", self._answer)
         self.follow(desk.state)
 
     def follow(self, state: ViewState) -> None:
@@ -50,5 +55,20 @@ class SaveTab(Feature):
         except InputError as error:
             self._panel.tell(str(error), bad=True)
             return
-        self._panel.tell(f"Restoring {name} …")
-        self._desk.tell(Feature.restore, saved)
+        with self._lock:
+            self._asked = name, saved
+        self._panel.ask(name)
+
+    def _answer(self, page: viser.ClientHandle, data: Data) -> None:
+        """Restore what was asked about, or leave all as it is."""
+        del page
+        with self._lock:
+            asked, self._asked = self._asked, None
+        if asked is None:
+            return
+        name, saved = asked
+        if data.get("sure") is True:
+            self._panel.tell(f"Restoring {name} …")
+            self._desk.tell(Feature.restore, saved)
+        else:
+            self._panel.tell("Nothing was changed.")

@@ -7,7 +7,6 @@ clicks through. It hangs on the page's body, because panels that hold it could b
 import math
 import weakref
 from collections.abc import Callable
-from html import escape
 from typing import TypeAlias
 
 import numpy as np
@@ -16,7 +15,7 @@ import viser
 from app.viewer.draw.cameras import set_view, view_of
 from app.viewer.draw.placement import UNKNOWN_CANVAS, Camera, Canvas
 from app.viewer.host import Host
-from app.viewer.widgets.bridge import Bridge, Data
+from app.viewer.widgets.bridge import Bridge, Data, run_when_shown
 
 OnCanvas: TypeAlias = Callable[[viser.ClientHandle], None]
 
@@ -175,10 +174,7 @@ class Canvases:
             weakref.WeakKeyDictionary()
         )
         self._told: list[OnCanvas] = []
-        script = escape(SCRIPT)
-        host.gui.add_html(
-            f'<div style="display:none"><img alt="" src="data:," onerror="{script}"></div>'
-        )
+        host.gui.add_html(run_when_shown(SCRIPT))
         bridge.hear("canvas", self._take)
 
     def tell(self, act: OnCanvas) -> None:

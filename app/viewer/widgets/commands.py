@@ -1,7 +1,9 @@
 """Commands for the keyboard: a palette (Ctrl/Cmd+K), single keys, and a page that lists them."""
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -12,6 +14,9 @@ from app.viewer.widgets.actions import on_press
 
 CAMERA_KEYS = frozenset("WASDQE") | {"arrowup", "arrowdown", "arrowleft", "arrowright"}
 """With these the browser flies the camera; a command on one of them would do both."""
+
+BUTTONS = "Buttons"
+"""Group of the commands that press a button."""
 
 FLYING = (
     ("Drag", "turn the view"),
@@ -114,6 +119,38 @@ class Commands:
             if event.client is not None:
                 act(event.client)
 
+    def add_buttons(self) -> None:
+        """Add every button of the panels that has no command yet; call it when all are there."""
+        known = {command.label for command in self._commands}
+        handles = self._host.gui._gui_input_handle_from_uuid  # pyright: ignore[reportPrivateUsage]
+        for handle in tuple(handles.values()):
+            if isinstance(handle, viser.GuiButtonHandle):
+                presses = {handle.label: None}
+            elif isinstance(handle, viser.GuiButtonGroupHandle):
+                presses = {f"{handle.label}: {option}": option for option in handle.options}
+            else:
+                continue
+            for label, option in presses.items():
+                if label not in known:
+                    known.add(label)
+                    self.add_for_page(BUTTONS, label, partial(_press, handle, option, label))
+
+
+_pressing: set["asyncio.Future[None]"] = set()
+
+
+def _press(handle: Any, option: str | None, label: str, page: viser.ClientHandle) -> None:
+    """Do what a button does; say so if it cannot be pressed now."""
+    if handle.disabled or not handle.visible:
+        page.add_notification("Not possible now", label, auto_close_seconds=5.0)
+        return
+    if option is not None:
+        handle._impl.value = option
+    for act in tuple(handle._impl.update_cb):
+        task = asyncio.ensure_future(act(viser.GuiEvent(page, page.client_id, handle)))
+        _pressing.add(task)  # else it might be forgotten before it has run
+        task.add_done_callback(_pressing.discard)
+
 
 def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None:
     """List all commands in a dialog on the page that asks."""
@@ -129,6 +166,8 @@ def help_html(commands: tuple[Command, ...]) -> str:
     """Write the list, with a table per group."""
     groups: dict[str, list[tuple[str, str]]] = {"Picture": list(FLYING)}
     for command in commands:
+        if command.group == BUTTONS:
+            continue  # they can be seen
         groups.setdefault(command.group, []).append((command.keys, command.label))
     tables = "".join(
         f'<div style="break-inside:avoid;margin-bottom:.8em"><b>{escape(group)}</b>'
@@ -138,8 +177,8 @@ def help_html(commands: tuple[Command, ...]) -> str:
     return (
         '<div data-testid="help" style="padding:0 .75em;columns:2 16em">'
         '<p style="font-size:.85em;margin-top:0;column-span:all">Press Ctrl/Cmd + K to find a '
-        "command by its name. Keys work while you do not type in a box: click the picture "
-        "first.</p>"
+        "command or a button by its name. Keys work while you do not type in a box: click the "
+        "picture first.</p>"
         f"{tables}</div>"
     )
 

@@ -1,14 +1,13 @@
-"""The looks of viser's own widgets: contrast, sizes, one solid button, tooltips beside the panel.
+"""The looks of viser's own widgets: contrast, sizes, one solid button, names, tooltips aside.
 
 viser has no setting for any of these, but its pages take a style sheet in HTML. What is written
 here depends on how viser builds its pages, as the bridge does, and a browser test watches it.
 """
 
-from html import escape
-
 import viser
 
 from app.viewer.host import Host
+from app.viewer.widgets.bridge import run_when_shown
 
 SOLID, SOLID_HOVER = "#1971c2", "#155fa3"
 """White words on them are readable, which they are not on viser's own blue."""
@@ -65,8 +64,70 @@ BESIDE = """
 """
 
 
+# Screen readers hear of a slider only what it is called. An arrow key that moves one must not fly
+# the camera as well, which listens to the whole page.
+REACH = """
+(() => {
+  if (window.gpgradReach) return;
+  window.gpgradReach = true;
+  setInterval(() => {
+    for (const thumb of document.querySelectorAll('.mantine-Slider-thumb:not([aria-label])')) {
+      const root = thumb.closest('.mantine-Slider-root');
+      const label = root && document.querySelector(`label[for="${root.id}"]`);
+      if (!label) continue;
+      thumb.setAttribute('aria-label', label.textContent);
+      const typed = root.parentElement.querySelector('input:not([type=hidden])');
+      if (typed) typed.setAttribute('aria-label', label.textContent + ', typed');
+    }
+  }, 700);
+  const keys = ['ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown'];
+  document.body.addEventListener('keydown', event => {
+    const over = event.target.closest && event.target.closest('[role=slider],input,select');
+    if (over && keys.includes(event.key)) event.stopPropagation();
+  });
+})()
+"""
+# viser dims its panels while it has no connection, and connects again by itself. What it says of
+# that is a red dot. A page in the background waits until it is looked at.
+CONNECTION = """
+(() => {
+  if (window.gpgradConnection) return;
+  const own = window.gpgradConnection = {missed: 0, banner: null};
+  const say = (text, back) => {
+    if (!own.banner) {
+      own.banner = document.createElement('div');
+      own.banner.dataset.testid = 'connection';
+      own.banner.setAttribute('role', 'alert');
+      document.body.appendChild(own.banner);
+    }
+    own.banner.style.cssText = 'position:fixed;top:0;left:0;right:0;z-index:1000;color:#fff;' +
+      'text-align:center;padding:.6em 1em;font:600 15px/1.4 var(--mantine-font-family);' +
+      'background:' + (back ? '#1a7f37' : '#a32a25');
+    own.banner.textContent = text;
+  };
+  setInterval(() => {
+    const dimmed = 'div[style*="opacity: 0.5"][style*="pointer-events: none"]';
+    const gone = document.querySelector(dimmed);
+    if (gone) {
+      own.missed += 1;
+      if (own.missed === 2) say("The viewer's server does not answer. What you see is its last " +
+        'picture. This page connects again by itself once the server is back.', false);
+    } else if (own.missed) {
+      const told = own.missed >= 2;
+      own.missed = 0;
+      if (!told) return;
+      say('Connected again. Dataset, pair and parameters were given back.', true);
+      setTimeout(() => {
+        if (!own.missed && own.banner) { own.banner.remove(); own.banner = null; }
+      }, 6000);
+    }
+  }, 700);
+})()
+"""
+
+
 class Look:
-    """The style sheet of a session's pages."""
+    """The style sheet of a session's pages, and what their widgets lack."""
 
     def __init__(self, host: Host) -> None:
         """Put it into the current container, unseen.
@@ -76,7 +137,7 @@ class Look:
         """
         host.gui.add_html(
             f"<style>{STYLE}</style>"
-            f'<img alt="" src="data:," style="display:none" onerror="{escape(BESIDE)}">'
+            + "".join(run_when_shown(script) for script in (BESIDE, REACH, CONNECTION))
         )
 
 

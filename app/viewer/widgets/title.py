@@ -1,9 +1,9 @@
 """The title: which pair of which dataset a page shows, in the browser's tab and on the panel."""
 
 import json
-from html import escape
 
 from app.viewer.host import Host
+from app.viewer.widgets.bridge import run_when_shown
 
 PROGRAM = "gpgrad"
 
@@ -37,5 +37,4 @@ def title_html(title: str) -> str:
     >>> title_html("a")
     '<img alt="" src="data:," style="display:none" onerror="document.title=&quot;a&quot;">'
     """
-    script = escape(f"document.title={json.dumps(title)}")
-    return f'<img alt="" src="data:," style="display:none" onerror="{script}">'
+    return run_when_shown(f"document.title={json.dumps(title)}")

@@ -8,7 +8,7 @@ from gpgrad_core.pipeline import PipelineParams
 from tests.app.desk import Recorder, make_desk
 from tests.app.page import FakePage
 from tests.app.synthetic import make_dataset, needing
-from tests.app.widgets import find
+from tests.app.widgets import find, html_says
 
 STATE = open_dataset(make_dataset(), PipelineParams(), source="/data/hills & <b>co</b>")
 
@@ -49,6 +49,13 @@ def test_a_session_goes_out_and_comes_back(
     assert name == "hills.gpgrad.toml"
     assert parse_session(content.decode(), name).camera is not None
     saving._restore(name, content)
+    assert "hills.gpgrad.toml replaces the dataset" in said(saving)
+    html_says(saving._desk.bridge, "restore", sure=False)
+    assert "Nothing was changed." in said(saving)
+    html_says(saving._desk.bridge, "restore", sure=True)
+    assert recorder.restored == []  # it must be asked for anew
+    saving._restore(name, content)
+    html_says(saving._desk.bridge, "restore", sure=True)
     assert recorder.restored[0].params == needing(7)
     assert recorder.restored[0].camera is not None
     assert recorder.restored[0].camera.position == (1.0, -2.0, 3.5)

@@ -1,9 +1,12 @@
+import asyncio
 from typing import Any
 
 import pytest
 import viser
 
+from app.viewer.widgets.actions import on_option, on_press
 from app.viewer.widgets.commands import CAMERA_KEYS, Command, Commands, help_html
+from tests.app.page import FakePage
 
 
 def registered(server: viser.ViserServer) -> dict[str, Any]:
@@ -61,3 +64,36 @@ def test_the_help_page_lists_every_command_and_escapes_it() -> None:
     assert "<kbd>Ctrl/Cmd + Z</kbd>" in html
     assert "&lt;b&gt;bold" in html
     assert "Shift + click" in html
+
+
+def test_every_button_is_a_command(server: viser.ViserServer) -> None:
+    commands, pressed = Commands(server), list[str]()
+    commands.add("Pair", "Known", lambda: pressed.append("command"))
+    known = server.gui.add_button("Known")
+    one = server.gui.add_button("One")
+    group = server.gui.add_button_group("Step", ("next", "previous"))
+    on_press(one, lambda: pressed.append("one"))
+    on_press(known, lambda: pressed.append("known"))
+    on_option(group, pressed.append)
+    commands.add_buttons()
+    labels = [command.label for command in commands.commands]
+    assert labels[1:] == ["Known", "One", "Step: next", "Step: previous"]
+    notes: list[str] = []
+    page: Any = FakePage()
+    page.client_id = 1
+    page.add_notification = lambda title, *_, **__: notes.append(title)
+
+    async def run(label: str) -> None:
+        handle = registered(server)[label]
+        (act,) = handle._impl.trigger_cb
+        await act(viser.CommandEvent(page, 1, handle))
+        await asyncio.sleep(0)
+
+    for label in ("One", "Step: previous", "Known"):
+        asyncio.run(run(label))
+    assert pressed == ["one", "previous", "command"]
+    one.disabled = True
+    asyncio.run(run("One"))
+    assert pressed[3:] == []
+    assert notes == ["Not possible now"]
+    assert "Step: next" not in help_html(commands.commands)
