@@ -237,6 +237,8 @@ class Dataset:
             ``constant`` [m] + ``quadratic`` [1/m] * r².
         positions_only: Whether only the positions of the true poses were measured, and their
             headings are those of odometry, turned onto the positions nearby.
+        origin: Latitude, longitude [degrees] and height above the ellipsoid [m] of the frame of
+            the true poses, or else of odometry, whose x points east and y north; None if unknown.
     """
 
     name: str
@@ -247,6 +249,7 @@ class Dataset:
     licence: str = ""
     sensor_noise: dict[str, float] = field(default_factory=dict[str, float])
     positions_only: bool = False
+    origin: tuple[float, float, float] | None = None
 
     def submap(self, submap_id: str) -> Submap:
         """Find a submap by its id.

@@ -80,6 +80,11 @@ class Build:
             metavar="TOPIC", help_behavior_hint="(default: the only one, or else the transforms)"
         ),
     ] = None
+    gnss_topic: Annotated[
+        str | None,
+        Doc("Topic of a bag's satellite positions (NavSatFix), which are kept as the truth."),
+        tyro.conf.arg(metavar="TOPIC", help_behavior_hint="(default: the only one, if any)"),
+    ] = None
     world_frame: Annotated[
         str | None,
         Doc("Frame to build in if the poses are transforms."),
@@ -110,6 +115,7 @@ class Build:
             mount=self.mount,
             cloud_topic=self.cloud_topic,
             pose_topic=self.pose_topic,
+            gnss_topic=self.gnss_topic,
             world_frame=self.world_frame,
             keep=tuple(parse_condition(one) for one in self.keep),
         )

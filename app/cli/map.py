@@ -1,18 +1,24 @@
 """``gpgrad map``: infer the maps of one cloud."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 from typing_extensions import Doc
 
+from app.cli.coordinates import CrsFlag, OriginFlag, georeference_of
 from app.cli.flags import Given
 from app.cli.inputs import ParamsFile, base_params, load
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams, infer_gradient_map, point_noise
 from gpgrad_core.outputs import MAP_ENDINGS, check_apart, check_output, write_map
+from gpgrad_core.outputs.georeferenced import write_cloud_optimised
+from gpgrad_core.outputs.maps import layers_of
+
+RASTERS = (".tif", ".tiff")
 
 
 @dataclass(frozen=True)
@@ -29,6 +35,8 @@ class Map:
         Doc(f"File to write. Its ending says how: {', '.join(MAP_ENDINGS)}."),
         tyro.conf.arg(metavar="FILE"),
     ]
+    origin: OriginFlag = None
+    crs: CrsFlag = None
     params: ParamsFile = None
     map: Annotated[Given[MapParams], Doc("The Gaussian process and the grid of the map.")] = Given(
         MapParams
@@ -41,17 +49,33 @@ class Map:
             raise InputError(f"{self.cloud}: is a folder; name one cloud")
         check_apart([self.out], [self.cloud, self.params])
         dataset = load(self.cloud)
+        georeference = georeference_of(self.origin, self.crs, None)
+        if georeference is not None and self.out.suffix.lower() not in RASTERS:
+            raise InputError(
+                f"{self.out}: only a GeoTIFF has coordinates; name a file that ends in .tif"
+            )
         base = base_params(dataset, self.params)
         params = self.map.over(base.map)
         (cloud,) = dataset.submaps
+        corner = np.zeros(3)
+        if georeference is not None:
+            placed = georeference.apply(cloud.points)
+            # Near zero while computing, because sums of large coordinates lose digits.
+            corner[:2] = np.floor(placed[:, :2].mean(axis=0))
+            cloud = replace(cloud, points=placed - corner)
         with progress_bar("map") as progress:
             gradient_map = infer_gradient_map(cloud, params, progress)
-        write_map(
-            self.out,
-            gradient_map,
-            name=cloud.id,
-            max_std_ratio=base.features.max_std_ratio,
-        )
+        if georeference is None:
+            write_map(
+                self.out,
+                gradient_map,
+                name=cloud.id,
+                max_std_ratio=base.features.max_std_ratio,
+            )
+        else:
+            x, y = gradient_map.grid.origin
+            grid = replace(gradient_map.grid, origin=(x + corner[0], y + corner[1]))
+            write_cloud_optimised(self.out, grid, layers_of(gradient_map), georeference)
         outlying = int(point_noise(cloud, params.terrain).outlying.sum())
         if outlying:
             warn(

@@ -19,6 +19,7 @@ from app.cli.comparing import (
     shared,
     workers_for,
 )
+from app.cli.coordinates import CrsFlag, OriginFlag, georeference_of
 from app.cli.flags import Given
 from app.cli.inputs import (
     ALL_PARAMS,
@@ -39,6 +40,7 @@ from gpgrad_core.datasets import outline_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import check_directory
 from gpgrad_core.fitting import representative
+from gpgrad_core.georeference import Georeference
 from gpgrad_core.methods import find_method
 from gpgrad_core.outputs import (
     check_apart,
@@ -59,15 +61,19 @@ from gpgrad_core.slam import (
     LoopCloser,
     MapErrors,
     MergeParams,
+    PlacedMap,
     Solution,
     SolverParams,
     check_solver,
     join_datasets,
     measure_errors,
     odometry_poses,
+    place_map,
     solution_files,
     solve_datasets,
+    true_poses,
     write_merged,
+    write_places,
     write_solution,
 )
 from gpgrad_core.types import LoopClosure
@@ -108,6 +114,8 @@ class Slam:
     ] = None
     candidates: CandidatesFlag = "automatic"
     merge: Annotated[bool, Doc("Also write the merged cloud and map.")] = True
+    origin: OriginFlag = None
+    crs: CrsFlag = None
     graph: Annotated[
         Given[GraphParams], Doc("Uncertainty of the pose graph's edges: odometry and closures.")
     ] = Given(GraphParams)
@@ -140,6 +148,7 @@ class Slam:
         report = read_closures(self.closures) if self.closures else None
         given = None if report is None else restore_closures(report)
         check_solver()
+        georeference = georeference_of(self.origin, self.crs, dataset.origin)
         params = self.pipeline.over(base_params(dataset, self.params))
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
         some = [joined.load(k)[0] for k in representative(len(dataset.submaps))]
@@ -160,16 +169,35 @@ class Slam:
             solution = solve_datasets(joined, closures, graph, solver, trusted=trusted)
             with progress_bar("judge") as progress:
                 errors = measure_errors(solution, progress)
-            with progress_bar("write") as progress:
-                write_solution(folder, solution, errors, progress)
-            if self.merge:
-                with progress_bar("merge") as progress:
-                    merged = self.merged.over(MergeParams())
-                    notes = write_merged(folder, solution, params.map.terrain, merged, progress)
-                for note in notes:
-                    warn(note)
+            placed = self._write(folder, solution, errors, georeference, params)
+        if placed is not None:
+            say(_placed(placed))
         for line in (*_corrected(solution, errors), str(self.out)):
             say(line)
+
+    def _write(
+        self,
+        folder: Path,
+        solution: Solution,
+        errors: MapErrors,
+        georeference: Georeference | None,
+        params: PipelineParams,
+    ) -> PlacedMap | None:
+        """Write the results; gives where the map lies, if that was asked for."""
+        joined, placed = solution.joined, None
+        if georeference is not None:
+            true = true_poses(joined.outline.dataset)
+            placed = place_map(solution.result.poses, true, georeference)
+            write_places(folder, joined.traverses, solution.result.poses, placed)
+        with progress_bar("write") as progress:
+            write_solution(folder, solution, errors, progress, placed=placed)
+        if self.merge:
+            merged, terrain = self.merged.over(MergeParams()), params.map.terrain
+            with progress_bar("merge") as progress:
+                notes = write_merged(folder, solution, terrain, merged, progress, placed=placed)
+            for note in notes:
+                warn(note)
+        return placed
 
     def _names(self, joined: JoinedDatasets) -> tuple[str, ...]:
         """Name the files that this run may write; the last one is written last."""
@@ -256,6 +284,16 @@ class Slam:
         report = report_closures(joined.outline.dataset, DetectionResult(closures, seconds), params)
         write_closures(folder / "closures.json", replace(report, submaps=sizes))
         return closures
+
+
+def _placed(placed: PlacedMap) -> str:
+    """Say in which coordinates the map is, and what places it."""
+    by = "the true positions" if placed.by_truth else "odometry's frame, x east and y north"
+    longitude, latitude, height = placed.georeference.origin
+    return (
+        f"in {placed.georeference.name}, origin {latitude:.7f}, {longitude:.7f}, {height:.2f} m, "
+        f"placed by {by}"
+    )
 
 
 def _corrected(solution: Solution, errors: MapErrors) -> list[str]:

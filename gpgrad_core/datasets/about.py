@@ -7,6 +7,7 @@ from typing import cast
 import tomli_w
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.places import is_place
 from gpgrad_core.reading.toml_files import read_toml
 
 TEXT_KEYS = ("name", "description", "licence")
@@ -23,6 +24,7 @@ class About:
     sensor_noise: dict[str, float] = field(default_factory=dict[str, float])
     preferred: dict[str, object] = field(default_factory=dict[str, object])
     notes: tuple[str, ...] = ()
+    origin: tuple[float, float, float] | None = None
 
 
 def read_about(path: Path, submap_ids: frozenset[str]) -> About:
@@ -43,7 +45,7 @@ def read_about(path: Path, submap_ids: frozenset[str]) -> About:
         if not isinstance(value, str):
             raise InputError(f"{path}: {key} must be a text in quotes, got {value!r}")
         texts[key] = value
-    known = {*TEXT_KEYS, "sensor_noise", "preferred"}
+    known = {*TEXT_KEYS, "sensor_noise", "preferred", "origin"}
     return About(
         **texts,
         sensor_noise=_check_sensor_noise(table.get("sensor_noise", {}), path),
@@ -51,7 +53,19 @@ def read_about(path: Path, submap_ids: frozenset[str]) -> About:
         notes=tuple(
             f"{path.name}: the unknown key {key!r} was ignored" for key in table if key not in known
         ),
+        origin=_check_origin(table["origin"], path) if "origin" in table else None,
     )
+
+
+def _check_origin(value: object, path: Path) -> tuple[float, float, float]:
+    numbers = cast("list[object]", value) if isinstance(value, list) else []
+    known = [float(n) for n in numbers if isinstance(n, int | float) and not isinstance(n, bool)]
+    if len(known) != 3 or len(numbers) != 3 or not is_place(*known):
+        raise InputError(
+            f"{path}: origin must be [latitude, longitude, height] in degrees and metres, got "
+            f"{value!r}"
+        )
+    return known[0], known[1], known[2]
 
 
 def _check_sensor_noise(value: object, path: Path) -> dict[str, float]:
@@ -105,6 +119,13 @@ def write_about(path: Path, about: About) -> None:
     if about.sensor_noise:
         noise = tomli_w.dumps({"sensor_noise": about.sensor_noise})
         parts.append(f"# Noise of a point at range r [m]: constant + quadratic r^2\n{noise}")
+    if about.origin is not None:
+        place = tomli_w.dumps({"origin": list(about.origin)})
+        # Before the tables: TOML would take it for a part of the last one.
+        parts.insert(
+            1,
+            f"# Where the poses have their zero: latitude and longitude [deg], height [m]\n{place}",
+        )
     if about.preferred:
         parts.append(tomli_w.dumps({"preferred": about.preferred}))
     path.write_text("\n".join(parts), encoding="utf-8", newline="\n")

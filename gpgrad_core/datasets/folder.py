@@ -342,6 +342,7 @@ def _outline_folder(path: Path) -> Outline:
         licence=about.licence,
         sensor_noise=about.sensor_noise,
         positions_only=positions_only and bool(truth),
+        origin=about.origin,
     )
     return Outline(dataset, tuple(clouds))
 
@@ -540,6 +541,7 @@ def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
         licence=dataset.licence,
         sensor_noise=dataset.sensor_noise,
         preferred=dataset.preferred,
+        origin=dataset.origin,
     )
     if dataset.positions_only:
         write_positions(folder / POSITIONS_FILE, {k: truth[k].translation for k in truth})

@@ -56,16 +56,16 @@ def write_map(
     with replacing(path) as unfinished:
         match path.suffix.lower():
             case ".npz":
-                write_arrays(unfinished, gradient_map.grid, _layers(gradient_map))
+                write_arrays(unfinished, gradient_map.grid, layers_of(gradient_map))
             case ".png":
                 _write_picture(unfinished, draw_map(gradient_map, name, max_std_ratio))
             case ".ply" | ".glb" | ".obj":
                 _write_mesh(unfinished, gradient_map, max_std_ratio)
             case _:
-                write_raster(unfinished, gradient_map.grid, _layers(gradient_map))
+                write_raster(unfinished, gradient_map.grid, layers_of(gradient_map))
 
 
-def _layers(gradient_map: GradientMap) -> dict[str, Array]:
+def layers_of(gradient_map: GradientMap) -> dict[str, Array]:
     """Name the layers; the names are the same in every format."""
     return {
         "elevation": gradient_map.elevation,

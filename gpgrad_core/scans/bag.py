@@ -14,11 +14,18 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.poses import make_pose
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
+from gpgrad_core.reading.places import is_place
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.scans.keeping import Condition
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.point_cloud2 import points_of
-from gpgrad_core.scans.pose_files import read_mount, read_pose_file, read_truth_file
+from gpgrad_core.scans.pose_files import (
+    PoseFile,
+    positions_of,
+    read_mount,
+    read_pose_file,
+    read_truth_file,
+)
 from gpgrad_core.scans.recording import (
     Reader,
     Recording,
@@ -36,6 +43,7 @@ CLOUDS = ("sensor_msgs/msg/PointCloud2",)
 ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES = (ODOMETRY, WITH_COVARIANCE, "geometry_msgs/msg/PoseStamped")
+GNSS = ("sensor_msgs/msg/NavSatFix",)
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 ENDINGS = (".bag", ".mcap", ".db3")
 
@@ -59,7 +67,8 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     The clouds are ``PointCloud2`` messages. The poses are ``Odometry``, ``PoseStamped`` or
     ``PoseWithCovarianceStamped`` messages, or else the transforms from the root of their tree to
     the clouds' frame. If the poses are of another frame than the clouds, the transforms between
-    the two frames are used.
+    the two frames are used. Satellite positions (``NavSatFix``) become the truth unless another is
+    given: their heights are above the ellipsoid WGS 84, and the antenna stands for the body.
 
     Args:
         path: A ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or a folder of ``.bag``
@@ -79,10 +88,12 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
                 pose_topic = _choose(
                     reader, POSES, sources.pose_topic, "poses", "--pose-topic", path
                 )
-        contents = _gather(reader, cloud_topic, pose_topic, path)
+        gnss_topic, gnss_notes = _gnss_topic(reader, sources, path)
+        contents = _gather(reader, cloud_topic, pose_topic, gnss_topic, path)
     stamps = np.array(contents.stamps)
     placing = _Placing(path, contents, contents.frames.tree(), stamps, sources, params)
     body, span, notes = placing.body()
+    notes += gnss_notes
     if contents.unstamped:
         number = contents.unstamped
         have = "message has" if number == 1 else "messages have"
@@ -91,10 +102,13 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     both = body.known & mount.known
     notes += mount_notes + place(stamps, Located(body.poses, both), span, str(path), params)
     kept = np.flatnonzero(both)
-    truth = None if sources.truth is None else read_truth_file(sources.truth)
-    true_poses, truth_notes = truth_at(
-        truth and truth.trajectory, stamps[kept], str(sources.truth), params
-    )
+    truth, truth_name = contents.truth(), f"{path}, {gnss_topic}"
+    if sources.truth is not None:
+        truth, truth_name = read_truth_file(sources.truth), str(sources.truth)
+    elif truth is not None and not truth.trajectory.at(stamps[kept], params).known.any():
+        notes += (f"{truth_name}: was ignored, for it has no position at the time of a scan",)
+        truth = None
+    true_poses, truth_notes = truth_at(truth and truth.trajectory, stamps[kept], truth_name, params)
     files = [
         f for file in _files(path) for f in (sorted(file.iterdir()) if file.is_dir() else [file])
     ]
@@ -111,6 +125,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         truth=true_poses,
         positions_only=truth is not None and truth.positions_only,
         notes=(*notes, *truth_notes, *keeping(sources)),
+        origin=None if truth is None else truth.origin,
     )
 
 
@@ -127,12 +142,37 @@ class _Contents:
     covariances: list[Array] = field(default_factory=list[Array])
     frames: FrameRows = field(default_factory=FrameRows)
     unstamped: int = 0  # messages without a time of measurement
+    place_stamps: list[float] = field(default_factory=list[float])  # of satellite positions [s]
+    places: list[list[float]] = field(default_factory=list[list[float]])
+
+    def truth(self) -> PoseFile | None:
+        """Give the satellite positions as a truth; None if there are none."""
+        if not self.places:
+            return None
+        return positions_of(np.array(self.place_stamps), np.array(self.places))
 
 
-def _gather(reader: Any, cloud_topic: str, pose_topic: str | None, path: Path) -> _Contents:
+def _gnss_topic(
+    reader: Any, sources: RecordingSources, path: Path
+) -> tuple[str | None, tuple[str, ...]]:
+    """Choose the topic of satellite positions, if they are to be the truth; also give a note."""
+    if sources.truth is not None:
+        return None, ()
+    topics = _topics(reader, GNSS)
+    if sources.gnss_topic is None and len(topics) != 1:
+        named = ", ".join(topics)
+        note = f"satellite positions of {named} were ignored; name one of them: --gnss-topic"
+        return None, (note,) if topics else ()
+    chosen = _choose(reader, GNSS, sources.gnss_topic, "positions", "--gnss-topic", path)
+    return chosen, (f"{chosen}: its satellite positions are kept as the truth",)
+
+
+def _gather(
+    reader: Any, cloud_topic: str, pose_topic: str | None, gnss_topic: str | None, path: Path
+) -> _Contents:
     contents = _Contents(pose_topic=pose_topic)
     transforms = _topics(reader, TRANSFORMS)
-    wanted = {cloud_topic, pose_topic, *transforms}
+    wanted = {cloud_topic, pose_topic, gnss_topic, *transforms}
     connections = [c for c in reader.connections if c.topic in wanted]
     for connection, logged, raw in reader.messages(connections):
         message = reader.deserialize(raw, connection.msgtype)
@@ -144,6 +184,8 @@ def _gather(reader: Any, cloud_topic: str, pose_topic: str | None, path: Path) -
         elif connection.topic == pose_topic:
             stamp = _stamp(contents, message, logged)
             _add_pose(contents, message, connection.msgtype, stamp, where)
+        elif connection.topic == gnss_topic:
+            _add_place(contents, message, logged, where)
         else:
             static = connection.topic.endswith("tf_static")
             contents.frames.add(message, static=static, where=where)
@@ -159,6 +201,18 @@ def _stamp(contents: _Contents, message: Any, logged: int) -> float:
         return stamp
     contents.unstamped += 1
     return 1e-9 * logged
+
+
+def _add_place(contents: _Contents, message: Any, logged: int, where: str) -> None:
+    """Take a NavSatFix; one without a fix says nothing (its status is below 0)."""
+    place = [float(message.latitude), float(message.longitude), float(message.altitude)]
+    if int(message.status.status) < 0 or not np.isfinite(place).all():
+        return
+    if not is_place(*place):
+        numbers = " ".join(f"{number:g}" for number in place)
+        raise InputError(f"{where}: {numbers} are no latitude, longitude, height")
+    contents.place_stamps.append(seconds(message.header) or 1e-9 * logged)
+    contents.places.append(place)
 
 
 def _add_pose(contents: _Contents, message: Any, kind: str, stamp: float, where: str) -> None:

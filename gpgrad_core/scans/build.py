@@ -154,7 +154,12 @@ def build_dataset(
         "recording": recording.name,
         "identity": recording.identity,
         "params": asdict(params),
-        "topics": [sources.cloud_topic, sources.pose_topic, sources.world_frame],
+        "topics": [
+            sources.cloud_topic,
+            sources.pose_topic,
+            sources.world_frame,
+            sources.gnss_topic,
+        ],
     }
     if sources.keep:
         header["keep"] = [str(one) for one in sources.keep]
@@ -348,6 +353,7 @@ def _write_rest(
             f"{len(odometry)} submaps of {len(recording):,} scans of {recording.name}, cut "
             f"{_limits(params)} (gpgrad build)."
         ),
+        origin=recording.origin,
     )
     write_about(journal.folder / ABOUT_FILE, about)
 

@@ -91,6 +91,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
         truth=true_poses,
         positions_only=files.truth is not None and files.truth.positions_only,
         notes=(*notes, *files.mount_notes, *truth_notes, *keeping(sources)),
+        origin=None if files.truth is None else files.truth.origin,
     )
 
 

@@ -12,8 +12,6 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array
 
 SEMI_MAJOR, FLATTENING = 6_378_137.0, 1.0 / 298.257223563
-HIGHEST = 100_000.0
-"""Largest height above or depth below the ellipsoid that counts as one [m]."""
 
 
 def east_north_up(places: Float[Array, "n 3"], origin: Float[Array, "3"]) -> Float[Array, "n 3"]:
@@ -41,8 +39,3 @@ def _geocentric(places: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
     level = (across + height) * np.cos(latitude)
     up = (across * (1.0 - squared) + height) * np.sin(latitude)
     return np.column_stack([level * np.cos(longitude), level * np.sin(longitude), up])
-
-
-def is_place(latitude: float, longitude: float, height: float) -> bool:
-    """Tell whether three numbers can be latitude, longitude [degrees] and height [m]."""
-    return abs(latitude) <= 90.0 and abs(longitude) <= 360.0 and abs(height) <= HIGHEST

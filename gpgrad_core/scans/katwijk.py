@@ -29,12 +29,12 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.poses import parse_numbers
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.places import is_place
 from gpgrad_core.reading.png16 import read_grey_png
 from gpgrad_core.reading.text import lines_of, read_text
-from gpgrad_core.scans.geodesy import east_north_up, is_place
 from gpgrad_core.scans.keeping import Condition, kept_points
 from gpgrad_core.scans.params import BuildParams
-from gpgrad_core.scans.pose_files import read_mount, read_pose_file
+from gpgrad_core.scans.pose_files import PoseFile, positions_of, read_mount, read_pose_file
 from gpgrad_core.scans.recording import (
     Reader,
     Recording,
@@ -98,7 +98,7 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
     elif positions is None:
         raise InputError(f"{path}: has no {POSITIONS[0]}; say where the poses are: --poses FILE")
     else:
-        trajectory = _along_track(*read_places(positions), positions)
+        trajectory = _along_track(read_places(positions).trajectory, positions)
         notes = (
             f"{positions.name}: its positions are used with the heading of the track; pitch and "
             "roll are taken as 0",
@@ -106,10 +106,8 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
     located = trajectory.at(stamps, params)
     notes += place(stamps, located, f"from {spelled(trajectory.stamps)}", str(path), params)
     known = np.flatnonzero(located.known)
-    truth: Trajectory | None = None
-    if sources.poses is not None and positions is not None:
-        times, places = read_places(positions)
-        truth = Trajectory.in_order(times, Poses(places, Rotation.identity(len(places))))
+    measured = None if positions is None else read_places(positions)
+    truth = measured.trajectory if measured is not None and sources.poses is not None else None
     true_poses, truth_notes = truth_at(truth, stamps[known], str(positions), params)
     kept = [scans[k][1] for k in known]
     mount = Poses.identity() if sources.mount is None else read_mount(sources.mount).pose
@@ -130,6 +128,7 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
         truth=true_poses,
         positions_only=truth is not None,
         notes=(*notes, *truth_notes, *keeping(sources)),
+        origin=None if measured is None else measured.origin,
     )
 
 
@@ -149,11 +148,11 @@ def _time(text: str, where: str) -> float:
         raise InputError(f"{where}: {text!r:.40} is no time year_month_day_h_m_s_ms") from None
 
 
-def read_places(path: Path) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
+def read_places(path: Path) -> PoseFile:
     """Read ``gps-latlong.txt``.
 
     Returns:
-        Times [s], and metres east, north and up of the first place (n, 3).
+        Positions east, north and up of the first place.
 
     Raises:
         InputError: If a row has fewer than five columns, no time or no place on the Earth, or there
@@ -177,14 +176,12 @@ def read_places(path: Path) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
             raise InputError(f"{where}: {' '.join(words[2:5])} are no latitude, longitude, height")
     if len(stamps) < 2:
         raise InputError(f"{path}: holds {len(stamps)} positions; a track needs two or more")
-    table = np.array(places)
-    return np.array(stamps), east_north_up(table, table[0])
+    return positions_of(np.array(stamps), np.array(places))
 
 
-def _along_track(
-    stamps: Float[Array, "n"], positions: Float[Array, "n 3"], path: Path
-) -> Trajectory:
+def _along_track(track: Trajectory, path: Path) -> Trajectory:
     """Give positions the heading of the track: from half a metre before to half a metre after."""
+    positions = track.poses.translation
     steps = np.linalg.norm(np.diff(positions[:, :2], axis=0), axis=1)
     # The noise of a standing receiver is no way: it is passed over in steps that are shorter.
     along = np.concatenate([[0.0], np.cumsum(np.where(steps < 0.01, 0.0, steps))])
@@ -196,7 +193,8 @@ def _along_track(
     )
     way = ahead - behind
     yaw = np.arctan2(way[:, 1], way[:, 0])
-    return Trajectory.in_order(stamps, Poses(positions, Rotation.from_euler("z", yaw[:, None])))
+    turns = Rotation.from_euler("z", yaw[:, None])
+    return Trajectory.in_order(track.stamps, Poses(positions, turns))
 
 
 def _reader(files: Sequence[Path], keep: Sequence[Condition]) -> Reader:

@@ -1,6 +1,6 @@
 """Files of poses over time (TUM and KITTI rows), of times, and of a sensor's pose on its body."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.poses import check_position, make_pose, parse_numbers
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.places import is_place
 from gpgrad_core.reading.text import lines_of, read_text
-from gpgrad_core.scans.geodesy import east_north_up, is_place
+from gpgrad_core.scans.geodesy import east_north_up
 from gpgrad_core.scans.trajectory import Poses, Trajectory
 from gpgrad_core.types import MAX_COORDINATE
 
@@ -42,11 +43,13 @@ class PoseFile:
             for it.
         numbered: Whether the rows are KITTI's.
         positions_only: Whether they are positions of a truth, and the turns mean nothing.
+        origin: Latitude, longitude [degrees] and height [m] of their frame, if known.
     """
 
     trajectory: Trajectory
     numbered: bool
     positions_only: bool = False
+    origin: tuple[float, float, float] | None = None
 
 
 def read_pose_file(path: Path) -> PoseFile:
@@ -108,7 +111,7 @@ def read_truth_file(path: Path) -> PoseFile:
         InputError: If a row is neither; the message names the line.
     """
     if path.suffix.lower() == ".pos":
-        return _positions(*_read_solution(path))
+        return positions_of(*_read_solution(path))
     first = next(iter(_rows(path)), None)
     if first is None or len(first[1]) != POSITION:
         return read_pose_file(path)
@@ -121,16 +124,28 @@ def read_truth_file(path: Path) -> PoseFile:
         check_position(rows[-1][1:], where)
     table = np.array(rows)
     _check_times(table[:, 0], [k for k, _ in _rows(path)], path)
-    return _positions(table[:, 0], table[:, 1:])
+    return _as_truth(table[:, 0], table[:, 1:])
 
 
-def _positions(stamps: Float[Array, "n"], positions: Float[Array, "n 3"]) -> PoseFile:
+def positions_of(stamps: Float[Array, "n"], places: Float[Array, "n 3"]) -> PoseFile:
+    """Turn places into true positions, east, north and up of the first one.
+
+    Args:
+        stamps: Their times [s].
+        places: Latitude, longitude [degrees] and height [m] (n, 3).
+    """
+    latitude, longitude, height = (float(number) for number in places[0])
+    positions = east_north_up(places, places[0])
+    return replace(_as_truth(stamps, positions), origin=(latitude, longitude, height))
+
+
+def _as_truth(stamps: Float[Array, "n"], positions: Float[Array, "n 3"]) -> PoseFile:
     poses = Poses(positions, Rotation.identity(len(positions)))
     return PoseFile(Trajectory.in_order(stamps, poses), numbered=False, positions_only=True)
 
 
 def _read_solution(path: Path) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
-    """Read the times [s] and the places east, north and up [m] of a solution of RTKLIB."""
+    """Read the times [s], and latitude, longitude and height, of a solution of RTKLIB."""
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     in_utc = False
@@ -155,8 +170,7 @@ def _read_solution(path: Path) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
             raise InputError(f"{where}: {' '.join(words[2:5])} are no latitude, longitude, height")
     if not stamps:
         raise InputError(f"{path}: holds no positions")
-    table = np.array(places)
-    return np.array(stamps), east_north_up(table, table[0])
+    return np.array(stamps), np.array(places)
 
 
 def _solution_time(words: list[str], where: str) -> float:

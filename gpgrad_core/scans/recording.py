@@ -29,6 +29,7 @@ class RecordingSources:
         mount: File of the sensor's pose on the body whose poses are recorded.
         cloud_topic: Topic of the clouds in a bag.
         pose_topic: Topic of the poses in a bag.
+        gnss_topic: Topic of the satellite positions in a bag, which become the truth.
         world_frame: Frame of a bag's transforms in which the map is built.
         keep: Conditions that a point must meet to be kept, such as ``intensity>3``.
     """
@@ -39,6 +40,7 @@ class RecordingSources:
     mount: Path | None = None
     cloud_topic: str | None = None
     pose_topic: str | None = None
+    gnss_topic: str | None = None
     world_frame: str | None = None
     keep: tuple[Condition, ...] = ()
 
@@ -61,6 +63,8 @@ class Recording:
         truth: True poses of the body at the scans, where the source gives them.
         positions_only: Whether the truth has positions only, with z up, and its turns mean nothing.
         notes: What was left out or assumed, one line each.
+        origin: Latitude, longitude [degrees] and height [m] of the frame of the truth, or else
+            of the poses, whose x points east and y north; None if unknown.
     """
 
     name: str
@@ -75,6 +79,7 @@ class Recording:
     truth: Located | None = None
     positions_only: bool = False
     notes: tuple[str, ...] = ()
+    origin: tuple[float, float, float] | None = None
 
     def __len__(self) -> int:
         """Number of scans."""

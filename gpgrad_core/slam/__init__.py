@@ -13,6 +13,7 @@ from gpgrad_core.slam.optimise import (
     check_solver,
     optimise_pose_graph,
 )
+from gpgrad_core.slam.placed import PlacedMap, place_map, write_places
 from gpgrad_core.slam.solution import (
     MapErrors,
     Solution,
@@ -36,6 +37,7 @@ __all__ = [
     "MergedMap",
     "OptimisedGraph",
     "Placed",
+    "PlacedMap",
     "PoseGraph",
     "Solution",
     "SolverParams",
@@ -51,6 +53,7 @@ __all__ = [
     "merge_maps",
     "odometry_poses",
     "optimise_pose_graph",
+    "place_map",
     "place_traverses",
     "read_graph",
     "solution_files",
@@ -59,5 +62,6 @@ __all__ = [
     "true_poses",
     "write_graph",
     "write_merged",
+    "write_places",
     "write_solution",
 ]

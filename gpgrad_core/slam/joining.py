@@ -86,6 +86,7 @@ def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
         preferred=outlines[0].dataset.preferred,
         notes=tuple(note for outline in outlines for note in outline.dataset.notes),
         positions_only=any(outline.dataset.positions_only for outline in outlines),
+        origin=outlines[0].dataset.origin,
     )
     clouds = tuple(cloud for outline in outlines for cloud in outline.clouds)
     traverses = {

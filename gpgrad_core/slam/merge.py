@@ -1,7 +1,7 @@
 """One cloud and one elevation map of all submaps, tile by tile, in bounded memory."""
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -114,6 +114,7 @@ def gather(
     *,
     count: int,
     voxel: float,
+    georeference: Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]] | None = None,
     progress: Progress = silent,
 ) -> Gathered:
     """Sort the points of all submaps into tiles of the world, one submap at a time.
@@ -125,6 +126,8 @@ def gather(
         folder: An empty folder for the files; the caller removes it.
         count: Number of submaps, for the progress.
         voxel: Side of a voxel [m]; a tile's side is a whole number of voxels.
+        georeference: Turns points of the world (n, 3) into map coordinates [m], in which the cloud
+            and the map are then made; None makes them in the world.
         progress: Called once per submap.
 
     Raises:
@@ -138,6 +141,8 @@ def gather(
             raise InputError(f"submap {submap.id} has no pose: it cannot be put into the map")
         kept = kept_rows(submap, terrain.max_points)
         points = poses[submap.id].apply(submap.points[kept])
+        if georeference is not None:
+            points = georeference(points)
         noise = ordinary_noise(submap, submap, terrain)[kept]
         store.add(np.column_stack([points, noise]))
         low = np.minimum(low, points[:, :2].min(axis=0))

@@ -14,6 +14,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.report import check_directory
 from gpgrad_core.gradient_map import TerrainParams
 from gpgrad_core.outputs.files import replacing
+from gpgrad_core.outputs.georeferenced import write_cloud_optimised, write_laz
 from gpgrad_core.outputs.maps import write_arrays, write_raster
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.whole import TemporaryFolder
@@ -24,7 +25,13 @@ from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
 from gpgrad_core.slam.joining import JoinedDatasets, Placed, place_traverses
 from gpgrad_core.slam.merge import MergeParams, gather, merge_clouds, merge_maps
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
-from gpgrad_core.slam.truth import TrajectoryError, align_points, trajectory_error, true_poses
+from gpgrad_core.slam.placed import PlacedMap
+from gpgrad_core.slam.truth import (
+    TrajectoryError,
+    align_points,
+    trajectory_error,
+    true_poses,
+)
 from gpgrad_core.types import LoopClosure, Submap
 from gpgrad_core.version import VERSION
 
@@ -136,7 +143,8 @@ def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors
 
 
 SOLUTION_FILES = (
-    *("trajectory.png", "errors.png", "cloud.ply", "map.npz", "map.tif"),
+    *("trajectory.png", "errors.png", "cloud.ply", "cloud.laz", "map.npz", "map.tif"),
+    *("poses.geojson", "poses.kml"),
     *("graph.g2o", "report.json"),
 )
 """Names of the files of a map, apart from its poses."""
@@ -147,6 +155,8 @@ def write_solution(
     solution: Solution,
     errors: MapErrors,
     progress: Progress = silent,
+    *,
+    placed: PlacedMap | None = None,
 ) -> None:
     """Write poses, graph, errors and figures into a folder.
 
@@ -155,6 +165,7 @@ def write_solution(
         solution: The map.
         errors: Its errors.
         progress: Called from time to time.
+        placed: Where the map lies in a coordinate system, for the report; None says nothing.
 
     Raises:
         InputError: If the folder cannot be made or written to.
@@ -188,7 +199,9 @@ def write_solution(
             figure.savefig(unfinished)
     progress(0.9)
     with replacing(directory / "report.json") as unfinished:
-        text = json.dumps(_content(solution, errors), indent=1, ensure_ascii=False, allow_nan=False)
+        text = json.dumps(
+            _content(solution, errors, placed), indent=1, ensure_ascii=False, allow_nan=False
+        )
         unfinished.write_text(text + "\n", encoding="utf-8")
     progress(1.0)
 
@@ -218,16 +231,20 @@ def write_merged(
     terrain: TerrainParams,
     params: MergeParams | None = None,
     progress: Progress = silent,
+    *,
+    placed: PlacedMap | None = None,
 ) -> tuple[str, ...]:
     """Write all submaps as one cloud and one elevation map, in bounded memory.
 
-    Writes ``cloud.ply``, ``map.npz`` and ``map.tif``.
+    Writes ``cloud.ply``, ``map.npz`` and ``map.tif``; and ``cloud.laz`` if the map is placed.
 
     Args:
         directory: An existing folder.
         solution: The map; its submaps are loaded one by one.
         terrain: Parameters of the GP.
         params: Parameters of the cloud and the map.
+        placed: Gives the coordinate system in which cloud and map are made; ``map.tif`` is then
+            cloud-optimised and names it. None makes them in the map's world.
         progress: Called from time to time; may raise Cancelled.
 
     Returns:
@@ -249,17 +266,27 @@ def write_merged(
             tiles,
             count=len(solution.result.poses),
             voxel=params.voxel,
+            georeference=None if placed is None else placed.apply,
             progress=part(progress, 0.0, 0.15),
         )
         with replacing(directory / "cloud.ply") as unfinished:
             pieces = merge_clouds(gathered, params.voxel, part(progress, 0.15, 0.25))
             write_ply_pieces(unfinished, pieces)
+        if placed is not None:
+            write_laz(
+                directory / "cloud.laz", merge_clouds(gathered, params.voxel), placed.georeference
+            )
         merged = merge_maps(gathered, terrain, params, layers, part(progress, 0.25, 0.9))
         with replacing(directory / "map.npz") as unfinished:
             write_arrays(unfinished, merged.grid, merged.layers)
         progress(0.95)
-        with replacing(directory / "map.tif") as unfinished:
-            write_raster(unfinished, merged.grid, merged.layers)
+        if placed is None:
+            with replacing(directory / "map.tif") as unfinished:
+                write_raster(unfinished, merged.grid, merged.layers)
+        else:
+            write_cloud_optimised(
+                directory / "map.tif", merged.grid, merged.layers, placed.georeference
+            )
         progress(1.0)
         return merged.notes
 
@@ -280,12 +307,20 @@ def _distances(
     return found
 
 
-def _content(solution: Solution, errors: MapErrors) -> dict[str, Any]:
+def _content(solution: Solution, errors: MapErrors, placed: PlacedMap | None) -> dict[str, Any]:
     """Make the content of ``report.json``: metres and radians, null for unknown."""
     numbers = vertex_numbers(solution.placed.graph)
     return {
         "dataset": solution.joined.outline.dataset.name,
         "gpgrad": VERSION,
+        "coordinates": None
+        if placed is None
+        else {
+            "crs": placed.georeference.name,
+            "origin": list(placed.georeference.origin),  # longitude, latitude, height
+            "placed_by_truth": placed.by_truth,
+            "world_yaw": placed.T_local_world.planar.yaw,
+        },
         "sessions": {
             session: {
                 "poses": poses_file(solution.joined, session),

@@ -9,8 +9,11 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.se2 import Pose
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Array, Dataset
+
+LEAST_SPREAD = 1.0
+"""Root mean square distance from the middle [m] from which positions tell a direction."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,27 @@ def align_points(points: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Fl
     mirrored = np.linalg.det(left) * np.linalg.det(right) < 0
     rotation = left @ np.diag([1.0, 1.0, -1.0 if mirrored else 1.0]) @ right
     return (points - middle) @ rotation.T + aim
+
+
+def level_motion(places: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Pose:
+    """Find the motion about the vertical that brings points onto their targets best.
+
+    Args:
+        places: Positions [m].
+        target: Where they belong [m].
+
+    Returns:
+        ``T_target_places``; without a turn if all places are nearly one.
+    """
+    middle, aim = places.mean(axis=0), target.mean(axis=0)
+    x, y, _ = (places - middle).T
+    along, across, _ = (target - aim).T
+    spread = float(np.sqrt(np.mean(x * x + y * y)))
+    yaw = float(np.arctan2(x @ across - y @ along, x @ along + y @ across))
+    turn = SE2(0.0, 0.0, yaw if spread > LEAST_SPREAD else 0.0)
+    offset = aim[:2] - turn.apply(middle[None, :2])[0]
+    motion = SE2(float(offset[0]), float(offset[1]), turn.yaw)
+    return Pose.from_planar(motion, float(aim[2] - middle[2]))
 
 
 def _rms(values: Float[NDArray[np.floating], "n"]) -> float:

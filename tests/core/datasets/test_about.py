@@ -19,12 +19,14 @@ TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
     noise=st.dictionaries(st.sampled_from(["constant", "quadratic"]), st.floats(0, 10)),
     length_scale=st.floats(0.01, 100),
     points=st.integers(1, 10**9) | st.booleans() | TEXT,
+    origin=st.none() | st.tuples(st.floats(-90, 90), st.floats(-360, 360), st.floats(-1e5, 1e5)),
 )
 def test_everything_comes_back(
     texts: tuple[str, str],
     noise: dict[str, float],
     length_scale: float,
     points: object,
+    origin: tuple[float, float, float] | None,
     tmp_path: Path,
 ) -> None:
     preferred: dict[str, object] = {
@@ -32,7 +34,7 @@ def test_everything_comes_back(
         "map": {"length_scale": length_scale, "max_points": points},
         "closure": {},
     }
-    about = About(*texts, "MIT", noise, preferred)
+    about = About(*texts, "MIT", noise, preferred, origin=origin)
     write_about(tmp_path / "dataset.toml", about)
     back = read_about(tmp_path / "dataset.toml", IDS)
     assert vars(back) == vars(about)
@@ -52,6 +54,11 @@ def test_unknown_keys_are_ignored_aloud(tmp_path: Path) -> None:
         ("name = 3", "name must be a text in quotes, got 3"),
         ("licence = ['MIT']", "licence must be a text"),
         ("name = unquoted", "is not TOML: "),
+        ("origin = 3", "origin must be [latitude, longitude, height]"),
+        ("origin = [1, 2]", "origin must be [latitude, longitude, height]"),
+        ("origin = [91, 2, 3]", "origin must be [latitude, longitude, height]"),
+        ("origin = [1, 2, nan]", "origin must be [latitude, longitude, height]"),
+        ("origin = [1, true, 3]", "origin must be [latitude, longitude, height]"),
         ("sensor_noise = 0.1", "sensor_noise must be a table"),
         ("[sensor_noise]\nlinear = 1", "constant and quadratic, got 'linear'"),
         ("[sensor_noise]\nconstant = 'much'", "sensor_noise.constant must be a number"),

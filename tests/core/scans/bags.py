@@ -132,6 +132,23 @@ class BagWriter:
         )
         self.write(topic, ODOMETRY, stamp, message)
 
+    def fix(
+        self, topic: str, stamp: float, place: tuple[float, float, float], status: int = 0
+    ) -> None:
+        """Write latitude, longitude [degrees] and height [m] as a receiver's driver does."""
+        kind = "sensor_msgs/msg/NavSatFix"
+        state = self.type("sensor_msgs/msg/NavSatStatus")(status=status, service=1)
+        message = self.type(kind)(
+            header=self.header(stamp, "gnss"),
+            status=state,
+            latitude=place[0],
+            longitude=place[1],
+            altitude=place[2],
+            position_covariance=np.zeros(9),
+            position_covariance_type=0,
+        )
+        self.write(topic, kind, stamp, message)
+
     def stamped(self, topic: str, stamp: float, poses: Poses, index: int) -> None:
         message = self.type(STAMPED)(header=self.header(stamp, "map"), pose=self.pose(poses, index))
         self.write(topic, STAMPED, stamp, message)

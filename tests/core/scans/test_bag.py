@@ -245,3 +245,51 @@ def test_an_mcap_of_another_writer(tmp_path: Path) -> None:
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     assert_refused(lambda: open_recording(path), str(path), "is not a complete bag")
+
+
+ETNA = (37.75, 14.99, 2900.0)
+
+
+def write_fixes(path: Path, *, topics: tuple[str, ...] = ("/fix",), late: float = 0.0) -> Path:
+    """A drive with a satellite receiver, which has no fix at first."""
+    with BagWriter(path, ros1=True) as bag:
+        for k, stamp in enumerate(FEW.stamps):
+            bag.odometry("/odom", stamp, FEW.body, k)
+            bag.cloud("/points", stamp, "base_link", FEW.scans[k])
+            for topic in topics:
+                nowhere = (float("nan"), float("nan"), 0.0)
+                bag.fix(topic, stamp + late - 0.01, nowhere, status=-1)
+                place = (ETNA[0] + 1e-5 * k, ETNA[1] + 2e-5 * k, ETNA[2] + k)
+                bag.fix(topic, stamp + late, place)
+    return path
+
+
+def test_satellite_positions_are_the_truth_and_the_origin(tmp_path: Path) -> None:
+    recording = open_recording(write_fixes(tmp_path / "a.bag"))
+    assert recording.positions_only
+    assert recording.origin == ETNA
+    assert recording.truth is not None
+    assert recording.truth.known.all()
+    # A degree of latitude is 111.0 km there, one of longitude 88.2 km.
+    east, north, up = recording.truth.poses.translation[5]
+    assert (east, north, up) == pytest.approx((8.82, 5.55, 5.0), abs=0.02)
+    assert "/fix: its satellite positions are kept as the truth" in recording.notes
+
+
+def test_of_several_receivers_one_is_named(tmp_path: Path) -> None:
+    path = write_fixes(tmp_path / "a.bag", topics=("/left", "/right"))
+    recording = open_recording(path)
+    assert recording.truth is None
+    assert recording.origin is None
+    assert "satellite positions of /left, /right were ignored" in "".join(recording.notes)
+    assert open_recording(path, RecordingSources(gnss_topic="/right")).origin == ETNA
+    assert_refused(
+        lambda: open_recording(path, RecordingSources(gnss_topic="/odom")),
+        "--gnss-topic /odom: is not a topic of positions",
+    )
+
+
+def test_positions_of_another_time_are_left_out(tmp_path: Path) -> None:
+    recording = open_recording(write_fixes(tmp_path / "a.bag", late=500.0))
+    assert recording.truth is None
+    assert "has no position at the time of a scan" in "".join(recording.notes)

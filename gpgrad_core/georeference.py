@@ -1,0 +1,170 @@
+"""Where a local frame lies on the Earth, Mars or the Moon: from its metres to map coordinates.
+
+A local frame is level at its origin, with x to the east, y to the north and z up. Its points become
+geocentric by the equations of the topocentric frame (IOGP Guidance Note 7-2, Sec. 4.1.3, method
+9837), then longitude, latitude and height on the ellipsoid of the coordinate system, and at last
+coordinates of a map projection. PROJ computes all of it, by its library pyproj.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import Array
+from gpgrad_core.errors import InputError
+from gpgrad_core.libraries import load_library
+from gpgrad_core.reading.places import HIGHEST
+
+EXTRA = "gpgrad[geo]"
+BEYOND = 3.0
+"""So far outside of its area a system is still used [degrees]."""
+FARTHEST = 1e8
+"""Largest easting or northing of a map [m]; no map of a planet that people walk on is larger."""
+UTM_NORTH, UTM_SOUTH, UPS_NORTH, UPS_SOUTH = 32600, 32700, 5041, 5042
+"""EPSG's codes of UTM without the zone, and of the stereographic maps of the poles."""
+
+
+@dataclass(frozen=True, eq=False)
+class Georeference:
+    """The place of a local frame in a coordinate system.
+
+    Attributes:
+        name: Of the system, such as ``EPSG:32633``.
+        wkt: The system in well-known text.
+        origin: Longitude, latitude [degrees] and height [m] of the frame's origin.
+    """
+
+    name: str
+    wkt: str
+    origin: tuple[float, float, float]
+    _to_degrees: Any
+    _to_system: Any
+
+    def geographic(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Give longitude (to the east), latitude [degrees] and height [m] of points (n, 3) [m]."""
+        return np.column_stack(self._to_degrees.transform(*points.T))
+
+    def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Give easting, northing and height [m] of points of the local frame (n, 3) [m]."""
+        longitude, latitude, height = self.geographic(points).T
+        x, y = self._to_system.transform(longitude, latitude)
+        return np.column_stack([x, y, height])
+
+
+def read_origin(text: str) -> tuple[float, float, float]:
+    """Read three numbers that are separated by commas.
+
+    >>> read_origin("37.75,14.99,2900")
+    (37.75, 14.99, 2900.0)
+
+    Raises:
+        InputError: If it is anything else.
+    """
+    words = text.split(",")
+    try:
+        numbers = tuple(float(word) for word in words)
+    except ValueError:
+        numbers = ()
+    if len(numbers) != 3 or not all(np.isfinite(numbers)):
+        raise InputError(
+            f"an origin is LAT,LON,HEIGHT in degrees and metres, or E,N,HEIGHT in metres, got "
+            f"{text[:60]!r}"
+        )
+    return numbers[0], numbers[1], numbers[2]
+
+
+def is_geographic(origin: tuple[float, float, float]) -> bool:
+    """Say whether an origin is a latitude and a longitude; else it is an easting and a northing."""
+    return abs(origin[0]) <= 90.0 and abs(origin[1]) <= 360.0
+
+
+def make_georeference(origin: tuple[float, float, float], crs: str | None = None) -> Georeference:
+    """Place a local frame.
+
+    Args:
+        origin: Latitude and longitude [degrees] on the system's own ellipsoid, or easting and
+            northing [m] in the system; and height above the ellipsoid [m].
+        crs: The coordinate system, as PROJ names it: ``EPSG:32633``, ``IAU_2015:49910``, well-known
+            text. It must be a projection in metres. None takes the zone of UTM, on the Earth.
+
+    Raises:
+        InputError: If pyproj is not installed, there is no such system, it is not a projection in
+            metres, or the origin lies outside of it.
+    """
+    first, second, height = origin
+    if abs(height) > HIGHEST:
+        raise InputError(f"an origin's height lies within {HIGHEST:,.0f} m, got {height:g}")
+    if not is_geographic(origin) and max(abs(first), abs(second)) > FARTHEST:
+        raise InputError(f"an origin's E and N lie within {FARTHEST:g} m, got {first:g},{second:g}")
+    if crs is None:
+        if not is_geographic(origin):
+            raise InputError("an origin in E,N,HEIGHT needs the system that these belong to: --crs")
+        crs = _zone(first, (second + 180.0) % 360.0 - 180.0)
+    pyproj = load_library("pyproj", EXTRA)
+    system = _system(pyproj, crs)
+    geodetic = system.geodetic_crs
+    to_system = pyproj.Transformer.from_crs(geodetic, system, always_xy=True)
+    if is_geographic(origin):
+        latitude, longitude = first, second
+    else:
+        longitude, latitude = to_system.transform(first, second, direction="INVERSE")
+    _check_inside(system, longitude, latitude, f"the origin {first:g},{second:g}")
+    ellipsoid = system.ellipsoid
+    size = f"+a={ellipsoid.semi_major_metre!r} +b={ellipsoid.semi_minor_metre!r}"
+    to_degrees = pyproj.Transformer.from_pipeline(
+        f"+proj=pipeline +step +inv +proj=topocentric {size} +lon_0={longitude!r} "
+        f"+lat_0={latitude!r} +h_0={height!r} +step +inv +proj=cart {size} "
+        "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
+    )
+    place = (float(longitude), float(latitude), float(height))
+    found = Georeference(system.to_string(), system.to_wkt(), place, to_degrees, to_system)
+    if not np.isfinite(found.apply(np.zeros((1, 3)))).all():
+        raise InputError(f"PROJ cannot compute {crs} near {latitude:g},{longitude:g}; name another")
+    return found
+
+
+def _check_inside(system: Any, longitude: float, latitude: float, what: str) -> None:
+    """Refuse an origin far outside of the area that a system is made for."""
+    area = system.area_of_use
+    inside = bool(np.isfinite(longitude) and np.isfinite(latitude))
+    if inside and area is not None:
+        half = 0.5 * ((area.east - area.west) % 360.0 or 360.0)
+        beside = abs((longitude - area.west - half + 180.0) % 360.0 - 180.0)
+        inside = beside <= half + BEYOND and (
+            area.south - BEYOND <= latitude <= area.north + BEYOND
+        )
+    if not inside:
+        where = "" if area is None else f" ({area.name})"
+        raise InputError(f"{what} lies outside of {system.to_string()}{where}")
+
+
+def _zone(latitude: float, longitude: float) -> str:
+    """Name the zone of UTM, or at the poles the stereographic map."""
+    if latitude > 84.0 or latitude < -80.0:
+        return f"EPSG:{UPS_NORTH if latitude > 0 else UPS_SOUTH}"
+    number = int((longitude + 180.0) // 6.0) % 60 + 1
+    return f"EPSG:{(UTM_NORTH if latitude >= 0 else UTM_SOUTH) + number}"
+
+
+def _system(pyproj: Any, crs: str) -> Any:
+    try:
+        system = pyproj.CRS.from_user_input(crs)
+    except pyproj.exceptions.CRSError as error:
+        raise InputError(
+            f"{crs[:60]!r} is no coordinate system that PROJ knows; name one such as EPSG:32633 or "
+            "IAU_2015:49910"
+        ) from error
+    units = {axis.unit_name for axis in system.axis_info[:2]}
+    if not system.is_projected or not units <= {"metre", "meter"}:
+        raise InputError(
+            f"{crs[:60]}: is {system.type_name} in {' and '.join(sorted(units)) or 'no unit'}; a "
+            "map needs a projection in metres, such as a zone of UTM"
+        )
+    if any(axis.direction not in ("east", "north", "south") for axis in system.axis_info[:2]):
+        raise InputError(
+            f"{crs[:60]}: counts to the west; name the system of the same body that counts to the "
+            "east"
+        )
+    return system
