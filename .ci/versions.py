@@ -60,6 +60,40 @@ def find_pythons() -> list[Python]:
     return [found[version] for version in sorted(found)]
 
 
+def fetch_page(gpgrad: Path, folder: Path) -> str:
+    """Start the viewer on the demo, and fetch its page.
+
+    Args:
+        gpgrad: The installed command.
+        folder: Where it is started.
+
+    Raises:
+        RuntimeError: If it does not start; the message is what it said.
+    """
+    with subprocess.Popen(
+        [gpgrad, "view", "--no-open", "--port", "0"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=folder,
+    ) as viewer:
+        try:
+            assert viewer.stdout is not None
+            begun = time.monotonic()
+            said = ""  # what was fitted comes before the address
+            address = None
+            while address is None and (line := viewer.stdout.readline()):
+                said += line
+                address = re.search(r"http://\S+", line)
+            if address is None:
+                raise RuntimeError(said)
+            with urllib.request.urlopen(address[0], timeout=START_SECONDS) as page:
+                page.read()
+            return f"page served after {time.monotonic() - begun:.0f} s"
+        finally:
+            viewer.kill()
+
+
 @dataclass(frozen=True)
 class Trial:
     """One Python with one choice of releases."""
@@ -115,28 +149,7 @@ class Trial:
 
     def start(self) -> str:
         """Start the viewer on the demo, and fetch its page."""
-        with subprocess.Popen(
-            [self.bin / "gpgrad", "view", "--no-open", "--port", "0"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            cwd=self.folder,
-        ) as viewer:
-            try:
-                assert viewer.stdout is not None
-                begun = time.monotonic()
-                said = ""  # what was fitted comes before the address
-                address = None
-                while address is None and (line := viewer.stdout.readline()):
-                    said += line
-                    address = re.search(r"http://\S+", line)
-                if address is None:
-                    raise RuntimeError(said)
-                with urllib.request.urlopen(address[0], timeout=START_SECONDS) as page:
-                    page.read()
-                return f"page served after {time.monotonic() - begun:.0f} s"
-            finally:
-                viewer.kill()
+        return fetch_page(self.bin / "gpgrad", self.folder)
 
     def detect(self) -> str:
         """Detect the loop closures of a small simulated dataset with several methods."""
