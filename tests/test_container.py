@@ -1,4 +1,4 @@
-"""The container file, as a linter sees it. Where a builder runs, `docker build` is the real test."""
+"""The container file, as a linter sees it; where a builder runs, it should also be built."""
 
 import shutil
 import subprocess

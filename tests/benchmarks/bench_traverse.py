@@ -248,9 +248,16 @@ def _tell_quality(
     """Compare what was accepted with the true poses."""
     places = {submap.id: k for k, submap in enumerate(dataset.submaps)}
     poses = [submap.pose_true for submap in dataset.submaps]
-    where = np.array([pose.translation[:2] for pose in poses if pose is not None])
-    first = sources[0].load().points[:, :2]
-    radius = float(np.percentile(np.linalg.norm(first - np.median(first, axis=0), axis=1), 95))
+    # A camera looks ahead: the middle of its ground is not where the rover stood.
+    middles, radii = zip(*(_disc(source) for source in sources), strict=True)
+    radius = float(np.median(radii))
+    where = np.array(
+        [
+            pose.apply(np.array([[*middle, 0.0]]))[0, :2]
+            for pose, middle in zip(poses, middles, strict=True)
+            if pose is not None
+        ]
+    )
     right = wrong = apart = 0
     found: set[tuple[int, int]] = set()
     for one in accepted:
@@ -263,10 +270,10 @@ def _tell_quality(
         true = of_database.planar.inverse() @ of_query.planar
         error = true.inverse() @ motion
         found.add((query, database))
-        if np.linalg.norm(where[query] - where[database]) > 2 * radius:
-            apart += 1
-        elif np.hypot(error.x, error.y) <= MAX_OFFSET and abs(error.yaw) <= math.radians(MAX_TURN):
+        if np.hypot(error.x, error.y) <= MAX_OFFSET and abs(error.yaw) <= math.radians(MAX_TURN):
             right += 1
+        elif np.linalg.norm(where[query] - where[database]) > 2 * radius:
+            apart += 1
         else:
             wrong += 1
     print(f"accepted: {right:,} right, {wrong} with a wrong motion, {apart} far apart")
@@ -282,6 +289,13 @@ def _tell_quality(
         if inside.any():
             found_share = held[inside].mean()
             print(f"| {low:.0%} to {min(high, 1):.0%} | {inside.sum():,} | {found_share:.3f} |")
+
+
+def _disc(source: SubmapSource) -> tuple[Any, float]:
+    """Measure a submap's ground: its middle (2,), and the radius around it [m]."""
+    points = source.load().points[:, :2]
+    middle = np.median(points, axis=0)
+    return middle, float(np.percentile(np.linalg.norm(points - middle, axis=1), 95))
 
 
 def _overlap(distance: Any) -> Any:

@@ -37,7 +37,7 @@ STYLES: dict[Layer, LayerStyle] = {
         "Height difference, query minus database", "m", "blue-white-red", symmetric=True
     ),
     "agreement": LayerStyle(
-        "Agreement: blue for one terrain, red for two",
+        "Agreement on one terrain",
         "log ratio",
         "red-white-blue",
         symmetric=True,

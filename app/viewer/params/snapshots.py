@@ -12,8 +12,8 @@ from gpgrad_core.params.fields import get_path, parameters_of, with_unit
 from gpgrad_core.pipeline import PipelineParams
 
 Name: TypeAlias = Literal["A", "B"]
-KEEP: dict[str, Name] = {"Keep as A": "A", "Keep as B": "B"}
-SWITCH = "A or B"
+KEEP: dict[str, Name] = {"Keep A": "A", "Keep B": "B"}
+SWITCH = "A ⇄ B"
 KEY = "9"
 MOST_NAMED = 3
 """So many differences between A and B are named."""

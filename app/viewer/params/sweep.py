@@ -14,7 +14,7 @@ NUM_VALUES = 15
 DECADES_FROM = 20.0
 """From this ratio of the ends on, values are spaced evenly in their logarithm."""
 WIDTH, LEFT, RIGHT = 300.0, 34.0, 10.0
-SCORES, BETWEEN, INLIERS, BELOW = 84.0, 18.0, 34.0, 26.0
+SCORES, BETWEEN, INLIERS, BELOW = 84.0, 30.0, 34.0, 26.0
 """Heights of the scores, of the gap, of the inliers, and of the axis below them."""
 LEAST_HIGH = 6.0
 """The axis of the score goes as far at least: twice the default threshold."""

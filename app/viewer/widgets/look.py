@@ -71,7 +71,8 @@ REACH = """
   if (window.gpgradReach) return;
   window.gpgradReach = true;
   setInterval(() => {
-    for (const thumb of document.querySelectorAll('.mantine-Slider-thumb:not([aria-label])')) {
+    for (const thumb of document.querySelectorAll('.mantine-Slider-thumb')) {
+      if (thumb.getAttribute('aria-label')) continue;
       const root = thumb.closest('.mantine-Slider-root');
       const label = root && document.querySelector(`label[for="${root.id}"]`);
       if (!label) continue;
