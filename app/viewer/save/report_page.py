@@ -50,7 +50,8 @@ def report_html(
         f'<p><img alt="Both maps, their height difference, and where they agree" '
         f'src="data:image/png;base64,{encoded}"></p>'
         f"<p>Dots are inliers. Grey cells are masked, or were seen by one submap only. The lower "
-        f"panels lie in the database's frame. Blue agreement speaks for one terrain, red for two.</p>"
+        f"panels lie in the database's frame. Blue agreement speaks for one terrain, red for "
+        f"two.</p>"
         f"<h2>Command</h2><p>This command finds the same inliers, score and motion:</p>"
         f"<pre>{escape(command_of(state))}</pre>{here}"
         f"<h2>Parameters</h2><p>What differs from gpgrad's own defaults is bold.</p>"
