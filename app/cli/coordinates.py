@@ -15,10 +15,10 @@ OriginFlag: TypeAlias = Annotated[
     str | None,
     Doc(
         "Where x = y = z = 0 is, with x to the east and y to the north: latitude, longitude "
-        "[degrees] and height above the ellipsoid [m], or easting and northing in --crs, and "
-        "height [m]. Write --origin=-4.5,137.4,-4500 if it begins with a minus."
+        "[degrees] and height above the ellipsoid [m], or easting, northing and height [m]. After "
+        "an equals sign it may begin with a minus."
     ),
-    tyro.conf.arg(metavar="LAT,LON,HEIGHT", help_behavior_hint="(default: dataset.toml's)"),
+    tyro.conf.arg(metavar="LAT,LON,HEIGHT", help_behavior_hint="(default: that of dataset.toml)"),
 ]
 CrsFlag: TypeAlias = Annotated[
     str | None,
@@ -26,7 +26,7 @@ CrsFlag: TypeAlias = Annotated[
         "Coordinate system to write in: a projection in metres, such as EPSG:32633 or "
         "IAU_2015:49910. UTM takes the zone of the origin. Needs pip install 'gpgrad[geo]'."
     ),
-    tyro.conf.arg(metavar="CODE", help_behavior_hint="(default: UTM with --origin, else local)"),
+    tyro.conf.arg(metavar="CODE", help_behavior_hint="(default: UTM if there is an origin)"),
 ]
 
 

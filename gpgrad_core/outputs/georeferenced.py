@@ -63,7 +63,9 @@ def write_cloud_optimised(
         )
 
 
-def write_laz(path: Path, pieces: Iterable[Float[Array, "n 3"]], georeference: Georeference) -> int:
+def write_laz(
+    path: Path, pieces: Iterable[Float[Array, "_n 3"]], georeference: Georeference
+) -> int:
     """Write points as LAZ 1.4 with their coordinate system.
 
     Args:

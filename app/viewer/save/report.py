@@ -9,7 +9,6 @@ import viser
 from app.viewer.downloads import Downloads, safe_name
 from app.viewer.feature import Desk, Feature
 from app.viewer.pair import headline_of
-from app.viewer.save.report_figure import draw_report
 from app.viewer.save.report_page import lines_below, report_html
 from app.viewer.save.report_panel import ReportPanel
 from app.viewer.state import ViewState
@@ -77,6 +76,8 @@ def write_report(
         path: Ends in .html or .png.
         progress: Called with the fraction done; may raise Cancelled.
     """
+    from app.viewer.save.report_figure import draw_report  # noqa: PLC0415 - loads matplotlib
+
     result = register_pair(state.query, state.database, state.params, memo, part(progress, 0, 0.6))
     headline = headline_of(result, with_score=True)
     if path.suffix == ".png":

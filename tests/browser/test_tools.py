@@ -1,0 +1,126 @@
+"""The tools beside the sliders, the report, and a server that goes and comes back."""
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from tests.browser.chromium import ViewerPage
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+Open = Callable[..., "ViewerPage"]
+
+
+def test_a_parameter_is_swept_and_a_click_sets_its_value(open_viewer: Open) -> None:
+    page = open_viewer()
+    page.settle()
+    page.page.get_by_text("Sensitivity", exact=True).click()
+    page.press("Sweep")
+    page.wait(lambda: "loop closure at" in page.say("sweep"), "a summary", timeout=240.0)
+    before = page.value("Length-scale")
+    page.page.locator("[data-testid=sweep] g").last.click()
+    page.wait(lambda: page.value("Length-scale") != before, "another length-scale")
+    assert page.value("Length-scale") == pytest.approx(2.0)
+    assert "Sweep again" not in page.say("sweep")
+
+
+def test_one_key_changes_between_two_snapshots(open_viewer: Open) -> None:
+    page = open_viewer()
+    page.settle()
+    first = page.value("Length-scale")
+    page.press("Keep A")
+    page.type_value("Length-scale", "0.9")
+    page.settle()
+    page.press("Keep B")
+    page.wait(lambda: "B shown" in page.say("snapshots"), "both kept")
+    for name, value in (("A", first), ("B", 0.9)):
+        page.key("9")
+        page.wait(lambda name=name: f"{name} shown" in page.say("snapshots"), "the other one")
+        assert page.value("Length-scale") == pytest.approx(value)
+
+
+def test_sliders_have_names_and_their_arrows_leave_the_camera(open_viewer: Open) -> None:
+    page = open_viewer()
+    page.settle()
+    thumbs = page.page.locator(".mantine-Slider-thumb")
+    page.wait(lambda: bool(thumbs.last.get_attribute("aria-label")), "names of the sliders")
+    names = [thumbs.nth(k).get_attribute("aria-label") for k in range(thumbs.count())]
+    assert all(names)
+    assert "Length-scale [m]" in names
+    (client,) = page.viewer._server.get_clients().values()  # type: ignore[attr-defined]
+    before, value = client.camera.position.copy(), page.value("Minimum score")
+    page.thumb("Minimum score").focus()
+    for _ in range(4):
+        page.page.keyboard.press("ArrowRight", delay=120)
+    page.wait(lambda: page.value("Minimum score") != value, "another threshold")
+    page.settle()
+    assert client.camera.position == pytest.approx(before, abs=1e-6)
+
+
+def test_a_report_opens_from_disk(open_viewer: Open, tmp_path: Path) -> None:
+    page = open_viewer()
+    page.settle()
+    page.tab("Save")
+    with page.page.expect_download(timeout=120_000) as download:
+        page.press("Save report")
+    path = tmp_path / "report.html"
+    download.value.save_as(path)
+    other = page.page.context.new_page()
+    requests: list[str] = []
+    other.on("request", lambda request: requests.append(request.url))
+    other.goto(path.as_uri())
+    text = other.inner_text("body")
+    assert "Loop closure" in text
+    assert "gpgrad detect" in text
+    link = other.get_attribute("a", "href")
+    assert link is not None
+    assert "#query=007&database=001" in link
+    width = other.evaluate("document.querySelector('img').naturalWidth")
+    assert width == 1320
+    assert {url.split(":")[0] for url in requests} <= {"file", "data"}
+    other.close()
+
+
+def test_a_server_that_was_gone_gets_the_parameters_back(browser: Any) -> None:
+    from tests.browser.chromium import ViewerPage  # noqa: PLC0415
+
+    server, url = serve("0")
+    page = ViewerPage(browser, url)
+    try:
+        page.settle()
+        page.type_value("Minimum score", "4.5")
+        page.choose("Layer", "gradient")
+        page.settle()
+        page.wait(lambda: "layer=gradient" in page.page.url, "the address of what is shown")
+        server.terminate()
+        server.wait()
+        page.wait(lambda: "does not answer" in page.say("connection"), "a banner")
+        server, again = serve(url.rpartition(":")[2])
+        assert again == url
+        page.wait(lambda: page.say("connection").startswith("Connected"), "the server again")
+        page.wait(lambda: page.value("Minimum score") == 4.5, "the parameters")
+        assert page.legend().startswith("Gradient")
+        assert page.errors == []
+    finally:
+        page.close()
+        server.kill()
+        server.wait()
+
+
+def serve(port: str) -> tuple[subprocess.Popen[str], str]:
+    """Start a viewer of the demo as a process; gives it and its address."""
+    words = ["-u", "-m", "app", "view", "--no-open", "--port", port]
+    server = subprocess.Popen(
+        [sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    assert server.stdout is not None
+    for line in server.stdout:
+        found = re.search(r"http://[0-9.:]+", line)
+        if found is not None:
+            return server, found[0]
+    raise AssertionError("the viewer does not start")
