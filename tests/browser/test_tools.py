@@ -22,6 +22,7 @@ def test_a_parameter_is_swept_and_a_click_sets_its_value(open_viewer: Open) -> N
     page.page.get_by_text("Sensitivity", exact=True).click()
     page.press("Sweep")
     page.wait(lambda: "loop closure at" in page.say("sweep"), "a summary", timeout=240.0)
+    assert page.viewer.wait_idle(240.0)  # type: ignore[attr-defined]
     before = page.value("Length-scale")
     page.page.locator("[data-testid=sweep] g").last.click()
     page.wait(lambda: page.value("Length-scale") != before, "another length-scale")
@@ -62,7 +63,7 @@ def test_sliders_have_names_and_their_arrows_leave_the_camera(open_viewer: Open)
     assert client.camera.position == pytest.approx(before, abs=1e-6)
 
 
-def test_a_report_opens_from_disk(open_viewer: Open, tmp_path: Path) -> None:
+def test_a_report_opens_from_disk(open_viewer: Open, browser: Any, tmp_path: Path) -> None:
     page = open_viewer()
     page.settle()
     page.tab("Save")
@@ -70,7 +71,7 @@ def test_a_report_opens_from_disk(open_viewer: Open, tmp_path: Path) -> None:
         page.press("Save report")
     path = tmp_path / "report.html"
     download.value.save_as(path)
-    other = page.page.context.new_page()
+    other = browser.new_page()
     requests: list[str] = []
     other.on("request", lambda request: requests.append(request.url))
     other.goto(path.as_uri())
@@ -97,8 +98,7 @@ def test_a_server_that_was_gone_gets_the_parameters_back(browser: Any) -> None:
         page.choose("Layer", "gradient")
         page.settle()
         page.wait(lambda: "layer=gradient" in page.page.url, "the address of what is shown")
-        server.terminate()
-        server.wait()
+        stop(server)
         page.wait(lambda: "does not answer" in page.say("connection"), "a banner")
         server, again = serve(url.rpartition(":")[2])
         assert again == url
@@ -108,8 +108,15 @@ def test_a_server_that_was_gone_gets_the_parameters_back(browser: Any) -> None:
         assert page.errors == []
     finally:
         page.close()
-        server.kill()
-        server.wait()
+        stop(server)
+
+
+def stop(server: subprocess.Popen[str]) -> None:
+    """End a viewer, as a person does; once is enough."""
+    server.terminate()
+    server.wait()
+    assert server.stdout is not None
+    server.stdout.close()
 
 
 def serve(port: str) -> tuple[subprocess.Popen[str], str]:
