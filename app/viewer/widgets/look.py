@@ -37,6 +37,13 @@ button.mantine-Button-root { min-height: 32px; }
 }
 [data-dock-tab][aria-selected=true] { color: light-dark(#1659a0, #8cc3f7) !important; }
 .tabler-icon-cloud-check { visibility: hidden; }
+@media (max-width: 640px) {
+  .mantine-Paper-root:has([data-testid=verdict]) { left: 0 !important; width: 100% !important; }
+  .mantine-Paper-root:has([data-testid=verdict]) .mantine-ScrollArea-content > div {
+    width: 100% !important;
+  }
+  [data-testid=caption] div { font-size: 12px !important; line-height: 1.2; white-space: nowrap; }
+}
 @media (min-width: 700px) {
   .mantine-Tooltip-tooltip {
     left: var(--gpgrad-tip-left, auto) !important;
