@@ -109,9 +109,9 @@ def compared_cells(grid: Grid, placement: Placement, role: Role, swipe_at: float
         grid: Of the map.
         placement: Where the map stands in the scene.
         role: Whose map it is.
-        swipe_at: Where the swipe stands along the scene's x [m]: the database is seen left of
-            it, the query right.
+        swipe_at: Where the swipe stands along the scene's x [m]: the query is seen left of
+            it, the database right.
     """
     c, s = np.cos(placement.yaw), np.sin(placement.yaw)
     right = (c * grid.x)[None, :] - (s * grid.y)[:, None] + placement.x > swipe_at
-    return right if role == "query" else ~right
+    return right if role == "database" else ~right

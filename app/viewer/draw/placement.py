@@ -230,7 +230,7 @@ def place(
         layout: Registered needs a motion; without one the submaps stand side by side.
         T_database_query: The registration.
         dz: Height of the query's zero in the database's frame [m].
-        tall: For a tall canvas the query stands behind the database instead of to its right.
+        tall: For a tall canvas the query stands behind the database instead of to its left.
     """
     if layout == "registered" and T_database_query is not None:
         x, y, z = -database.center
@@ -249,8 +249,8 @@ def place(
         )
     gap = GAP * (query.size[0] + database.size[0]) / 2
     return (
-        Placement(query_x + (query.size[0] + gap) / 2, query_y, query_z),
-        Placement(database_x - (database.size[0] + gap) / 2, database_y, database_z),
+        Placement(query_x - (query.size[0] + gap) / 2, query_y, query_z),
+        Placement(database_x + (database.size[0] + gap) / 2, database_y, database_z),
     )
 
 

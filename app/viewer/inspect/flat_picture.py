@@ -171,9 +171,9 @@ def _registered_ground(state: ViewState, result: PairResult, motion: SE2, sheet:
             return database
         case "swipe":
             column = int(options.swipe * (WIDTH - 1))
-            database[:, column:] = query[:, column:]
-            database[:, max(column - 1, 0) : column + 1] = 255
-            return database
+            query[:, column:] = database[:, column:]
+            query[:, max(column - 1, 0) : column + 1] = 255
+            return query
         case "both" | "blink":
             # The two colours add up to grey where both maps are alike.
             return np.maximum(cv2.add(query, database), np.array(NOTHING, np.uint8))
@@ -278,7 +278,7 @@ def _left_by_swipe(
     if not registered or state.options.compare != "swipe":
         return np.ones(len(places), dtype=bool)
     right = places[:, 0] > state.options.swipe * (WIDTH - 1)
-    return right if of_query else ~right
+    return ~right if of_query else right
 
 
 def _draw_dots(

@@ -236,7 +236,7 @@ def title_of(state: ViewState, result: PairResult) -> str:
         case "query" | "database" as role:
             return f"The gradient of the {role}, in the database's frame."
         case "swipe":
-            return "The gradient of the database left of the line, and of the query right of it."
+            return "The gradient of the query left of the line, and of the database right of it."
         case "both" | "blink":
             return "The gradients of both, laid onto each other. Where they agree, they look grey."
 

@@ -140,7 +140,7 @@ class Ground:
             return np.ones(len(points), dtype=bool)
         placed = self.placements[index].apply(points.astype(np.float64))
         right = placed[:, 0] > self.swipe_at
-        return right if ROLES[index] == "query" else ~right
+        return right if ROLES[index] == "database" else ~right
 
     def pick(self, ray: Ray) -> Probe | None:
         """Find the place that a line of sight meets first; None if it meets nothing drawn."""

@@ -79,8 +79,8 @@ class ViewPanel:
                 "Compare",
                 tuple(COMPARE_NAMES[compare] for compare in COMPARE),
                 initial_value=COMPARE_NAMES[options.compare],
-                hint="How to compare registered submaps: both at once, one alone, the database "
-                "left and the query right of a line, or one after the other.",
+                hint="How to compare registered submaps: both at once, one alone, the query "
+                "left and the database right of a line, or one after the other.",
             ),
             COMPARE_NAMES,
         )
@@ -92,7 +92,7 @@ class ViewPanel:
                 1.0,
                 0.01,
                 options.swipe,
-                hint="Position of the line: the database is left of it, the query right.",
+                hint="Position of the line: the query is left of it, the database right.",
             ),
         )
         self._bind_choice(

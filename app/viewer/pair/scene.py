@@ -118,8 +118,8 @@ class PairScene:
         # Lit surfaces are not used, and an environment map would tint what is.
         scene.configure_environment_map(None)
         self._root = scene.add_frame(PAIR, show_axes=False)
-        self._query = SubmapNode(host, PAIR, "query", QUERY, "right")
-        self._database = SubmapNode(host, PAIR, "database", DATABASE, "left")
+        self._query = SubmapNode(host, PAIR, "query", QUERY, "left")
+        self._database = SubmapNode(host, PAIR, "database", DATABASE, "right")
         self._annotations = Annotations(host, PAIR)
         self._associations = AssociationNodes(host, PAIR, (self._query, self._database))
         self._ruler = RulerNodes(host, PAIR)

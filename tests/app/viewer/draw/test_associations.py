@@ -40,8 +40,8 @@ def test_inliers_and_outliers_are_joined_apart() -> None:
     assert inliers.shape == (12 * ARC_PIECES, 2, 3)
     assert outliers.shape == (5 * ARC_PIECES, 2, 3)
     arcs = inliers.reshape(12, ARC_PIECES, 2, 3)
-    assert (arcs[:, 0, 0, 0] > 0).all()  # from the query's side …
-    assert (arcs[:, -1, 1, 0] < 0).all()  # … to the database's
+    assert (arcs[:, 0, 0, 0] < 0).all()  # from the query's side …
+    assert (arcs[:, -1, 1, 0] > 0).all()  # … to the database's
     np.testing.assert_array_equal(arcs[:, 1:, 0], arcs[:, :-1, 1])  # without a gap
     middle = arcs[:, ARC_PIECES // 2, 0, 2]
     assert (middle > arcs[:, 0, 0, 2]).all()  # over the ground

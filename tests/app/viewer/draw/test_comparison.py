@@ -69,8 +69,8 @@ def test_agreement_is_above_zero_but_where_the_ground_has_changed() -> None:
 def test_a_swipe_parts_the_scene_at_its_line() -> None:
     place = Placement(1.0, 2.0, 0.0, yaw=0.8)
     scene = place.apply(np.column_stack([QUERY.grid.positions, np.zeros(QUERY.grid.num_cells)]))
-    right = compared_cells(QUERY.grid, place, "query", 1.2)
-    left = compared_cells(QUERY.grid, place, "database", 1.2)
+    right = compared_cells(QUERY.grid, place, "database", 1.2)
+    left = compared_cells(QUERY.grid, place, "query", 1.2)
     np.testing.assert_array_equal(right.ravel(), scene[:, 0] > 1.2)
     np.testing.assert_array_equal(left, ~right)
     assert right.any()

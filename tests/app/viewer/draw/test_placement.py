@@ -32,8 +32,8 @@ def test_side_by_side_they_do_not_touch_and_surround_the_origin() -> None:
     query, database = place(*BOXES, "side by side", T_DATABASE_QUERY, 0.0)
     query_low, query_high = bounds(BOXES[0], query)
     database_low, database_high = bounds(BOXES[1], database)
-    assert database_high[0] < 0 < query_low[0]
-    assert query_high[0] == pytest.approx(-database_low[0], rel=0.05)
+    assert query_high[0] < 0 < database_low[0]  # the query comes first
+    assert database_high[0] == pytest.approx(-query_low[0], rel=0.05)
     assert query.yaw == database.yaw == 0.0
 
 

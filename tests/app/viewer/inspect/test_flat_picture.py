@@ -87,14 +87,14 @@ def test_registered_each_way_of_comparing_shows_another_picture() -> None:
             assert (np.abs(first.astype(int) - second).max(axis=-1) > 30).mean() > 0.02
 
 
-def test_the_swipe_shows_the_database_left_and_the_query_right() -> None:
+def test_the_swipe_shows_the_query_left_and_the_database_right() -> None:
     options = {"layout": "registered", **BARE}
     query = draw_pane(seeing(compare="query", **options), RESULT)
     database = draw_pane(seeing(compare="database", **options), RESULT)
     swiped = draw_pane(seeing(compare="swipe", swipe=0.4, **options), RESULT)
     line = int(0.4 * (WIDTH - 1))
-    np.testing.assert_array_equal(swiped[:, : line - 2], database[:, : line - 2])
-    np.testing.assert_array_equal(swiped[:, line + 2 :], query[:, line + 2 :])
+    np.testing.assert_array_equal(swiped[:, : line - 2], query[:, : line - 2])
+    np.testing.assert_array_equal(swiped[:, line + 2 :], database[:, line + 2 :])
 
 
 def test_laid_onto_each_other_equal_ground_is_grey() -> None:

@@ -183,7 +183,7 @@ def test_each_way_of_comparing_shows_what_it_says(server: viser.ViserServer) -> 
     for index, (points, count) in enumerate(zip(surfaces, whole, strict=True)):
         assert 0 < len(points()) < count
         x = ground.placements[index].apply(points().astype(np.float64))[:, 0]
-        assert (x > line).all() if index == 0 else (x <= line).all()
+        assert (x <= line).all() if index == 0 else (x > line).all()
     assert show() == (True, True)
     assert [len(points()) for points in surfaces] == whole
     assert not node(server, "/pair/swipe").visible
