@@ -43,7 +43,7 @@ def save(page: ViewerPage, name: str) -> None:
     page.page.wait_for_timeout(500)
     picture = Image.open(io.BytesIO(page.page.screenshot())).convert("RGB")
     path = PICTURES / name
-    picture.save(path, quality=90, subsampling=0, optimize=True)
+    picture.save(path, quality=82, subsampling=0, optimize=True)
     if path.stat().st_size > MAX_BYTES:
         raise ValueError(f"{path} has {path.stat().st_size:,} bytes, more than {MAX_BYTES:,}")
 
@@ -70,7 +70,6 @@ def film(browser: Browser) -> None:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     scene = PairScene(server)
     scene.show(state, result)
-    scene._verdict.text = f"Loop closure · {len(inliers)} inliers"  # of all, not of the few drawn
     draw = scene.gliding(state, result)
     assert draw is not None
     scene.start_camera(scene.camera(state))
