@@ -26,8 +26,8 @@ PICTURES = Path(__file__).resolve().parents[2] / "assets" / "pictures"
 SIZE = (1360, 800)
 MAX_BYTES = 300_000
 MAX_FILM_BYTES = 1_500_000
-FILM_SIZE = (960, 600)
-FILM_CLIP: Any = {"x": 130, "y": 110, "width": 700, "height": 420}
+FILM_SIZE = (760, 480)
+FILM_CLIP: Any = {"x": 0, "y": 0, "width": 760, "height": 480}
 MOMENTS = 32
 LINES = 40
 
