@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.registration.overlay import Overlay, overlay, smooth_between, take_warp_out
+from gpgrad_core.registration.overlay import Overlay, median, overlay, smooth_between, take_warp_out
 from gpgrad_core.registration.relief import Relief
 from gpgrad_core.registration.uncertainty import NUM_BANDS, band_edges
 from gpgrad_core.se2 import SE2
@@ -80,7 +80,7 @@ def weigh(query: Relief, database: Relief, T_database_query: SE2) -> Evidence:
     difference = possible = relief = 0.0
     for band in _compare_bands(laid):
         log_ratios.append(float(np.mean(band.log_ratio)))
-        difference += 2 * float(np.median(band.squared)) / 0.455
+        difference += 2 * median(band.squared) / 0.455
         possible += 2 * float(np.mean(band.of_one))
         relief += band.signal
     agreement = Agreement(sqrt(difference), sqrt(possible), sqrt(relief))

@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float, Float32
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.registration.relief import Relief
@@ -104,12 +104,12 @@ def take_warp_out(laid: Overlay) -> Pair:
     both = laid.heights[common].astype(np.float64)
     every = max(1, len(x) // WARP_CELLS)
     some, difference = columns[:, ::every], (both[:, 0] - both[:, 1])[::every]
-    left = difference - np.median(difference)
+    left = difference - median(difference)
     cells_a_patch = max(1.0, 2 * pi * laid.scale**2 / (every * step**2))
     coefficients = np.zeros(len(precision))
     weight = np.ones_like(difference)
     for _ in range(WARP_ROUNDS):
-        variance = float(np.median(left * left)) / 0.455 + 1e-12
+        variance = median(left * left) / 0.455 + 1e-12
         weighed = some * weight
         normal = weighed @ some.T
         normal += np.diag(precision * variance * cells_a_patch + 1e-9 * np.diagonal(normal))
@@ -122,6 +122,19 @@ def take_warp_out(laid: Overlay) -> Pair:
     flat = np.zeros_like(laid.heights)
     flat[common] = both - both.mean(axis=0)
     return flat
+
+
+def median(values: Float[NDArray[np.float64], "n"]) -> float:
+    """Give the median of finite values, as NumPy's does, in a fifth of its time for a few hundred.
+
+    >>> median(np.array([3.0, 1.0, 2.0])), median(np.array([4.0, 1.0]))
+    (2.0, 2.5)
+    """
+    half = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, half)[half])
+    around = np.partition(values, (half - 1, half))
+    return float((around[half - 1] + around[half]) / 2)
 
 
 def smooth_between(pair: Pair, common: Mask, edges: tuple[float, float], step: float) -> Pair:
