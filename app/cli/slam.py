@@ -186,7 +186,10 @@ class Slam:
         """Write the results; gives where the map lies, if that was asked for."""
         joined, placed = solution.joined, None
         if georeference is not None:
-            true = true_poses(joined.outline.dataset)
+            # The origin is the first dataset's; the truth of others may have another frame.
+            first = set(next(iter(joined.traverses.values())))
+            known = true_poses(joined.outline.dataset)
+            true = {name: pose for name, pose in known.items() if name in first}
             placed = place_map(solution.result.poses, true, georeference)
             write_places(folder, joined.traverses, solution.result.poses, placed)
         with progress_bar("write") as progress:

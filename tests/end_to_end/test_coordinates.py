@@ -62,6 +62,20 @@ def test_a_map_lies_within_a_centimetre_of_its_place(slope: Path, tmp_path: Path
             assert height_at(raster, place) == pytest.approx(place[2], abs=0.01)
 
 
+def test_noise_that_grows_with_the_range_is_the_same_in_coordinates(
+    slope: Path, tmp_path: Path
+) -> None:
+    flags = ["--map.resolution", "0.1", "--map.length-scale", "0.5", "--map.noise-std", "0.01"]
+    flags += ["--map.noise-model", "range", "--map.noise-growth", "0.005"]
+    variances: list[float] = []
+    for name, placed in (("local.tif", []), ("placed.tif", ["--origin", ORIGIN])):
+        out = tmp_path / name
+        assert run(["map", str(slope), "--out", str(out), *placed, *flags]) == 0
+        with rasterio.open(out) as raster:
+            variances.append(float(np.nanmedian(raster.read(2))))
+    assert variances[1] == pytest.approx(variances[0], rel=0.05)
+
+
 def test_a_traverse_lies_where_its_true_positions_are(
     traverse: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

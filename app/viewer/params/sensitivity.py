@@ -44,7 +44,7 @@ class SensitivityTool(Feature):
         fields = {field.path: field for field in parameters_of(PipelineParams)}
         self._fields = {name: fields[path] for path, name in main.items()}
         self._done: tuple[_Sweep, tuple[Tried, ...]] | None = None
-        self._panel = SweepPanel(desk.host, tuple(self._fields), self.sweep, self._forget)
+        self._panel = SweepPanel(desk.host, tuple(self._fields), self.sweep, self._begin_anew)
         self._work: Work[_Sweep, tuple[Tried, ...]] = Work(
             self._panel.work_bar,
             lambda job: f"Sweeping {job.name.lower()}",
@@ -65,8 +65,7 @@ class SensitivityTool(Feature):
         """Move the mark of the present value; what is swept for another pair is stopped."""
         before, self._state = self._state, state
         if not same_pair(before, state):
-            self._work.cancel()
-            self._forget()
+            self._begin_anew()
         elif state.params != before.params:
             self._draw()
 
@@ -86,7 +85,7 @@ class SensitivityTool(Feature):
 
     def _take(self, job: _Sweep, tried: tuple[Tried, ...]) -> None:
         with self._lock:
-            if not same_pair(job.state, self._state):
+            if not same_pair(job.state, self._state) or job.name != self._panel.name:
                 return
             self._done = job, tried
         self._draw()
@@ -112,7 +111,9 @@ class SensitivityTool(Feature):
             )
         )
 
-    def _forget(self) -> None:
+    def _begin_anew(self) -> None:
+        """Stop the sweep that runs, and show none."""
+        self._work.cancel()
         with self._lock:
             self._done = None
         self._panel.show("")

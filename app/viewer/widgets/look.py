@@ -124,7 +124,7 @@ CONNECTION = """
       const told = own.missed >= 2;
       own.missed = 0;
       if (!told) return;
-      say('Connected again. Dataset, pair and parameters were given back.', true);
+      say('Connected again.', true);
       setTimeout(() => {
         if (!own.missed && own.banner) { own.banner.remove(); own.banner = null; }
       }, 6000);
