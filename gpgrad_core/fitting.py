@@ -24,7 +24,7 @@ from gpgrad_core.gradient_map import (
 )
 from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.run.threads import num_workers, single_threaded_blas
+from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 from gpgrad_core.types import Submap
 
 PATCHES = 16
@@ -126,7 +126,7 @@ def fit_parameters(
         raise InputError("nothing to fit to: give one submap or more")
     start = start or TerrainParams()
     chosen = [few_of(submaps[k], MOST_POINTS) for k in representative(len(submaps))]
-    with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
+    with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
         evaluate = _Evaluate(executor, progress)
         params, areas = _search(chosen, start, fixed, np.random.default_rng(seed), evaluate)
         before, after = (_likelihood(areas, one, evaluate) for one in (start, params))

@@ -33,7 +33,7 @@ from gpgrad_core.gp.weight_space import (
     margin_of,
 )
 from gpgrad_core.run.progress import Cancelled, Progress, silent
-from gpgrad_core.run.threads import num_workers, single_threaded_blas
+from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 from gpgrad_core.types import Grid
 
 PANEL_HALO = 7.0
@@ -118,7 +118,7 @@ class LatticePosterior:
             own = _columns(grid, strip)
             fields.variance[:, own] -= strip.reduction.of_height(grid.x[own], grid.y)
 
-        with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
+        with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
             tasks = [executor.submit(mean, panel) for panel in self.panels]
             tasks += [executor.submit(variance, strip) for strip in self.strips]
         for task in tasks:
@@ -130,7 +130,7 @@ class LatticePosterior:
         """Infer the variance of both slopes [m²/m²] at every cell."""
         prior = self.kernel.slope_std**2
         variance = np.full((*grid.shape, 2), prior)
-        with single_threaded_blas():
+        with single_threaded_libraries():
             for strip in self.strips:
                 own = _columns(grid, strip)
                 variance[:, own] -= strip.reduction.of_slope(grid.x[own], grid.y)
@@ -175,7 +175,7 @@ def fit_lattice(
     groups = _panels(cloud.xy, edges, kernel.length_scale, spacing, halo, bits)
     report = _SharedProgress(progress, len(edges) - 1)
     panels: list[Panel] = []
-    with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
+    with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
         for group in groups:
             fitter = _PanelFitter(kernel, bits, spacing, accuracy, report, executor)
             panel = fitter.fit(cloud, group)

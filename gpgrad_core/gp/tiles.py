@@ -24,7 +24,7 @@ from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import TerrainFields, clip_variance
 from gpgrad_core.gp.spacing import check_solvable, information
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.run.threads import num_workers, single_threaded_blas
+from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 from gpgrad_core.types import Grid
 
 Floats = NDArray[np.floating]
@@ -151,7 +151,7 @@ class TilePosterior:
             (at_x, by_x), (at_y, by_y) = (_interpolation(at, nodes) for at in (x, y))
             return by_y @ self._reduction(batch, at_x, at_y, sloping) @ by_x.transpose(0, 2, 1)
 
-        with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
+        with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
             for batch, reduced in zip(
                 self.batches, executor.map(reduction, self.batches), strict=True
             ):
@@ -239,7 +239,7 @@ def fit_tiles(
     def invert(chunk: list[Group]) -> _Batch:
         return _invert(chunk, owner, cloud, kernel, dtype, exactly=exactly)
 
-    with single_threaded_blas(), ThreadPoolExecutor(num_workers()) as executor:
+    with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
         fine = FineKernel(cloud, kernel, bits)
         for batch in executor.map(invert, chunks):
             batches.append(batch)

@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from gpgrad_core.run.parallel import Work, num_side_by_side, take_in_turn
 from gpgrad_core.run.progress import Progress, part, silent
-from gpgrad_core.run.threads import at_most_workers, num_workers, single_threaded_blas
+from gpgrad_core.run.threads import at_most_workers, num_workers, single_threaded_libraries
 from gpgrad_core.types import Features, LoopDetector, Registration, Submap, SubmapSource
 
 J = TypeVar("J")
@@ -233,7 +233,7 @@ class _Sharing(Generic[J, R]):
     threads: int
 
     def __call__(self, job: J, progress: Progress) -> R:
-        with at_most_workers(self.threads), single_threaded_blas():
+        with at_most_workers(self.threads), single_threaded_libraries():
             return self.work(job, progress)
 
 

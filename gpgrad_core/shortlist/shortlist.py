@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.threads import num_workers, single_threaded_blas
+from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 from gpgrad_core.shortlist.candidates import Candidate
 from gpgrad_core.shortlist.vocabulary import Vocabulary, learn_vocabulary
 from gpgrad_core.shortlist.votes import Voters, count_votes
@@ -174,7 +174,7 @@ class Shortlist:
         self._waiting.append(vectors)
         enough = sum(len(one) for one in self._waiting) >= FEWEST_DESCRIPTORS
         if enough and len(self) >= LEARN_FROM:
-            with single_threaded_blas():  # sums must not depend on the number of threads
+            with single_threaded_libraries():  # sums must not depend on the number of threads
                 self._vocabulary = learn_vocabulary(np.concatenate(self._waiting), self._seed)
             for row, waiting in enumerate(self._waiting):
                 self._shorten(row, self._vocabulary, waiting)
@@ -202,7 +202,7 @@ class Shortlist:
         if among is not None:
             rows = np.array(sorted(self._row(id) for id in among), dtype=np.intp)
         similarity, voted = np.zeros(len(rows), np.float32), np.arange(len(rows))
-        with single_threaded_blas():
+        with single_threaded_libraries():
             if self._vocabulary is not None:
                 short = self._vocabulary.shorten(vectors)
                 voters = replace(voters, descriptors=_halved(short[: len(voters.positions)]))

@@ -1,11 +1,12 @@
-"""BLAS is held to one thread while we work, and gets its own back, whoever leaves last."""
+"""BLAS and OpenCV are held to one thread while we work, and get their own back afterwards."""
 
 import threading
 
+import cv2
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from gpgrad_core.run.threads import num_workers, single_threaded_blas
+from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 
 
 def blas_pools() -> dict[str, int]:
@@ -27,17 +28,31 @@ def test_blas_is_held_and_let_go() -> None:
     with threadpool_limits(2, user_api="blas"):
         before = blas_threads()
         assert set(before) == {2}
-        with single_threaded_blas():
+        with single_threaded_libraries():
             assert set(blas_threads()) == {1}
-            with single_threaded_blas():
+            with single_threaded_libraries():
                 assert set(blas_threads()) == {1}
             assert set(blas_threads()) == {1}
         assert blas_threads() == before
 
 
+@pytest.mark.parametrize("before", [1, 2])
+def test_opencv_is_held_and_let_go(before: int) -> None:
+    usual = cv2.getNumThreads()
+    cv2.setNumThreads(before)
+    try:
+        with single_threaded_libraries():
+            with single_threaded_libraries():
+                assert cv2.getNumThreads() == 1
+            assert cv2.getNumThreads() == 1
+        assert cv2.getNumThreads() == before
+    finally:
+        cv2.setNumThreads(usual)
+
+
 def test_an_error_lets_go_too() -> None:
     with threadpool_limits(2, user_api="blas"):
-        with pytest.raises(RuntimeError), single_threaded_blas():
+        with pytest.raises(RuntimeError), single_threaded_libraries():
             raise RuntimeError
         assert set(blas_threads()) == {2}
 
@@ -46,13 +61,13 @@ def test_the_last_to_leave_lets_go() -> None:
     entered, leave = threading.Event(), threading.Event()
 
     def linger() -> None:
-        with single_threaded_blas():
+        with single_threaded_libraries():
             entered.set()
             leave.wait(10)
 
     with threadpool_limits(2, user_api="blas"):
         other = threading.Thread(target=linger)
-        with single_threaded_blas():
+        with single_threaded_libraries():
             other.start()
             entered.wait(10)
         assert set(blas_threads()) == {1}  # the first has left, the other still works
@@ -65,7 +80,7 @@ def test_any_thread_may_hold_it_after_another() -> None:
     seen: list[int] = []
 
     def work() -> None:
-        with single_threaded_blas():
+        with single_threaded_libraries():
             seen.extend(blas_threads())
 
     with threadpool_limits(2, user_api="blas"):
