@@ -38,18 +38,19 @@ class Drive:
         return recording
 
 
-LIDAR = ("--sensor", "lidar", "--extent", "50")
+DRIVE = ("--num-submaps", "16")
+LIDAR = ("--sensor", "lidar")
 ROCKY = ("--seed", "21")
 BARE = ("--seed", "22", "--rock-density", "0.1", "--roughness", "0.1", "--crater-density", "0.02")
 """Rolling ground with few rocks and craters."""
 
 DRIVES = (
-    Drive("LiDAR, rocks", 600, 10.0, (*LIDAR, *ROCKY)),
-    Drive("LiDAR, bare", 600, 10.0, (*LIDAR, *BARE)),
-    Drive("stereo, rocks", 600, 7.0, ROCKY),
-    Drive("stereo, bare", 600, 7.0, BARE),
+    Drive("LiDAR, rocks", 320, 10.0, (*DRIVE, *LIDAR, *ROCKY)),
+    Drive("LiDAR, bare", 320, 10.0, (*DRIVE, *LIDAR, *BARE)),
+    Drive("stereo, rocks", 320, 7.0, (*DRIVE, *ROCKY)),
+    Drive("stereo, bare", 320, 7.0, (*DRIVE, *BARE)),
 )
-"""Each is 120 m long: once around, and the same way back."""
+"""Each is 80 m long: once around, and the same way back."""
 
 QUICK = (
     Drive(
