@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.datasets.poses import pose_row
 from gpgrad_core.se2 import SE2, Pose
-from tests.benchmarks.bench_whole import Line, describe
+from tests.benchmarks.bench_whole import Line, best_of, describe
 from tests.benchmarks.whole import judge
 from tests.benchmarks.whole.kiss import SETUPS, configure
 from tests.core.methods.rocks import look
@@ -94,16 +94,29 @@ def test_rows_say_who_was_lost_and_who_failed() -> None:
     assert partly == ["gpgrad", "0.100 m (90% of the scans)", "0.200 m", "-", "-"]
 
 
+def test_the_best_setup_is_shown_and_those_that_failed_are_named() -> None:
+    tried = [
+        (Line("KISS-SLAM (defaults)", judge.Score(0.9, 1.0, False, 1.0)), Path("a")),
+        (Line("KISS-ICP (coarse)", judge.Score(0.1, 0.1, False, 1.0)), Path("b")),
+        (Line("KISS-SLAM (coarse)", judge.Score(0.2, 0.3, False, 1.0)), Path("b")),
+        (Line("KISS-SLAM (scaled)", None, failure="over 9 s"), Path("c")),
+    ]
+    best, folder = best_of(tried, "KISS-SLAM")
+    assert best.score == tried[2][0].score
+    assert best.system == "KISS-SLAM (coarse); KISS-SLAM (scaled): over 9 s"
+    assert folder == Path("b")
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_setups_scale_the_lengths_of_kiss_slam() -> None:
     pytest.importorskip("kiss_slam")
     configs = {name: configure(name, 10.0) for name in SETUPS}
     voxels = {name: config.odometry.mapping.voxel_size for name, config in configs.items()}
-    assert voxels == {"defaults": 1.0, "range": 0.1, "scaled": 0.1, "coarse": 0.2}
+    assert voxels == {"defaults": 1.0, "scaled": 0.1, "coarse": 0.2}
     cells = {
         name: config.loop_closer.detector.density_map_resolution for name, config in configs.items()
     }
-    assert cells == {"defaults": 0.5, "range": 0.5, "scaled": 0.05, "coarse": 0.1}
+    assert cells == {"defaults": 0.5, "scaled": 0.05, "coarse": 0.1}
     assert not any(config.odometry.preprocessing.deskew for config in configs.values())
 
 

@@ -21,11 +21,11 @@ from gpgrad_core.se2 import Pose
 
 RANGE = 100.0
 """The range that the package's own lengths are made for [m]."""
-SETUPS = ("defaults", "range", "scaled", "coarse")
-"""``defaults`` leaves all as it comes. ``range`` gives the sensor's range, from which the package
-takes the voxel of its odometry: a hundredth of it. ``scaled`` scales all other lengths by the range
-as well, and ``coarse`` makes them twice as large. In all, a local map ends after the range, because
-after the package's own 100 m the drive would be over."""
+SETUPS = ("defaults", "coarse", "scaled")
+"""``defaults`` leaves all lengths as they come. ``scaled`` scales them all by the sensor's range,
+as the package does with the voxel of its odometry if it is told the range: a hundredth of it.
+``coarse`` makes them twice as large. In all, a local map ends after the range, because after the
+package's own 100 m the drive would be over."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Options:
     out: Path
     """Folder to write ``odometry.txt`` and ``trajectory.txt`` to, TUM rows of the sensor's poses,
     and ``found.json``."""
-    setup: Literal["defaults", "range", "scaled", "coarse"] = "scaled"
+    setup: Literal["defaults", "coarse", "scaled"] = "scaled"
     """Its lengths: see `SETUPS`."""
     max_range: float = 10.0
     """How far the sensor sees [m]."""
@@ -56,8 +56,6 @@ def configure(setup: str, max_range: float) -> Any:
     data.max_range = max_range
     scale = max_range / RANGE * (2.0 if setup == "coarse" else 1.0)
     mapping.voxel_size = scale * mapping.voxel_size
-    if setup == "range":
-        return config
     config.odometry.adaptive_threshold.initial_threshold *= scale
     config.odometry.adaptive_threshold.min_motion_th *= scale
     config.local_mapper.voxel_size *= scale
