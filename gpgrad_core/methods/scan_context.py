@@ -31,7 +31,8 @@ NORMAL_RADIUS = 2.0
 """Side of a voxel [length-scales] and radius for normals [voxels] of the clouds that are aligned,
 as for the other methods with point clouds."""
 LEAST_SCORE = 0.86
-"""Lowest score of a loop closure: on three traverses, no pair without overlap reaches it."""
+"""Lowest score of a loop closure. It was chosen on the three traverses of the guide, where no pair
+whose boxes do not touch reaches it."""
 COARSE, FINE = 4.0, 1.0
 """Largest distances of associated points in the two rounds of the alignment [inlier radii]."""
 
@@ -104,8 +105,8 @@ def scan_context(
         φ(P_ij) = max z(p) over the points p in ring i and sector j    Kim 2018, Sec. III-A
 
     An empty bin is 0, as in the paper. There all heights are above 0; here they are relative to
-    the submap's mean, because on open ground heights above a common 0 make all columns alike (an
-    average precision of 0.27 instead of 0.71).
+    the submap's mean, because on open ground heights above a common 0 make all columns alike (on
+    the first of the traverses, an average precision of 0.27 instead of 0.71).
 
     Args:
         points: Points whose mean height is 0 (n, 3) [m].

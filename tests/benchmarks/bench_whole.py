@@ -17,8 +17,7 @@ square of their distances from the true ones, once after the rigid motion in spa
 and once from the same start. Seconds contain the start of Python.
 
 It needs the extra `peers`; without KISS-SLAM only gpgrad is judged. Recordings are kept in
-``--folder``. All takes about half an hour on two cores; ``--quick`` takes a minute, to see that it
-works.
+``--folder``. ``--quick`` runs all of it on one short recording, to see that it works.
 """
 
 import importlib.util
