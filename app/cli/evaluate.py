@@ -1,6 +1,6 @@
 """``gpgrad evaluate``: judge methods by the true poses."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -31,6 +31,7 @@ from gpgrad_core.evaluation import (
     check_directory,
     check_problems,
     describe_calibration,
+    describe_images,
     describe_problems,
     evaluate,
     measure_pairs,
@@ -41,7 +42,7 @@ from gpgrad_core.evaluation import (
     write_report,
 )
 from gpgrad_core.methods import METHODS, find_method
-from gpgrad_core.outputs import check_apart
+from gpgrad_core.outputs import ClosureReport, check_apart, count_images
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.parallel import workers
@@ -149,7 +150,7 @@ class Evaluate:
                 pairs=pairs,
                 seed=params.registration.seed,
             )
-            sections = self._sections(dataset, params)
+            sections = self._sections(dataset, params) + describe_images(found | rivals, evaluation)
             if self.pairs is not None:
                 listed = describe_problems(problems, dataset, evaluation, self.pairs)
                 sections = (*sections, listed)
@@ -159,7 +160,7 @@ class Evaluate:
                 )
         for note in evaluation.notes:
             warn(note)
-        for line in (*_summary(evaluation), str(self.out / "report.md")):
+        for line in (*_summary(evaluation, found | rivals), str(self.out / "report.md")):
             say(line)
 
     def _check_out(self, methods: Sequence[str]) -> None:
@@ -180,8 +181,8 @@ class Evaluate:
         return (describe_calibration(calibrations),)
 
 
-def _summary(evaluation: Evaluation) -> list[str]:
-    """Say what an evaluation found, in one line for each method."""
+def _summary(evaluation: Evaluation, reports: Mapping[str, ClosureReport]) -> list[str]:
+    """Say what an evaluation found, in a line for each method, and one for what images say."""
     rule, lines = evaluation.rules[0], list[str]()
     for method in evaluation.methods:
         verdict = method.rules[0]
@@ -195,4 +196,6 @@ def _summary(evaluation: Evaluation) -> list[str]:
             f"{line}accepts {verdict.accepted_true} true and {verdict.accepted_false} false pairs, "
             f"misses {verdict.missed} ({rule.name})"
         )
+        if said := count_images(pair.images for pair in reports[method.name].pairs):
+            lines.append(f"{method.name}: {said}")
     return lines

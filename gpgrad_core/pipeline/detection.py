@@ -11,7 +11,8 @@ from gpgrad_core.features import check_detector, detect_features, select_trusted
 from gpgrad_core.fitting import representative
 from gpgrad_core.gp.inference import Posterior
 from gpgrad_core.gradient_map import fit_terrain, map_grid, sample_map
-from gpgrad_core.loop_closure import classify
+from gpgrad_core.images import extract_images, judge_by_images, some_of
+from gpgrad_core.loop_closure import classify, with_images
 from gpgrad_core.matching import match_features
 from gpgrad_core.pipeline.all_pairs import (
     Pair,
@@ -224,7 +225,7 @@ def register_pair(
         params.registration,
         progress=part(progress, 0.8, 1.0),
     )
-    closure = classify(registration, params.closure, query_id=query.id, database_id=database.id)
+    closure = judge_pair(query, database, registration, params, memo)
     return PairResult(
         query_map,
         database_map,
@@ -234,6 +235,36 @@ def register_pair(
         registration,
         closure,
     )
+
+
+def judge_pair(
+    query: Submap, database: Submap, registration: Registration, params: PipelineParams, memo: Memo
+) -> LoopClosure:
+    """Accept or refuse a registration by its terrain, and then by images, if they are to be asked.
+
+    Args:
+        query: The query submap; its points are not needed.
+        database: The database submap, likewise.
+        registration: The registration of the query to the database.
+        params: The thresholds, and the seed.
+        memo: Keeps the keypoints of the images.
+
+    Raises:
+        InputError: If an image cannot be read.
+    """
+    closure = classify(registration, params.closure, query_id=query.id, database_id=database.id)
+    motion = registration.T_database_query
+    if params.closure.images == "off" or not closure.accepted or motion is None:
+        return closure
+    images = None
+    if query.images and database.images:
+        images = judge_by_images(
+            memo(extract_images, some_of(query.images)),
+            memo(extract_images, some_of(database.images)),
+            motion,
+            params.registration.seed,
+        )
+    return with_images(closure, images, params.closure)
 
 
 MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], GradientMap]
@@ -363,11 +394,11 @@ def detect_loop_closures(
         names = [submap.id for submap in submaps]
         choice = _Choice(names, detector, candidates, params.registration.seed)
     closures: list[LoopClosure] = []
-    take = take or closures.append
+    take, of_images = take or closures.append, Memo()
 
     def judge(pair: Pair, registration: Registration) -> None:
-        query, database = (submaps[k].id for k in pair)
-        take(classify(registration, params.closure, query_id=query, database_id=database))
+        query, database = (dataset.submaps[k] for k in pair)
+        take(judge_pair(query, database, registration, params, of_images))
 
     spent = compare_all(submaps, detector, judge, executor, progress, choice)
     spent["total"] += seconds.get("fit", 0.0)
