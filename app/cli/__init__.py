@@ -36,6 +36,7 @@ VERBS: dict[str, str] = {
     "slam": (
         "Correct a traverse by its loop closures, and merge its submaps into one cloud and one map."
     ),
+    "locate": "Find submaps on a larger elevation model, such as one from orbit.",
     "simulate": "Simulate a dataset with known true poses.",
 }
 

@@ -1,10 +1,11 @@
-"""A digital elevation model in a GeoTIFF -> ground to drive on.
+"""A digital elevation model in a GeoTIFF -> its heights, and ground to drive on.
 
 The first band of the first image is read, with the tags of the OGC's GeoTIFF standard 1.1 (OGC
-19-008r4): ModelPixelScaleTag (33550) has the size of a cell, or ModelTransformationTag (34264) if
-it has no rotation; of GeoKeyDirectoryTag (34735), GTModelTypeGeoKey (1024) says whether the model
-is projected, and ProjLinearUnitsGeoKey (3076) in which unit. GDAL's tag 42113 is the number that
-stands for no height.
+19-008r4): ModelPixelScaleTag (33550) has the size of a cell and ModelTiepointTag (33922) the place
+of one, or ModelTransformationTag (34264) has both if it has no rotation. Of GeoKeyDirectoryTag
+(34735), GTModelTypeGeoKey (1024) says whether the model is projected, ProjectedCRSGeoKey (3072) by
+which system, ProjLinearUnitsGeoKey (3076) in which unit, and GTRasterTypeGeoKey (1025) whether a
+place is a cell's corner or its middle. GDAL's tag 42113 is the number that stands for no height.
 """
 
 from dataclasses import dataclass
@@ -22,12 +23,14 @@ from gpgrad_core.datasets.streams import stream
 from gpgrad_core.datasets.terrain import RESOLUTION, HeightField, add_rocks
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
+from gpgrad_core.types import MAX_COORDINATE
 
 MOST_CELLS = 100_000_000
 """Of a model; they are read together, as 64-bit numbers of the window only."""
-PIXEL_SCALE, TRANSFORMATION, GEO_KEYS, NO_DATA = 33550, 34264, 34735, 42113
-MODEL_TYPE, LINEAR_UNITS = 1024, 3076
-GEOGRAPHIC, METRE = 2, 9001
+PIXEL_SCALE, TIE_POINT, TRANSFORMATION, GEO_KEYS, NO_DATA = 33550, 33922, 34264, 34735, 42113
+MODEL_TYPE, RASTER_TYPE, PROJECTED_SYSTEM, LINEAR_UNITS = 1024, 1025, 3072, 3076
+GEOGRAPHIC, METRE, MIDDLES = 2, 9001, 2
+USER_DEFINED = 32767
 UNKNOWN_UNITS = (0, 32767)
 ROCK_STREAM = 5
 
@@ -74,7 +77,8 @@ def ground_of(
         InputError: If the model cannot be read, is smaller than the ground, or has no height
             somewhere on it.
     """
-    heights, (width, height) = read_elevation_model(model.path)
+    read = read_elevation_model(model.path)
+    heights, (width, height) = read.heights, read.cell
     step = np.array([height, width]) * model.scale  # of a cell, along rows and columns [m]
     sides = (np.array(heights.shape) - 1) * step
     if sides.min() < params.extent:
@@ -103,17 +107,29 @@ def ground_of(
     return HeightField(elevation)
 
 
-def read_elevation_model(
-    path: Path,
-) -> tuple[Float[NDArray[np.floating], "rows columns"], tuple[float, float]]:
+@dataclass(frozen=True, eq=False)
+class Elevations:
+    """The heights of an elevation model.
+
+    Attributes:
+        heights: Heights (rows, columns) [m], row 0 in the south; NaN where there is none.
+        cell: Width and height of a cell [m].
+        corner: Easting and northing of the middle of the first cell, in the south-west [m]; zeros
+            if the file does not say.
+        system: The coordinate system, such as ``EPSG:32633``; empty if the file has no code of it.
+    """
+
+    heights: Float[NDArray[np.floating], "rows columns"]
+    cell: tuple[float, float]
+    corner: tuple[float, float] = (0.0, 0.0)
+    system: str = ""
+
+
+def read_elevation_model(path: Path) -> Elevations:
     """Read an elevation model.
 
     Args:
         path: The GeoTIFF.
-
-    Returns:
-        Heights [m], row 0 in the south, NaN where there is none; and width and height of a cell
-        [m].
 
     Raises:
         InputError: If it is no GeoTIFF of numbers, is too large, is in degrees or another unit
@@ -141,9 +157,13 @@ def read_elevation_model(
         raise InputError(f"{path}: is no GeoTIFF that can be read: {said:.200}") from None
     if values.dtype.kind not in "fiu" or values.ndim != 2 or min(values.shape) < 2:
         raise InputError(f"{path}: has no heights: {values.dtype} of shape {values.shape}")
-    _check_units(tags, path)
+    keys = _geo_keys(tags)
+    _check_units(keys, path)
     cell = _cell_size(tags, path)
-    return _known(values, tags.get(NO_DATA), path)[::-1], cell
+    corner = _corner(tags, keys, cell, len(values), path)
+    code = keys.get(PROJECTED_SYSTEM, USER_DEFINED)
+    system = f"EPSG:{code}" if 0 < code < USER_DEFINED else ""
+    return Elevations(_known(values, tags.get(NO_DATA), path)[::-1], cell, corner, system)
 
 
 def _known(
@@ -161,10 +181,14 @@ def _known(
     return heights
 
 
-def _check_units(tags: dict[int, Any], path: Path) -> None:
+def _geo_keys(tags: dict[int, Any]) -> dict[int, int]:
+    """List the keys whose values are numbers in the directory itself."""
     keys = np.asarray(tags.get(GEO_KEYS, ()), dtype=np.int64).ravel()
     rows = keys[4 : len(keys) // 4 * 4].reshape(-1, 4)  # key, where its value is, count, value
-    held = {int(key): int(value) for key, place, _, value in rows if place == 0}
+    return {int(key): int(value) for key, place, _, value in rows if place == 0}
+
+
+def _check_units(held: dict[int, int], path: Path) -> None:
     if held.get(MODEL_TYPE) == GEOGRAPHIC:
         raise InputError(
             f"{path}: is in degrees; project it to metres first: gdalwarp -t_srs EPSG:32633 …"
@@ -188,3 +212,22 @@ def _cell_size(tags: dict[int, Any], path: Path) -> tuple[float, float]:
     if not (np.isfinite(scale[:2]).all() and scale[:2].min() >= 1e-4 and scale[:2].max() <= 1e5):
         raise InputError(f"{path}: its cells of {scale[0]:g} x {scale[1]:g} m are not plausible")
     return float(scale[0]), float(scale[1])
+
+
+def _corner(
+    tags: dict[int, Any], keys: dict[int, int], cell: tuple[float, float], rows: int, path: Path
+) -> tuple[float, float]:
+    """Find easting and northing of the middle of the cell in the south-west [m]."""
+    tie = np.asarray(tags.get(TIE_POINT, ()), np.float64).ravel()
+    turned = np.asarray(tags.get(TRANSFORMATION, ()), np.float64).ravel()
+    if len(tie) >= 6:
+        column, row, east, north = tie[0], tie[1], tie[3], tie[4]
+    elif len(turned) == 16:
+        column, row, east, north = 0.0, 0.0, turned[3], turned[7]
+    else:
+        return 0.0, 0.0
+    inner = 0.0 if keys.get(RASTER_TYPE) == MIDDLES else 0.5
+    corner = east + (inner - column) * cell[0], north - (rows - 1 + inner - row) * cell[1]
+    if not (np.isfinite(corner).all() and max(map(abs, corner)) < MAX_COORDINATE):
+        raise InputError(f"{path}: its place {east:g}, {north:g} is not plausible")
+    return float(corner[0]), float(corner[1])

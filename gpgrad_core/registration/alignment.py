@@ -15,7 +15,8 @@ FEWEST_CELLS = 30
 """Smallest number of common cells that a motion is estimated from."""
 STRETCHES_ACROSS = 40.0
 """Drift warps submaps, and occlusion makes whole stretches of a map wrong. So one independent
-sample of the difference covers a stretch of 2π (width / this)², which is much more than a cell."""
+sample of the difference covers a stretch of 2π (width / this)², which is much more than a cell.
+The width is the query's: the database may be a part of a larger model, which did not drift."""
 COVARIANCE_FACTOR = 3.0
 """The errors of accepted pairs have this many times the covariance that independent stretches
 would give (measured on four datasets, whole, thinned and noisy)."""
@@ -144,7 +145,7 @@ class _Problem:
         patch = 2 * np.pi * database.scale**2
         cell = every * database.grid.resolution**2
         self._cells_a_patch = max(1.0, patch / cell)
-        extent = database.grid.num_cells * database.grid.resolution**2
+        extent = query.grid.num_cells * query.grid.resolution**2
         self._cells_a_stretch = max(1.0, 2 * np.pi * extent / STRETCHES_ACROSS**2 / cell)
         self._image = np.dstack([query.elevation, query.slope, query.trusted.astype(np.float32)])
         self._precision = _precision(warp)

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 
-import cv2
 from threadpoolctl import ThreadpoolController
 
 _own_share: ContextVar[int | None] = ContextVar("_own_share", default=None)
@@ -73,6 +72,8 @@ def single_threaded_libraries() -> Generator[None]:
     OpenCV's threads burn half as much time again by waiting, and save none. The limit holds for
     the whole process, so the first to enter sets it and the last to leave removes it.
     """
+    import cv2  # noqa: PLC0415 - not every command needs it
+
     global _inside, _limiter, _opencv_threads  # noqa: PLW0603 - the limit itself is the process's
     with _lock:
         if _inside == 0:

@@ -42,7 +42,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.shortlist import num_wanted
+from gpgrad_core.shortlist import Candidates, num_wanted, read_candidates
 from gpgrad_core.types import Dataset, LoopClosure, SubmapSource
 
 STAGES = {"maps and keypoints": (0.0, 0.5), "shortlist": (0.5, 0.6), "pairs": (0.6, 1.0)}
@@ -63,6 +63,7 @@ class Bench:
         points: Points of a submap.
         early: Number of a submap near which times are compared with those at the end.
         folder: Where the traverse and the results are kept.
+        candidates: With how many earlier submaps each is compared.
         kills: How often another run is killed before it may end.
         simulate_only: Whether to make the traverse only.
         plot: Where to draw times and memory over the number of submaps.
@@ -72,6 +73,7 @@ class Bench:
     points: int = 5_000
     early: int = 1_000
     folder: Path = Path("build/bench_traverse")
+    candidates: str = "automatic"
     kills: int = 0
     simulate_only: bool = False
     plot: Path | None = None
@@ -82,10 +84,12 @@ class Watch:
     """What is seen of a run while it goes on.
 
     Attributes:
+        candidates: With how many earlier submaps each is compared.
         progress: Fractions done, with the time of each [s].
         memory: Memory of the process and its children, with the time of each [s, bytes].
     """
 
+    candidates: Candidates = "automatic"
     progress: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     memory: list[tuple[float, int]] = field(default_factory=list[tuple[float, int]])
 
@@ -116,7 +120,7 @@ class Watch:
         low, high = STAGES[stage]
         shares = np.asarray(numbers) / count
         if stage == "pairs":
-            compared = np.cumsum([0, *(num_wanted("automatic", k) for k in range(count))])
+            compared = np.cumsum([0, *(num_wanted(self.candidates, k) for k in range(count))])
             shares = np.interp(numbers, np.arange(count + 1), compared / compared[-1])
         times, fractions = np.array(self.progress).T
         return np.interp(low + shares * (high - low), fractions, times)
@@ -150,7 +154,7 @@ def main() -> None:
         return
     out = bench.folder / f"closures_{bench.submaps}.json"
     with tempfile.TemporaryDirectory(dir=bench.folder) as cache:
-        watch, closures = Watch(), list[LoopClosure]()
+        watch, closures = Watch(read_candidates(bench.candidates)), list[LoopClosure]()
         start = time.monotonic()
         with watch.watching():
             dataset, sources, counted = _detect(data, out, Store(Path(cache)), watch, closures)
@@ -186,6 +190,7 @@ def _detect(
             detector=keeping(
                 MapDetector(params, Memo()), store.with_room(2_000_000 * len(sources))
             ),
+            candidates=watch.candidates,
             executor=executor,
             progress=watch,
             sources=sources,
@@ -310,9 +315,10 @@ def _kill(bench: Bench, data: Path, out: Path) -> None:
     again.unlink(missing_ok=True)
     with tempfile.TemporaryDirectory(dir=bench.folder) as cache:
         command = [*GPGRAD, "detect", str(data), "--out", str(again), "--cache", cache]
+        command += ["--candidates", bench.candidates]
         for _ in range(bench.kills):
             run = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-            wait = random.uniform(15, 0.12 * bench.submaps)
+            wait = random.uniform(15, 0.06 * bench.submaps)
             try:
                 run.wait(wait)
             except subprocess.TimeoutExpired:

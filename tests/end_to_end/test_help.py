@@ -20,12 +20,12 @@ def test_version(gpgrad: Run) -> None:
 def test_the_verbs_are_listed(gpgrad: Run) -> None:
     finished = gpgrad("--help")
     assert finished.code == 0
-    for verb in ("view", "detect", "evaluate", "map", "fit", "build", "slam", "simulate"):
+    for verb in ("view", "detect", "evaluate", "map", "fit", "build", "slam", "locate", "simulate"):
         assert re.search(rf"\b{verb}\b", finished.out)
 
 
 @pytest.mark.parametrize(
-    "verb", ["view", "detect", "evaluate", "map", "fit", "build", "slam", "simulate"]
+    "verb", ["view", "detect", "evaluate", "map", "fit", "build", "slam", "locate", "simulate"]
 )
 def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
     finished = run_here(verb, "--help")
@@ -50,10 +50,11 @@ def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ((), "Expected one of {view, detect, evaluate, map, fit, build, slam, simulate}"),
+        ((), "Expected one of {view, detect, evaluate, map, fit, build, slam, locate, simulate}"),
         (
             ("detekt", "x"),
-            "unknown verb 'detekt'; known: view, detect, evaluate, map, fit, build, slam, simulate",
+            "unknown verb 'detekt'; known: view, detect, evaluate, map, fit, build, slam, locate, "
+            "simulate",
         ),
         (("detect",), "--out"),
         (("detect", "x", "--out", "a.json", "--bogus", "3"), "--bogus"),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import viser
 
+from app.viewer.decisions import Decisions
 from app.viewer.feature import Desk, Feature
 from app.viewer.host import set_theme
 from app.viewer.opened import Opened
@@ -103,6 +104,10 @@ class PairTab(Feature):
     def moved(self, by_hand: bool) -> None:
         """Say that what is seen has not been judged."""
         self._verdict.set_moved(by_hand)
+
+    def decided(self, decisions: Decisions) -> None:
+        """Say what was decided about the pair."""
+        self._verdict.decide(decisions)
 
     def close(self) -> None:
         """Stop working; what was shown stays until its page goes."""

@@ -5,6 +5,8 @@ from html import escape
 from math import degrees, pi
 from typing import Literal, TypeAlias
 
+from app.viewer.decisions import BY_HAND as DECIDED
+from app.viewer.decisions import Decisions, in_order
 from app.viewer.host import Host
 from app.viewer.state import ViewState
 from app.viewer.widgets.html import (
@@ -68,12 +70,14 @@ class VerdictCard:
     def __init__(self, host: Host) -> None:
         """Make it in the current container, empty."""
         self._result: tuple[ViewState, PairResult] | None = None
-        self._moved = False
+        self._moved, self._stale, self._decisions = False, "", Decisions()
+        self._faded = False
         self._handle = host.gui.add_html(frame('<div style="opacity:.7">No result yet.</div>'))
 
     def show(self, state: ViewState, result: PairResult) -> None:
         """Show a result."""
         self._result = state, result
+        self._faded, self._stale = False, ""
         self._write()
 
     def set_moved(self, moved: bool) -> None:
@@ -82,18 +86,33 @@ class VerdictCard:
             self._moved = moved
             self._write()
 
+    def decide(self, decisions: Decisions) -> None:
+        """Say what a person decided about the pair."""
+        self._decisions = decisions
+        self._write()
+
     def outdate(self, why: str = "") -> None:
         """Fade the card, because it is not about the present picture.
 
         Args:
             why: Written on it; empty while a new one is coming.
         """
-        self._write(faded=True, why=why)
+        self._faded, self._stale = True, why
+        self._write()
 
-    def _write(self, *, faded: bool = False, why: str = "") -> None:
+    def _write(self) -> None:
         if self._result is not None:
-            content = verdict_html(*self._result, moved=self._moved, faded=faded, stale=why)
-            self._handle.content = content
+            state, result = self._result
+            self._handle.content = verdict_html(
+                state,
+                result,
+                moved=self._moved,
+                faded=self._faded,
+                stale=self._stale,
+                decided=self._decisions.verdicts.get(
+                    in_order(state.dataset, state.query_id, state.database_id)
+                ),
+            )
 
 
 def headline_of(result: PairResult, *, with_score: bool = False) -> str:
@@ -111,6 +130,7 @@ def verdict_html(
     moved: bool = False,
     faded: bool = False,
     stale: str = "",
+    decided: bool | None = None,
 ) -> str:
     """Write the card.
 
@@ -120,17 +140,13 @@ def verdict_html(
         moved: Whether the query no longer lies where it was judged.
         faded: Whether the card is not about the present picture.
         stale: Why it is not; empty while a new one is coming.
+        decided: What a person decided about the pair, if anybody did.
     """
     closure = result.closure
     headline = BY_HAND if moved else headline_of(result)
     ground = {CLOSURE: GOOD_GROUND, NONE: BAD_GROUND}.get(headline, BUSY_GROUND)
-    note = (
-        f'<div data-testid="stale" style="position:absolute;right:1.3em;top:.55em;font-size:.8em;'
-        f'padding:.15em .5em;border-radius:.3em;background:#fff;color:#6b3f00">'
-        f"{escape(stale)}</div>"
-        if stale
-        else ""
-    )
+    by_hand = "" if decided is None or moved else DECIDED[decided]
+    note = _note("stale", stale) if stale else _note("decided", by_hand) if by_hand else ""
     same = " (the same submap twice)" if closure.query_id == closure.database_id else ""
     pair = (
         f'<b><span style="color:{QUERY_WORDS}">query {escape(closure.query_id)}</span> → '
@@ -147,6 +163,15 @@ def verdict_html(
     return frame(
         f"{badge(headline, ground, 'verdict')}{note}"
         f'<div style="font-size:.85em;{dim}">{inside}</div>'
+    )
+
+
+def _note(test_id: str, text: str) -> str:
+    """Write a word on the headline's ground, at its right."""
+    return (
+        f'<div data-testid="{test_id}" style="position:absolute;right:1.3em;top:.55em;'
+        "font-size:.8em;padding:.15em .5em;border-radius:.3em;background:#fff;color:#6b3f00"
+        f'">{escape(text)}</div>'
     )
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 
 from app.cli import run
 from gpgrad_core.datasets import (
@@ -68,9 +69,31 @@ def test_scale_and_exaggeration(tmp_path: Path) -> None:
     # Of the waves little is left in cells of 10 m: the slope of the whole tells the scale.
     slopes = [np.polyfit(along, one.mean(axis=0), 1)[0] for one in (ground, coarse)]
     assert slopes[0] == pytest.approx(slopes[1], abs=0.01)
-    whole, cell = read_elevation_model(path)
-    assert cell == (10.0, 10.0)
-    assert whole[0, 0] == pytest.approx(hill(np.array(-395.0), np.array(-395.0)), abs=1e-3)
+    read = read_elevation_model(path)
+    assert read.cell == (10.0, 10.0)
+    assert read.heights[0, 0] == pytest.approx(hill(np.array(-395.0), np.array(-395.0)), abs=1e-3)
+
+
+@pytest.mark.parametrize("middles", [False, True])
+def test_where_it_lies(middles: bool, tmp_path: Path) -> None:
+    path = write_dem(tmp_path / "dem.tif", cell=2.0)
+    if middles:
+        with rasterio.open(path, "r+") as file:
+            file.update_tags(AREA_OR_POINT="Point")
+    read = read_elevation_model(path)
+    assert read.system == "EPSG:32633"
+    with rasterio.open(path) as file:
+        assert read.corner == pytest.approx(file.xy(SIDE - 1, 0), abs=1e-6)
+
+
+def test_a_model_without_a_place_begins_at_zero(tmp_path: Path) -> None:
+    path = write_dem(tmp_path / "dem.tif", crs=None)
+    with tifffile.TiffFile(path) as file:
+        heights = file.pages[0].asarray()
+    tag = (33550, "d", 3, (2.0, 2.0, 0.0), True)
+    tifffile.imwrite(tmp_path / "bare.tif", heights, extratags=[tag])
+    read = read_elevation_model(tmp_path / "bare.tif")
+    assert (read.corner, read.system) == ((0.0, 0.0), "")
 
 
 def test_a_rover_drives_over_it(tmp_path: Path) -> None:

@@ -76,6 +76,17 @@ def test_the_card_tells_an_accepted_pair_with_units() -> None:
         assert words in html
 
 
+@pytest.mark.parametrize(
+    ("decided", "said"), [(True, "accepted by hand"), (False, "refused by hand")]
+)
+def test_the_card_tells_what_a_person_decided(decided: bool, said: str) -> None:
+    html = verdict_html(STATE, make_result(STATE), decided=decided)
+    assert said in html
+    assert ">Loop closure<" in html  # what the thresholds say stays to be read
+    assert said not in verdict_html(STATE, make_result(STATE), decided=decided, stale="out of date")
+    assert "by hand" not in verdict_html(STATE, make_result(STATE))
+
+
 def with_evidence(*evidence: float) -> PairResult:
     """Make a result whose terrain was compared."""
     result = make_result(STATE)

@@ -1,0 +1,186 @@
+"""``gpgrad locate``: find submaps on a larger elevation model."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated
+
+import numpy as np
+import tyro
+from typing_extensions import Doc
+
+from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, base_params, load
+from app.cli.outputs import Overwrite
+from app.cli.terminal import count, progress_bar, say
+from gpgrad_core.datasets import check_vacant, write_dataset
+from gpgrad_core.datasets.dem import read_elevation_model
+from gpgrad_core.datasets.folder import index_of
+from gpgrad_core.datasets.poses import read_poses
+from gpgrad_core.errors import InputError
+from gpgrad_core.georeference import read_origin
+from gpgrad_core.gradient_map import NOISE_STD
+from gpgrad_core.locating import (
+    Location,
+    cut_windows,
+    locate,
+    merge_submaps,
+    parameters_for,
+    spread,
+    width_of,
+)
+from gpgrad_core.outputs import check_apart, check_output
+from gpgrad_core.outputs.located import shown_on_model, write_located
+from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.threads import num_workers
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset
+
+CELLS_A_VOXEL = 0.25
+"""Side of the voxels of merged submaps [cells of the model]."""
+
+
+@dataclass(frozen=True)
+class Locate:
+    """Arguments of ``gpgrad locate``."""
+
+    dataset: DatasetPath
+    map: Annotated[
+        Path,
+        Doc("GeoTIFF of the elevation model, in metres."),
+        tyro.conf.arg(metavar="FILE.tif"),
+    ]
+    out: Annotated[
+        Path,
+        Doc("File to write the places to."),
+        tyro.conf.arg(metavar="FILE.json"),
+    ]
+    merged: Annotated[
+        bool,
+        Doc(
+            "Find the whole traverse as one, joined by its poses, instead of each submap alone. "
+            "Coarse models need that."
+        ),
+    ] = False
+    poses: Annotated[
+        Path | None,
+        Doc("File of the poses to join it by, such as the poses_corrected.txt of gpgrad slam."),
+        tyro.conf.arg(metavar="FILE.txt", help_behavior_hint="(default: odometry)"),
+    ] = None
+    near: Annotated[
+        str | None,
+        Doc("Search only so far [m] around a place of the model: easting, northing, radius."),
+        tyro.conf.arg(metavar="E,N,RADIUS", help_behavior_hint="(default: everywhere)"),
+    ] = None
+    map_noise: Annotated[
+        float | None,
+        Doc("Standard deviation of the model's heights [m]."),
+        tyro.conf.arg(
+            metavar="METRES",
+            help_behavior_hint="(default: fitted, from what differs from cell to cell)",
+        ),
+    ] = None
+    show: Annotated[
+        Path | None,
+        Doc(
+            "Also write a dataset to this folder: the accepted submaps and the model, each at its "
+            "place. gpgrad view shows it."
+        ),
+        tyro.conf.arg(metavar="FOLDER"),
+    ] = None
+    overwrite: Overwrite = False
+    params: ParamsFile = None
+    pipeline: AllParams = ALL_PARAMS
+
+    def run(self) -> None:
+        """Locate and write."""
+        check_output(self.out, (".json",), overwrite=self.overwrite)
+        check_apart([self.out, self.show], [self.dataset, self.map, self.poses, self.params])
+        if self.show is not None:
+            check_vacant(self.show, overwrite=self.overwrite)
+        if self.map_noise is not None and not NOISE_STD.low <= self.map_noise <= NOISE_STD.high:
+            raise InputError(
+                f"--map-noise must be from {NOISE_STD.low} to {NOISE_STD.high} m, got "
+                f"{self.map_noise:g}"
+            )
+        near = None if self.near is None else _read_circle(self.near)
+        model = read_elevation_model(self.map)
+        cell = max(model.cell)
+        dataset = load(self.dataset)
+        submaps = list(dataset.submaps)
+        if self.merged or self.poses is not None:
+            poses = _poses_of(dataset, self.poses)
+            if self.merged:
+                submaps = [merge_submaps(submaps, poses, CELLS_A_VOXEL * cell)]
+        windows = cut_windows(model, max(map(width_of, submaps)), near)
+        start = perf_counter()
+        with progress_bar("fit") as progress:
+            params = parameters_for(
+                submaps,
+                windows,
+                cell,
+                self.pipeline.over(base_params(dataset, self.params)),
+                self.map_noise,
+                progress,
+            )
+        of_map, of_model = params[0].map, params[1].map
+        say(
+            f"scale of comparison {of_map.scale:.3g} m; noise of the submaps "
+            f"{of_map.noise_std:.3g} m, of the map {of_model.noise_std:.3g} m"
+        )
+        with (
+            progress_bar("locate") as progress,
+            workers(num_workers(), len(windows) * len(submaps)) as executor,
+        ):
+            places = locate(submaps, windows, params, executor=executor, progress=progress)
+        seconds = perf_counter() - start
+        write_located(
+            self.out,
+            places,
+            dataset=dataset.name,
+            model=self.map.name,
+            system=model.system,
+            num_windows=len(windows),
+            params=params,
+        )
+        if self.show is not None:
+            shown = shown_on_model(dataset, submaps, places, model, self.map.name, params)
+            write_dataset(shown, self.show, overwrite=self.overwrite)
+        found = [place for place in places if place.verdict.accepted]
+        certain = "" if not found else f", to {_typical(found):.2g} m (standard deviation)"
+        say(
+            f"{len(found)} of {count(len(places), 'submap')} found on {self.map.name}"
+            f"{certain}; {count(len(windows), 'window')} searched, {seconds:.1f} s: {self.out}"
+        )
+        if not found and places:
+            best = max(places, key=lambda one: one.verdict.registration.score)
+            say(f"the best, {best.verdict.query_id}: {best.verdict.reason}")
+
+
+def _typical(found: list[Location]) -> float:
+    """Compute the median over places of the standard deviation in the worst direction [m]."""
+    stds = [std.max() for std in map(spread, found) if std is not None]
+    return float(np.median(stds)) if stds else float("nan")
+
+
+def _read_circle(text: str) -> tuple[float, float, float]:
+    east, north, radius = read_origin(text)
+    if radius <= 0:
+        raise InputError(f"--near {text}: the radius must be above 0 m")
+    return east, north, radius
+
+
+def _poses_of(dataset: Dataset, path: Path | None) -> list[Pose]:
+    """Give the pose of each submap, from a file or from odometry."""
+    numbers = {one.id: index_of(one.id) for one in dataset.submaps}
+    known = {number: name for name, number in numbers.items() if number is not None}
+    read = {} if path is None else read_poses(path, known)
+    poses: list[Pose] = []
+    for submap in dataset.submaps:
+        pose = submap.pose_odometry if path is None else read.get(numbers[submap.id] or 0)
+        if pose is None:
+            raise InputError(
+                f"{path or dataset.name}: has no pose of submap {submap.id}, and the traverse "
+                "is joined by its poses; leave --merged out, or add it"
+            )
+        poses.append(pose)
+    return poses
