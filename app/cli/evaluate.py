@@ -85,10 +85,10 @@ class Evaluate:
     pairs: Annotated[
         Path | None,
         Doc(
-            "Also judge the pairs that this file of the point clouds registration benchmark lists, "
-            "such as p2at_met_global.txt."
+            "Compare and judge only the pairs that this file of the point clouds registration "
+            "benchmark lists, such as p2at_met_global.txt, also by the benchmark's own error."
         ),
-        tyro.conf.arg(metavar="FILE.txt", help_behavior_hint="(default: none)"),
+        tyro.conf.arg(metavar="FILE.txt", help_behavior_hint="(default: all pairs)"),
     ] = None
     seed: Annotated[
         int | None,
@@ -125,10 +125,12 @@ class Evaluate:
             params = replace(params, registration=replace(params.registration, seed=self.seed))
         if self.pairs is not None:
             check_problems(problems, dataset, self.pairs)
-        pairs = measure_pairs(dataset)
+        only = None if self.pairs is None else {(one.source, one.target) for one in problems}
+        pairs = measure_pairs(dataset, only=only)
         for name, report in rivals.items():
             rank_pairs(report, dataset, pairs, name)  # refuses a wrong file before the work
         num_pairs = sum(num_wanted(candidates, k) for k in range(len(dataset.submaps)))
+        num_pairs = num_pairs if only is None else len(pairs)
         num_jobs = num_pairs * len(methods)
         with whole_folder(self.out, earlier=REPORT) as folder:
             self._check_out(names)  # another process may just have ended
@@ -141,6 +143,7 @@ class Evaluate:
                     executor=executor,
                     store=store,
                     progress=progress,
+                    only=only,
                 )
             tell_damaged(store)
             evaluation = evaluate(

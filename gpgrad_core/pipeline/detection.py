@@ -1,6 +1,6 @@
 """The order of the stages, which only this file knows."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -342,6 +342,7 @@ def detect_loop_closures(
     progress: Progress = silent,
     sources: Sequence[SubmapSource] | None = None,
     take: Callable[[LoopClosure], None] | None = None,
+    only: Collection[tuple[str, str]] | None = None,
 ) -> DetectionResult:
     """Compare every submap with earlier ones: with all of them, or with those worth comparing.
 
@@ -364,6 +365,8 @@ def detect_loop_closures(
             dataset has them.
         take: Called with each verdict in place of collecting them, so that memory does not grow
             with their number.
+        only: Ids of the pairs to compare, in either order; then candidates are not chosen, and
+            submaps of none of them get no map. None compares as the candidates say.
 
     Returns:
         The verdict on every compared pair, sorted by query and then by database.
@@ -387,8 +390,14 @@ def detect_loop_closures(
             seconds["fit"] = perf_counter() - start
             progress = part(progress, FIT_SHARE, 1.0)
         detector, used = MapDetector(params, memo), params
-    choice = None
-    if isinstance(detector, SearchableDetector) and any(
+    choice = listed = None
+    bare = list(dataset.submaps)
+    if only is not None:
+        named = {name for pair in only for name in pair}
+        kept = [k for k, submap in enumerate(submaps) if submap.id in named]
+        submaps, bare = [submaps[k] for k in kept], [bare[k] for k in kept]
+        listed = _Listed([submap.id for submap in submaps], only)
+    elif isinstance(detector, SearchableDetector) and any(
         num_wanted(candidates, earlier) < earlier for earlier in range(len(submaps))
     ):
         names = [submap.id for submap in submaps]
@@ -397,10 +406,10 @@ def detect_loop_closures(
     take, of_images = take or closures.append, Memo()
 
     def judge(pair: Pair, registration: Registration) -> None:
-        query, database = (dataset.submaps[k] for k in pair)
+        query, database = (bare[k] for k in pair)
         take(judge_pair(query, database, registration, params, of_images))
 
-    spent = compare_all(submaps, detector, judge, executor, progress, choice)
+    spent = compare_all(submaps, detector, judge, executor, progress, choice or listed)
     spent["total"] += seconds.get("fit", 0.0)
     shortlists = choice.shortlists if choice else {}
     return DetectionResult(tuple(closures), spent | seconds, used, shortlists)
@@ -425,6 +434,19 @@ def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> N
             f"the detector has no keypoints by which the best {candidates:,} candidates could be "
             "chosen; compare all"
         )
+
+
+class _Listed:
+    """Chooses the pairs of a list."""
+
+    def __init__(self, ids: list[str], only: Collection[tuple[str, str]]) -> None:
+        places = {name: place for place, name in enumerate(ids)}
+        pairs = ((places[a], places[b]) for a, b in only if a in places and b in places and a != b)
+        self._pairs = sorted({(max(pair), min(pair)) for pair in pairs})
+
+    def __call__(self, _: list[Any], progress: Progress) -> list[Pair]:
+        progress(1.0)
+        return self._pairs
 
 
 class _Choice:
