@@ -1,14 +1,14 @@
 """Accepts or refuses a registration, and gives the reason."""
 
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 from typing_extensions import Doc
 
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
-from gpgrad_core.types import LoopClosure, Registration
+from gpgrad_core.types import ImageVerdict, LoopClosure, Registration
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,13 @@ class ClosureParams:
         Bounds(0.01, 1000.0, 0.01, "m", slider=(0.05, 2.0)),
         Doc("Largest standard deviation of a loop closure's position, in any direction."),
     ] = 0.5
+    images: Annotated[
+        Literal["off", "show", "veto", "require"],
+        Doc(
+            "What camera images of both submaps do to a loop closure of the terrain: nothing; show "
+            "what they say; refuse it if they contradict; refuse it unless they confirm."
+        ),
+    ] = "off"
 
     def __post_init__(self) -> None:
         """Check the bounds."""
@@ -80,6 +87,31 @@ def classify(
         met += [f"score {score:.3g} >= {params.min_score:g}"] if params.min_score > 0 else []
         reason = ", ".join(met) or "no threshold is set"
     return LoopClosure(query_id, database_id, registration, accepted, reason)
+
+
+def with_images(
+    closure: LoopClosure, images: ImageVerdict | None, params: ClosureParams
+) -> LoopClosure:
+    """Add to a verdict of the terrain what camera images say, and refuse a closure if they must.
+
+    Args:
+        closure: The verdict of the terrain.
+        images: What the images say; None if a submap has none, or if they were not asked.
+        params: Its ``images`` says what they may do.
+
+    Returns:
+        The verdict. Images refuse a closure, but never accept a pair.
+    """
+    closure = replace(closure, images=images)
+    says = "silent" if images is None else images.verdict
+    refused = (params.images == "veto" and says == "contradicted") or (
+        params.images == "require" and says != "confirmed"
+    )
+    if not (refused and closure.accepted):
+        return closure
+    said = "there are not images of both submaps" if images is None else images.reason
+    verb = "contradict" if says == "contradicted" else "do not confirm"
+    return replace(closure, accepted=False, reason=f"the images {verb} the motion: {said}")
 
 
 SMALL_OVERLAP = 8.0

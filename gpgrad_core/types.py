@@ -548,6 +548,27 @@ class Registration:
         return int(np.sum(self.inliers))
 
 
+ImageSays = Literal["confirmed", "contradicted", "silent"]
+"""What images say of a motion."""
+
+
+@dataclass(frozen=True)
+class ImageVerdict:
+    """What camera images say of a motion that the terrain found.
+
+    Attributes:
+        verdict: Whether they confirm it, contradict it, or are silent.
+        reason: Why, in one line.
+        num_associations: Number of associations of the two images that agree best.
+        num_inliers: Number of those that fit one geometry of two views.
+    """
+
+    verdict: ImageSays
+    reason: str
+    num_associations: int
+    num_inliers: int
+
+
 @dataclass(frozen=True, eq=False)
 class LoopClosure:
     """The verdict on one pair of submaps.
@@ -558,6 +579,7 @@ class LoopClosure:
         registration: The registration that was judged.
         accepted: Whether the pair is a loop closure.
         reason: Why the pair was accepted or refused, in one line.
+        images: What camera images say of the motion; None if they were not asked.
     """
 
     query_id: str
@@ -565,6 +587,7 @@ class LoopClosure:
     registration: Registration
     accepted: bool
     reason: str
+    images: ImageVerdict | None = None
 
 
 @runtime_checkable

@@ -16,7 +16,7 @@ from app.cli.terminal import progress_bar
 from gpgrad_core.datasets import Outline
 from gpgrad_core.datasets.folder import MOST_LOADED
 from gpgrad_core.methods import Method
-from gpgrad_core.outputs import ClosureWriter, report_closures
+from gpgrad_core.outputs import ClosureWriter, count_images, report_closures
 from gpgrad_core.pipeline import PipelineParams, detect_loop_closures, keeping
 from gpgrad_core.run.cluster import Cluster, connected
 from gpgrad_core.run.memo import Memo
@@ -25,7 +25,7 @@ from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.shortlist import ALL_UP_TO, Candidates
-from gpgrad_core.types import Dataset, LoopClosure, SubmapSource
+from gpgrad_core.types import Dataset, ImageVerdict, LoopClosure, SubmapSource
 
 SchedulerFlag: TypeAlias = Annotated[
     str | None,
@@ -47,12 +47,14 @@ class Compared:
         accepted: The loop closures.
         num_pairs: Number of pairs that were compared.
         num_pairs_skipped: Number of those that were not.
+        images: What camera images say, counted in words; empty if they were not asked.
         seconds: Time of each stage [s].
     """
 
     accepted: tuple[LoopClosure, ...]
     num_pairs: int
     num_pairs_skipped: int
+    images: str
     seconds: Mapping[str, float]
 
 
@@ -79,13 +81,15 @@ def compare(
         candidates: With how many earlier submaps a submap is compared.
         executor: Does the work.
     """
-    accepted: list[LoopClosure] = []
+    accepted, verdicts = list[LoopClosure](), list[ImageVerdict]()
     with ClosureWriter(out) as writer:
 
         def take(closure: LoopClosure) -> None:
             writer.add(closure)
             if closure.accepted:
                 accepted.append(closure)
+            if closure.images is not None:
+                verdicts.append(closure.images)
 
         with progress_bar("pairs") as progress:
             result = detect_loop_closures(
@@ -101,7 +105,8 @@ def compare(
         skipped = math.comb(len(sources), 2) - writer.num_pairs
         report = report_closures(dataset, result, params, method=method.name, sources=sources)
         writer.write(replace(report, num_pairs_skipped=skipped))
-    return Compared(tuple(accepted), writer.num_pairs, skipped, report.seconds)
+    said = count_images(verdicts)
+    return Compared(tuple(accepted), writer.num_pairs, skipped, said, report.seconds)
 
 
 def workers_for(scheduler: str | None, num_pairs: int) -> AbstractContextManager[Executor]:

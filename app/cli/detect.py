@@ -124,6 +124,8 @@ class Detect:
             f"{left_out} of {count(len(sources), 'submap')}, {compared.seconds['total']:.1f} s: "
             f"{self.out}"
         )
+        if compared.images:
+            say(compared.images)
 
 
 def _only(

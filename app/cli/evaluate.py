@@ -1,6 +1,6 @@
 """``gpgrad evaluate``: judge methods by the true poses."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -31,6 +31,7 @@ from gpgrad_core.evaluation import (
     check_directory,
     check_problems,
     describe_calibration,
+    describe_images,
     describe_problems,
     evaluate,
     measure_pairs,
@@ -41,7 +42,7 @@ from gpgrad_core.evaluation import (
     write_report,
 )
 from gpgrad_core.methods import METHODS, find_method
-from gpgrad_core.outputs import check_apart
+from gpgrad_core.outputs import ClosureReport, check_apart, count_images
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.parallel import workers
@@ -84,10 +85,10 @@ class Evaluate:
     pairs: Annotated[
         Path | None,
         Doc(
-            "Also judge the pairs that this file of the point clouds registration benchmark lists, "
-            "such as p2at_met_global.txt."
+            "Compare and judge only the pairs that this file of the point clouds registration "
+            "benchmark lists, such as p2at_met_global.txt, also by the benchmark's own error."
         ),
-        tyro.conf.arg(metavar="FILE.txt", help_behavior_hint="(default: none)"),
+        tyro.conf.arg(metavar="FILE.txt", help_behavior_hint="(default: all pairs)"),
     ] = None
     seed: Annotated[
         int | None,
@@ -124,10 +125,12 @@ class Evaluate:
             params = replace(params, registration=replace(params.registration, seed=self.seed))
         if self.pairs is not None:
             check_problems(problems, dataset, self.pairs)
-        pairs = measure_pairs(dataset)
+        only = None if self.pairs is None else {(one.source, one.target) for one in problems}
+        pairs = measure_pairs(dataset, only=only)
         for name, report in rivals.items():
             rank_pairs(report, dataset, pairs, name)  # refuses a wrong file before the work
         num_pairs = sum(num_wanted(candidates, k) for k in range(len(dataset.submaps)))
+        num_pairs = num_pairs if only is None else len(pairs)
         num_jobs = num_pairs * len(methods)
         with whole_folder(self.out, earlier=REPORT) as folder:
             self._check_out(names)  # another process may just have ended
@@ -140,6 +143,7 @@ class Evaluate:
                     executor=executor,
                     store=store,
                     progress=progress,
+                    only=only,
                 )
             tell_damaged(store)
             evaluation = evaluate(
@@ -149,7 +153,7 @@ class Evaluate:
                 pairs=pairs,
                 seed=params.registration.seed,
             )
-            sections = self._sections(dataset, params)
+            sections = self._sections(dataset, params) + describe_images(found | rivals, evaluation)
             if self.pairs is not None:
                 listed = describe_problems(problems, dataset, evaluation, self.pairs)
                 sections = (*sections, listed)
@@ -159,7 +163,7 @@ class Evaluate:
                 )
         for note in evaluation.notes:
             warn(note)
-        for line in (*_summary(evaluation), str(self.out / "report.md")):
+        for line in (*_summary(evaluation, found | rivals), str(self.out / "report.md")):
             say(line)
 
     def _check_out(self, methods: Sequence[str]) -> None:
@@ -180,8 +184,8 @@ class Evaluate:
         return (describe_calibration(calibrations),)
 
 
-def _summary(evaluation: Evaluation) -> list[str]:
-    """Say what an evaluation found, in one line for each method."""
+def _summary(evaluation: Evaluation, reports: Mapping[str, ClosureReport]) -> list[str]:
+    """Say what an evaluation found, in a line for each method, and one for what images say."""
     rule, lines = evaluation.rules[0], list[str]()
     for method in evaluation.methods:
         verdict = method.rules[0]
@@ -195,4 +199,6 @@ def _summary(evaluation: Evaluation) -> list[str]:
             f"{line}accepts {verdict.accepted_true} true and {verdict.accepted_false} false pairs, "
             f"misses {verdict.missed} ({rule.name})"
         )
+        if said := count_images(pair.images for pair in reports[method.name].pairs):
+            lines.append(f"{method.name}: {said}")
     return lines

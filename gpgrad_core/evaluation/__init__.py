@@ -3,6 +3,7 @@
 from gpgrad_core.evaluation.bootstrap import Interval
 from gpgrad_core.evaluation.calibration import Calibration, calibrate, describe_calibration
 from gpgrad_core.evaluation.experiment import read_rivals, run_methods
+from gpgrad_core.evaluation.image_verdicts import describe_images
 from gpgrad_core.evaluation.judge import (
     Accepted,
     Evaluation,
@@ -61,6 +62,7 @@ __all__ = [
     "check_directory",
     "check_problems",
     "describe_calibration",
+    "describe_images",
     "describe_problems",
     "evaluate",
     "measure_pairs",

@@ -24,6 +24,7 @@ def run_methods(
     executor: Executor | None = None,
     store: Store | None = None,
     progress: Progress = silent,
+    only: Collection[tuple[str, str]] | None = None,
 ) -> dict[str, ClosureReport]:
     """Detect the loop closures of a dataset with each of several methods.
 
@@ -39,6 +40,7 @@ def run_methods(
         executor: Threads or processes that share the work.
         store: Keeps the fit for later runs.
         progress: Called from this thread with the fraction done; may raise Cancelled.
+        only: Ids of the pairs to compare; see `detect_loop_closures`.
 
     Returns:
         The result of each method by its name, with the content of its ``closures.json``.
@@ -65,6 +67,7 @@ def run_methods(
             candidates=candidates,
             executor=executor,
             progress=part(progress, k / len(methods), (k + 1) / len(methods)),
+            only=only,
         )
         reports[method.name] = report_closures(dataset, result, adapted, method=method.name)
     return reports

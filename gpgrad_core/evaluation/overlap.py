@@ -1,5 +1,6 @@
 """Measures how far submaps truly overlap, by which every pair is judged."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -87,15 +88,21 @@ class Footprint:
     heights: Float[Array, "c"]
 
 
-def measure_pairs(dataset: Dataset, progress: Progress = silent) -> TruePairs:
+def measure_pairs(
+    dataset: Dataset,
+    progress: Progress = silent,
+    *,
+    only: Collection[tuple[str, str]] | None = None,
+) -> TruePairs:
     """Measure how far the submaps of a dataset truly overlap, pair by pair.
 
     Args:
         dataset: A dataset with true poses.
         progress: Called with the fraction done; may raise Cancelled.
+        only: Ids of the pairs to measure, in either order; None measures all.
 
     Raises:
-        InputError: If fewer than two submaps have a true pose.
+        InputError: If fewer than two submaps have a true pose, or none of the pairs has.
     """
     known = [submap for submap in dataset.submaps if submap.pose_true is not None]
     if len(known) < 2:
@@ -113,10 +120,21 @@ def measure_pairs(dataset: Dataset, progress: Progress = silent) -> TruePairs:
     numbers = _numbers(known)
     pairs = [(query, database) for database, query in combinations(range(len(known)), 2)]
     pairs.sort()
+    notes = _notes(dataset)
+    if only is not None:
+        wanted = {frozenset(pair) for pair in only}
+        all_of_them = len(pairs)
+        pairs = [pair for pair in pairs if frozenset(known[k].id for k in pair) in wanted]
+        if not pairs:
+            raise InputError(f"{dataset.name}: none of the pairs has two true poses there")
+        notes = (
+            *notes,
+            f"only the {len(pairs):,} listed of {all_of_them:,} pairs are compared and judged",
+        )
     measured = np.zeros((len(pairs), 3))
     for k, (query, database) in enumerate(pairs):
         measured[k] = compare_footprints(footprints[query], footprints[database])
-        if database == 0:
+        if database == 0 or only is not None:
             progress(0.5 + 0.5 * k / len(pairs))
     query, database = np.array(pairs, dtype=np.intp).T
     return TruePairs(
@@ -129,7 +147,7 @@ def measure_pairs(dataset: Dataset, progress: Progress = silent) -> TruePairs:
         surface_overlap=measured[:, 1].copy(),
         height_difference=measured[:, 2].copy(),
         T_database_query=tuple(poses[d].inverse() @ poses[q] for q, d in pairs),
-        notes=_notes(dataset),
+        notes=notes,
         positions_only=dataset.positions_only,
     )
 

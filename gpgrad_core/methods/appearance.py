@@ -6,47 +6,25 @@ ranking of the pairs.
 """
 
 from dataclasses import dataclass, field
-from typing import Any
 
-import cv2
 import numpy as np
-from jaxtyping import Float, Int, UInt8
 
-from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
+from gpgrad_core.images import (
+    Descriptors,
+    ImageFeatures,
+    extract_images,
+    fit_two_views,
+    nearest_words,
+)
 from gpgrad_core.methods.outcome import outcome
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.reading.images import read_images
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Registration, Submap
 
-NUM_FEATURES = 1500
-"""Largest number of ORB features of an image (the paper's Sec. VII-B)."""
-RATIO = 0.8
-"""A descriptor is a known word if the distance to the nearest word is below this share of the
-distance to the second nearest."""
 MIN_SIMILARITY = 0.3
 """The geometry is checked if the similarity is at least this share of the best candidate's."""
-MIN_MATCHES = 8
-"""Smallest number of associations for a fundamental matrix."""
-EPIPOLAR_DISTANCE = 2.0
-"""Largest distance of an inlier from its epipolar line [pixels]."""
-
-Descriptors = UInt8[NDArray[np.uint8], "_ 32"]
-
-
-@dataclass(frozen=True, eq=False)
-class ImageFeatures:
-    """ORB features of one image.
-
-    Attributes:
-        pixels: Positions (k, 2) [pixels].
-        descriptors: Strings of bits (k, 32) [bytes].
-    """
-
-    pixels: Float[NDArray[np.float64], "k 2"]
-    descriptors: Descriptors
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,15 +101,7 @@ def see(submap: Submap) -> SeenSubmap:
             f"{submap.id}: appearance needs camera images, and this submap has none: "
             "put them into images/, in a folder named by the submap's number"
         )
-    images = read_images(submap.images)
-    return SeenSubmap(submap.fingerprint, tuple(_features(image) for image in images))
-
-
-def _features(image: UInt8[NDArray[np.uint8], "rows columns"]) -> ImageFeatures:
-    keypoints, descriptors = cv2.ORB.create(nfeatures=NUM_FEATURES).detectAndCompute(image, None)
-    pixels = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64).reshape(-1, 2)
-    found = np.zeros((0, 32), np.uint8) if len(pixels) == 0 else np.asarray(descriptors, np.uint8)
-    return ImageFeatures(pixels, found)
+    return SeenSubmap(submap.fingerprint, extract_images(submap.images))
 
 
 class Vocabulary:
@@ -178,18 +148,6 @@ class Vocabulary:
         self._seen_at[word][place] = self._seen_at[word].get(place, 0) + 1
 
 
-def nearest_words(descriptors: Descriptors, words: Descriptors) -> Int[NDArray[np.intp], "k"]:
-    """Find the word that each descriptor is, by the ratio of the two nearest; -1 if none is."""
-    found = np.full(len(descriptors), -1, dtype=np.intp)
-    if len(words) < 2 or len(descriptors) == 0:
-        return found
-    for k, pair in enumerate(cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(descriptors, words, 2)):
-        first, second = pair
-        if first.distance < RATIO * second.distance:
-            found[k] = first.trainIdx
-    return found
-
-
 def _stretched(scores: dict[str, float]) -> dict[str, float]:
     if not scores:
         return {}
@@ -204,15 +162,8 @@ def epipolar_inliers(query: ImageFeatures, database: ImageFeatures, seed: int) -
     """Count the associations between two images that fit one fundamental matrix."""
     nearest = nearest_words(query.descriptors, database.descriptors)
     matched = np.flatnonzero(nearest >= 0)
-    if len(matched) < MIN_MATCHES:
-        return 0
-    usac = cv2.UsacParams()
-    usac.threshold = EPIPOLAR_DISTANCE
-    usac.randomGeneratorState = seed
-    found: Any = cv2.findFundamentalMat(
-        query.pixels[matched], database.pixels[nearest[matched]], usac
-    )
-    return 0 if found[1] is None else int(np.sum(found[1]))
+    agree = fit_two_views(query.pixels[matched], database.pixels[nearest[matched]], seed)
+    return int(agree.sum())
 
 
 def appearance_detector(params: PipelineParams, memo: Memo) -> AppearanceDetector:

@@ -1,10 +1,10 @@
 """``closures.json``: the verdict on every compared pair of submaps, and how it was reached."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import cv2
 import numpy as np
@@ -19,6 +19,8 @@ from gpgrad_core.types import (
     Agreement,
     Array,
     Dataset,
+    ImageSays,
+    ImageVerdict,
     LoopClosure,
     Registration,
     SubmapSource,
@@ -81,6 +83,7 @@ class PairRecord:
         agreement: How well the heights agree; None if it is not known.
         decision: What a person decided about the pair; it outweighs `accepted` and `reason`. None
             if nobody did.
+        images: What camera images say of the motion; None if they were not asked.
     """
 
     query: str
@@ -98,6 +101,7 @@ class PairRecord:
     scale: float | None = None
     agreement: Agreement | None = None
     decision: Decision | None = None
+    images: ImageVerdict | None = None
 
     @property
     def verdict(self) -> bool:
@@ -289,7 +293,7 @@ def closure_of(pair: PairRecord) -> LoopClosure:
     )
     decided = pair.decision is not None and pair.decision.accepted is not None
     reason = pair.decision.reason if pair.decision is not None and decided else pair.reason
-    return LoopClosure(pair.query, pair.database, registration, pair.verdict, reason)
+    return LoopClosure(pair.query, pair.database, registration, pair.verdict, reason, pair.images)
 
 
 def record_of(closure: LoopClosure, decision: Decision | None = None) -> PairRecord:
@@ -320,6 +324,7 @@ def record_of(closure: LoopClosure, decision: Decision | None = None) -> PairRec
         if registration.agreement is None
         else Agreement(*(_rounded(value) for value in astuple(registration.agreement))),
         decision=decision,
+        images=closure.images,
     )
 
 
@@ -327,8 +332,9 @@ def table_of(pair: PairRecord) -> dict[str, Any]:
     """Write a record as the table that the file has of it; `read_pair` reads it back."""
     finite = pair.dissimilarity if math.isfinite(pair.dissimilarity) else None
     table = asdict(pair) | {"dissimilarity": finite}
-    if pair.decision is None:
-        del table["decision"]
+    for name in ("decision", "images"):
+        if table[name] is None:
+            del table[name]
     return table
 
 
@@ -362,6 +368,7 @@ def read_pair(pair: Record) -> PairRecord:
         decision=None
         if pair.values.get("decision") is None
         else read_decision(pair.record("decision")),
+        images=None if pair.values.get("images") is None else _read_images(pair.record("images")),
     )
     if found.is_confirmed and found.T_database_query is None:
         raise InputError(
@@ -381,6 +388,26 @@ def read_decision(decision: Record) -> Decision:
     if len(note) > LONGEST_NOTE or not note.isprintable():
         raise decision.wrong("note", f"one line of at most {LONGEST_NOTE} letters")
     return Decision(accepted, note)
+
+
+def _read_images(images: Record) -> ImageVerdict:
+    verdict = images.text("verdict")
+    if verdict not in get_args(ImageSays):
+        raise images.wrong("verdict", f"one of {', '.join(get_args(ImageSays))}")
+    counts = (images.count(name, MOST_INLIERS) for name in ("num_associations", "num_inliers"))
+    return ImageVerdict(cast("ImageSays", verdict), images.text("reason"), *counts)
+
+
+def count_images(verdicts: Iterable[ImageVerdict | None]) -> str:
+    """Count what images say of pairs, in words; an empty text if none were asked.
+
+    >>> count_images([ImageVerdict("silent", "too dark", 0, 0), None])
+    'images: 0 confirmed, 0 contradicted, 1 silent'
+    """
+    found = [one.verdict for one in verdicts if one is not None]
+    if not found:
+        return ""
+    return "images: " + ", ".join(f"{found.count(word):,} {word}" for word in get_args(ImageSays))
 
 
 def _read_motion(motion: Record) -> SE2:

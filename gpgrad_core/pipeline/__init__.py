@@ -15,6 +15,7 @@ from gpgrad_core.pipeline.detection import (
     extract_kept,
     infer_features,
     infer_map,
+    judge_pair,
     register_pair,
 )
 from gpgrad_core.pipeline.kept import KeptDetector, keeping
@@ -35,6 +36,7 @@ __all__ = [
     "infer_features",
     "infer_map",
     "is_resolved",
+    "judge_pair",
     "keeping",
     "register_pair",
     "resolve_parameters",

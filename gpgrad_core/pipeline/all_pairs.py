@@ -110,7 +110,8 @@ def compare_all(
         take: Called from this thread with each pair, ordered by query and then by database.
         executor: Threads or processes; None does everything in this thread.
         progress: Called from this thread; may raise Cancelled.
-        choose: Chooses the pairs; None compares all. It needs a `StagedDetector`.
+        choose: Chooses the pairs by what was extracted of each submap, or by their places alone;
+            None compares all.
 
     Returns:
         The seconds of each stage.

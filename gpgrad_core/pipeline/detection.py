@@ -1,6 +1,6 @@
 """The order of the stages, which only this file knows."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -11,7 +11,8 @@ from gpgrad_core.features import check_detector, detect_features, select_trusted
 from gpgrad_core.fitting import representative
 from gpgrad_core.gp.inference import Posterior
 from gpgrad_core.gradient_map import fit_terrain, map_grid, sample_map
-from gpgrad_core.loop_closure import classify
+from gpgrad_core.images import extract_images, judge_by_images, some_of
+from gpgrad_core.loop_closure import classify, with_images
 from gpgrad_core.matching import match_features
 from gpgrad_core.pipeline.all_pairs import (
     Pair,
@@ -224,7 +225,7 @@ def register_pair(
         params.registration,
         progress=part(progress, 0.8, 1.0),
     )
-    closure = classify(registration, params.closure, query_id=query.id, database_id=database.id)
+    closure = judge_pair(query, database, registration, params, memo)
     return PairResult(
         query_map,
         database_map,
@@ -234,6 +235,36 @@ def register_pair(
         registration,
         closure,
     )
+
+
+def judge_pair(
+    query: Submap, database: Submap, registration: Registration, params: PipelineParams, memo: Memo
+) -> LoopClosure:
+    """Accept or refuse a registration by its terrain, and then by images, if they are to be asked.
+
+    Args:
+        query: The query submap; its points are not needed.
+        database: The database submap, likewise.
+        registration: The registration of the query to the database.
+        params: The thresholds, and the seed.
+        memo: Keeps the keypoints of the images.
+
+    Raises:
+        InputError: If an image cannot be read.
+    """
+    closure = classify(registration, params.closure, query_id=query.id, database_id=database.id)
+    motion = registration.T_database_query
+    if params.closure.images == "off" or not closure.accepted or motion is None:
+        return closure
+    images = None
+    if query.images and database.images:
+        images = judge_by_images(
+            memo(extract_images, some_of(query.images)),
+            memo(extract_images, some_of(database.images)),
+            motion,
+            params.registration.seed,
+        )
+    return with_images(closure, images, params.closure)
 
 
 MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], GradientMap]
@@ -311,6 +342,7 @@ def detect_loop_closures(
     progress: Progress = silent,
     sources: Sequence[SubmapSource] | None = None,
     take: Callable[[LoopClosure], None] | None = None,
+    only: Collection[tuple[str, str]] | None = None,
 ) -> DetectionResult:
     """Compare every submap with earlier ones: with all of them, or with those worth comparing.
 
@@ -333,6 +365,8 @@ def detect_loop_closures(
             dataset has them.
         take: Called with each verdict in place of collecting them, so that memory does not grow
             with their number.
+        only: Ids of the pairs to compare, in either order; then candidates are not chosen, and
+            submaps of none of them get no map. None compares as the candidates say.
 
     Returns:
         The verdict on every compared pair, sorted by query and then by database.
@@ -356,20 +390,26 @@ def detect_loop_closures(
             seconds["fit"] = perf_counter() - start
             progress = part(progress, FIT_SHARE, 1.0)
         detector, used = MapDetector(params, memo), params
-    choice = None
-    if isinstance(detector, SearchableDetector) and any(
+    choice = listed = None
+    bare = list(dataset.submaps)
+    if only is not None:
+        named = {name for pair in only for name in pair}
+        kept = [k for k, submap in enumerate(submaps) if submap.id in named]
+        submaps, bare = [submaps[k] for k in kept], [bare[k] for k in kept]
+        listed = _Listed([submap.id for submap in submaps], only)
+    elif isinstance(detector, SearchableDetector) and any(
         num_wanted(candidates, earlier) < earlier for earlier in range(len(submaps))
     ):
         names = [submap.id for submap in submaps]
         choice = _Choice(names, detector, candidates, params.registration.seed)
     closures: list[LoopClosure] = []
-    take = take or closures.append
+    take, of_images = take or closures.append, Memo()
 
     def judge(pair: Pair, registration: Registration) -> None:
-        query, database = (submaps[k].id for k in pair)
-        take(classify(registration, params.closure, query_id=query, database_id=database))
+        query, database = (bare[k] for k in pair)
+        take(judge_pair(query, database, registration, params, of_images))
 
-    spent = compare_all(submaps, detector, judge, executor, progress, choice)
+    spent = compare_all(submaps, detector, judge, executor, progress, choice or listed)
     spent["total"] += seconds.get("fit", 0.0)
     shortlists = choice.shortlists if choice else {}
     return DetectionResult(tuple(closures), spent | seconds, used, shortlists)
@@ -394,6 +434,19 @@ def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> N
             f"the detector has no keypoints by which the best {candidates:,} candidates could be "
             "chosen; compare all"
         )
+
+
+class _Listed:
+    """Chooses the pairs of a list."""
+
+    def __init__(self, ids: list[str], only: Collection[tuple[str, str]]) -> None:
+        places = {name: place for place, name in enumerate(ids)}
+        pairs = ((places[a], places[b]) for a, b in only if a in places and b in places and a != b)
+        self._pairs = sorted({(max(pair), min(pair)) for pair in pairs})
+
+    def __call__(self, _: list[Any], progress: Progress) -> list[Pair]:
+        progress(1.0)
+        return self._pairs
 
 
 class _Choice:

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.loop_closure import classify
 from gpgrad_core.pipeline import (
     MapDetector,
     PipelineParams,
     check_searchable,
+    judge_pair,
     keeping,
     resolve_parameters,
 )
@@ -115,6 +115,7 @@ class LoopCloser:
         self._candidates: Candidates = candidates
         self._shortlist = Shortlist(self._params.registration.seed)
         self._extracted = _Spilled(bytes_in_memory)
+        self._images = Memo(MEMO_BYTES)
         self._submaps: list[Submap] = []
         self._traverses: list[int] = []  # number of each submap's traverse
         self._poses: dict[str, Pose] = {}
@@ -211,8 +212,9 @@ class LoopCloser:
             self._executor,
             part(progress, 0.5, 1.0),
         )
+        known = {one.id: one for one in self._submaps}
         closures = tuple(
-            classify(registration, self._params.closure, query_id=submap.id, database_id=name)
+            judge_pair(submap, known[name], registration, self._params, self._images)
             for name, registration in zip(earlier, found, strict=True)
         )
         self._extracted.put(submap.id, extracted)

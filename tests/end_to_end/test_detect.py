@@ -2,9 +2,11 @@
 
 import json
 import math
+import shutil
 import tempfile
 from pathlib import Path
 
+import cv2
 import pytest
 
 import app.cli.comparing
@@ -14,6 +16,7 @@ from gpgrad_core.outputs import read_closures
 from gpgrad_core.pipeline import keeping
 from gpgrad_core.run.parallel import WORTH_PROCESSES
 from gpgrad_core.run.store import Store
+from tests.core.methods.test_appearance import picture, turned
 from tests.end_to_end.process import Run, run_on_terminal
 
 
@@ -150,3 +153,33 @@ def test_without_a_cache_the_results_of_many_lie_in_a_folder_that_goes_with_the_
     assert len(folders) == 1
     assert folders[0].startswith(str(tmp_path / "gpgrad-results-"))
     assert list(tmp_path.iterdir()) == [out]
+
+
+def test_images_are_counted_apart_and_may_veto(gpgrad: Run, traverse: Path, tmp_path: Path) -> None:
+    data = shutil.copytree(traverse, tmp_path / "traverse")
+    (data / "poses_gt.txt").write_text((traverse / "poses_odom.txt").read_text())
+    for index, image in ((0, picture(2)), (3, turned(picture(2), math.degrees(3.0)))):
+        (data / f"images/{index:03d}").mkdir(parents=True)
+        cv2.imwrite(str(data / f"images/{index:03d}/front.png"), image)
+    asked = ("--out", tmp_path / "found.json", "--closure.images", "veto", "--overwrite")
+    finished = gpgrad("detect", data, *asked)
+    assert finished.code == 0, finished.err
+    assert "1 loop closure in 6 pairs" in finished.out
+    assert "images: 1 confirmed, 0 contradicted, 0 silent" in finished.out
+    # The vehicle came back turned about, so the same image again cannot be of the same place.
+    cv2.imwrite(str(data / "images/003/front.png"), picture(2))
+    finished = gpgrad("detect", data, *asked)
+    assert "0 loop closures in 6 pairs" in finished.out
+    assert "images: 0 confirmed, 1 contradicted, 0 silent" in finished.out
+    (refused,) = [pair for pair in read_closures(tmp_path / "found.json").pairs if pair.images]
+    assert not refused.accepted
+    assert "the images contradict the motion" in refused.reason
+    assert "the image is turned by 0°, and the motion turns by 17" in refused.reason
+    judged = gpgrad(
+        "evaluate", data, "--out", tmp_path / "report", "--closures", tmp_path / "found.json"
+    )
+    assert judged.code == 0, judged.err
+    assert "gradient: images: 0 confirmed, 1 contradicted, 0 silent" in judged.out
+    report = json.loads((tmp_path / "report/report.json").read_text())
+    assert report["images"]["gradient"]["contradicted"] == {"true": 1, "false": 0, "left_out": 0}
+    assert "| gradient | contradicted | 1 | 0 | 0 |" in (tmp_path / "report/report.md").read_text()

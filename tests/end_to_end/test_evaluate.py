@@ -4,10 +4,16 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.end_to_end.process import Run, run_on_terminal
+import app.cli.evaluate
+from gpgrad_core.datasets import write_dataset
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Dataset
+from tests.core.evaluation.test_problems import found, write, yard
+from tests.end_to_end.process import Run, run_here, run_on_terminal
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -99,3 +105,23 @@ def test_an_interrupt_leaves_nothing(known: Path, tmp_path: Path) -> None:
     assert "gpgrad: interrupted" in seen
     assert "Traceback" not in seen
     assert not out.exists()
+
+
+def test_the_command_compares_only_the_listed_pairs(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    write_dataset(yard(), tmp_path / "yard")
+    file = write(tmp_path / "p.txt", "1 yard_002.pcd yard_000.pcd 0.8 1 0 0 3 0 1 0 4 0 0 1 0")
+    asked: list[object] = []
+
+    def noted(dataset: Dataset, *_: object, **options: Any) -> object:
+        asked.append(options["only"])
+        return {"tool": found(dataset, SE2())}
+
+    monkeypatch.setattr(app.cli.evaluate, "run_methods", noted)
+    out = ("--out", tmp_path / "report", "--pairs", file)
+    finished = run_here("evaluate", tmp_path / "yard", *out)
+    assert finished.code == 0, finished.err
+    assert asked == [{("yard_002", "yard_000")}]
+    assert "only the 1 listed of 3 pairs are compared and judged" in finished.err
+    assert "accepts 1 true and 0 false pairs" in finished.out

@@ -22,8 +22,8 @@ from gpgrad_core.evaluation.precision_recall import (
 )
 from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
-from gpgrad_core.loop_closure import ClosureParams, classify
-from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
+from gpgrad_core.loop_closure import ClosureParams
+from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures, judge_pair
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.threads import num_workers
@@ -110,6 +110,8 @@ class JudgedPairs:
         return sum(closure.accepted for closure in self.closures)
 
 
+IMAGES = Memo(200_000_000)
+"""Keypoints of camera images, which are made when images are first asked for their verdict."""
 TRUE, APART, UNKNOWN = "true", "apart", "unknown"
 
 
@@ -156,12 +158,15 @@ def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> Jud
         thresholds: Of the verdict.
         rule: When a pair is truly the same place.
     """
+    submaps = {submap.id: submap for submap in compared.dataset.submaps}
+    params = replace(compared.params, closure=thresholds)
     closures = tuple(
-        classify(
+        judge_pair(
+            submaps[closure.query_id],
+            submaps[closure.database_id],
             closure.registration,
-            thresholds,
-            query_id=closure.query_id,
-            database_id=closure.database_id,
+            params,
+            IMAGES,
         )
         for closure in compared.result.closures
     )

@@ -23,7 +23,7 @@ from app.viewer.widgets.html import (
 )
 from gpgrad_core.loop_closure import IMPOSSIBLE, SMALL_OVERLAP, SMOOTH, describe_length
 from gpgrad_core.pipeline import PairResult
-from gpgrad_core.types import Registration
+from gpgrad_core.types import ImageSays, Registration
 
 CLOSURE, NONE = "Loop closure", "No loop closure"
 CANNOT, BY_HAND = "Cannot judge", "Moved by hand, not judged"
@@ -41,6 +41,11 @@ MARKS: dict[Side, str] = {
     "neither": f'<span style="{FAINT}" title="says nothing">○</span>',
 }
 
+BY_IMAGES: dict[ImageSays, Side] = {
+    "confirmed": "for",
+    "contradicted": "against",
+    "silent": "neither",
+}
 SAID: dict[Side, str] = {"for": "agree", "against": "disagree", "neither": "say little"}
 
 
@@ -276,6 +281,9 @@ def rows_of(state: ViewState, result: PairResult) -> list[Row]:
                 f"{describe_length(found.difference)}, {describe_length(found.possible)} possible",
             )
         )
+    if (images := result.closure.images) is not None:
+        count = f"{images.num_inliers} of {images.num_associations:,} fit"
+        rows.append(Row(BY_IMAGES[images.verdict], "images", f"{images.verdict}, {count}"))
     if motion is None:
         return [*rows, Row(None, "motion", "none found")]
     area = f"{registration.overlap_area:.1f} m² · correlation {registration.correlation:.2f}"

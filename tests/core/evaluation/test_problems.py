@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpgrad_core.evaluation import evaluate, read_problems
+from gpgrad_core.evaluation import evaluate, measure_pairs, read_problems
 from gpgrad_core.evaluation.problems import check_problems, describe_problems
 from gpgrad_core.outputs import ClosureReport, PairRecord
+from gpgrad_core.pipeline import detect_loop_closures
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.types import Dataset, Submap
+from gpgrad_core.types import Dataset, Registration, Submap
 from tests.core.datasets.refusal import assert_refused
 
 HEADER = "id source target overlap scale t1 t2 t3 t4 t5 t6 t7 t8 t9 t10 t11 t12"
@@ -126,3 +127,25 @@ def test_a_file_of_another_dataset(tmp_path: Path) -> None:
         lambda: check_problems(read_problems(path), yard(), path),
         *(str(path), "p2at_met_080 and p2at_met_031", "yard"),
     )
+
+
+def test_only_the_listed_pairs_are_compared_and_measured() -> None:
+    dataset = yard()
+    compared: list[tuple[str, str]] = []
+
+    def note(query: Submap, database: Submap) -> Registration:
+        compared.append((query.id, database.id))
+        return Registration(SE2(), np.ones(9, bool), 1.0, 9.0, 0.9, 9.0)
+
+    only = {("yard_000", "yard_002"), ("yard_001", "elsewhere")}
+    result = detect_loop_closures(dataset, detector=note, only=only)
+    assert compared == [("yard_002", "yard_000")]
+    assert [(one.query_id, one.database_id) for one in result.closures] == compared
+    pairs = measure_pairs(dataset, only=only)
+    assert [pairs.ids[k] for k in (*pairs.query, *pairs.database)] == ["yard_002", "yard_000"]
+    assert "only the 1 listed of 3 pairs" in pairs.notes[-1]
+    whole = measure_pairs(dataset)
+    assert pairs.surface_overlap[0] == whole.surface_overlap[1]
+    judged = evaluate(dataset, {"tool": found(dataset, SE2())}, pairs=pairs)
+    assert judged.methods[0].ranking.score.shape == (1,)
+    assert_refused(lambda: measure_pairs(dataset, only=[("a", "b")]), "yard", "none of the pairs")

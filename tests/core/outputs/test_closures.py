@@ -12,6 +12,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.outputs import (
     ClosureWriter,
     Decision,
+    count_images,
     read_closures,
     report_closures,
     restore_closures,
@@ -19,7 +20,7 @@ from gpgrad_core.outputs import (
 )
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset
+from gpgrad_core.types import Dataset, ImageVerdict
 from gpgrad_core.version import VERSION
 
 
@@ -270,3 +271,32 @@ def test_nothing_cannot_be_accepted_by_hand(
     content["pairs"][0]["decision"] = {"accepted": False}
     path.write_text(json.dumps(content))
     assert read_closures(path).pairs[0].decision == Decision(accepted=False)
+
+
+def test_what_images_say_is_kept_counted_and_checked(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    path = tmp_path / "closures.json"
+    said = ImageVerdict("contradicted", "another place", 12, 3)
+    closures = (*result.closures[:1], replace(result.closures[1], images=said), result.closures[2])
+    report = report_closures(dataset, replace(result, closures=closures), PipelineParams())
+    write_closures(path, report)
+    content = json.loads(path.read_text())
+    assert content["pairs"][1]["images"] == {
+        "verdict": "contradicted",
+        "reason": "another place",
+        "num_associations": 12,
+        "num_inliers": 3,
+    }
+    assert "images" not in content["pairs"][0]
+    again = read_closures(path)
+    assert [pair.images for pair in again.pairs] == [None, said, None]
+    assert restore_closures(again)[1].images == said
+    assert count_images(pair.images for pair in again.pairs) == (
+        "images: 0 confirmed, 1 contradicted, 0 silent"
+    )
+    assert count_images([None, None]) == ""
+    content["pairs"][1]["images"]["verdict"] = "maybe"
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="'verdict' must be one of confirmed, contradicted, sil"):
+        read_closures(path)
