@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from math import ceil, hypot, log10
-from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -51,8 +50,9 @@ QUERIES_TOGETHER = 32
 SAME_PLACE = 0.5
 """Two motions within this share of a submap's width put it at the same place."""
 
-_Place: TypeAlias = tuple[float, float, float]
-"""Score, easting and northing."""
+LEAST_NOISE = 0.005
+"""Smallest fitted noise of a model, relative to its signal. Interpolated models look as if they had
+none, and the GP of a window would not converge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,6 +216,9 @@ def parameters_for(
     some = [full[k].load() for k in representative(len(full))]
     alone = PipelineParams(map=replace(PipelineParams().map, noise_std=noise_std))
     of_model = resolve_parameters(some, alone, progress=part(progress, 0.5, 1.0))
+    fitted, signal = of_model.map.noise_std or 0.0, of_model.map.signal_std or 0.0
+    if noise_std is None and fitted < LEAST_NOISE * signal:
+        of_model = replace(of_model, map=replace(of_model.map, noise_std=LEAST_NOISE * signal))
     scales = [one.map.scale for one in (of_query, of_model) if one.map.scale is not None]
     scale = max(*scales, CELLS_A_SCALE * cell) if asked.map.scale is None else asked.map.scale
     of_map = bounds_of(type(of_query.map))

@@ -50,9 +50,12 @@ def help_of(verb: str) -> str:
 
 @cache
 def flags_of_all() -> set[str]:
-    """Every flag of the command, and of the benchmark that pages name."""
-    benchmark = (ROOT / "tests" / "benchmarks" / "bench_peers.py").read_text(encoding="utf-8")
-    options = re.findall(r"^    (\w+): ", benchmark, flags=re.MULTILINE)
+    """Every flag of the command, and of the benchmarks that pages name."""
+    benchmarks = [
+        (ROOT / "tests" / "benchmarks" / f"{name}.py").read_text(encoding="utf-8")
+        for name in ("bench_peers", "bench_refined", "bench_whole")
+    ]
+    options = re.findall(r"^    (\w+): ", "\n".join(benchmarks), flags=re.MULTILINE)
     flags = {f"--{name.replace('_', '-')}" for name in options}
     for verb in VERBS:
         flags |= set(re.findall(r"--[\w.-]+", help_of(verb)))

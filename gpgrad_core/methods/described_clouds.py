@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.libraries import load_library
@@ -53,6 +54,32 @@ def thinned(submap: Submap, voxel: float, normal_radius: float) -> Any:
     )
     cloud.orient_normals_to_align_with_direction(np.array([0.0, 0.0, 1.0]))
     return cloud
+
+
+def height_between(
+    query: Float[Array, "k 3"],
+    database: Float[Array, "n 3"],
+    T_database_query: Float[Array, "4 4"],
+    reach: float,
+) -> float:
+    """Find how much higher the database's ground lies than the query's after a motion [m].
+
+    Args:
+        query: Points of the query [m].
+        database: Points of the database [m].
+        T_database_query: The motion.
+        reach: Points that are no further apart than this, seen from above, are compared [m].
+
+    Returns:
+        The median of the differences; 0 if no points are so near to each other.
+    """
+    moved = query @ T_database_query[:3, :3].T + T_database_query[:3, 3]
+    found = cKDTree(database[:, :2]).query(moved[:, :2])
+    gap, nearest = np.asarray(found[0]), np.asarray(found[1], np.intp)
+    near = gap <= reach
+    if not near.any():
+        return 0.0
+    return float(np.median(database[nearest[near], 2] - moved[near, 2]))
 
 
 def mutual_matches(query: DescribedCloud, database: DescribedCloud) -> Int[NDArray[np.intp], "m 2"]:

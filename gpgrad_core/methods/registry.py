@@ -15,6 +15,7 @@ from gpgrad_core.methods.kiss_matcher import kiss_matcher_detector
 from gpgrad_core.methods.map_closures import map_closures_detector
 from gpgrad_core.methods.outcome import judged_by_inliers
 from gpgrad_core.methods.paper import PaperDetector, paper_params
+from gpgrad_core.methods.scan_context import judged_by_context, scan_context_detector
 from gpgrad_core.methods.shot import shot_detector
 from gpgrad_core.methods.smoothed import smoothed_detector
 from gpgrad_core.pipeline import (
@@ -140,6 +141,13 @@ METHODS: dict[str, Method] = {
             "SHOT with colours, RANSAC.",
             cshot_detector,
             judged_by_inliers,
+            package="open3d",
+        ),
+        Method(
+            "scan-context",
+            "Scan Context and ICP.",
+            scan_context_detector,
+            judged_by_context,
             package="open3d",
         ),
         Method(

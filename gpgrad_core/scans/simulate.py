@@ -9,7 +9,7 @@ from gpgrad_core.datasets.dem import ElevationModel, ground_of
 from gpgrad_core.datasets.folder import SIMULATED, check_vacant
 from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import pose_row
-from gpgrad_core.datasets.rover import Track, plan_track, scan, sensor_pose
+from gpgrad_core.datasets.rover import STEP, Track, plan_track, scan, sensor_pose
 from gpgrad_core.datasets.simulate import (
     ATTITUDE_STD,
     ODOMETRY_STREAM,
@@ -31,6 +31,11 @@ START, PERIOD = 1_700_000_000.0, 0.1
 """Time at which the drive begins, and time from scan to scan [s]."""
 POSES_A_SCAN = 2
 """Poses per scan: odometry is faster than the sensor. No pose has the time of a scan."""
+TURN_LENGTH = 1.0
+"""A turn on the spot by a radian takes as long as driving this far [m]."""
+SUDDEN = 0.5
+"""A larger change of the heading from one point of the track to the next is a turn on the spot
+[rad]."""
 
 
 def simulate_recording(
@@ -52,7 +57,7 @@ def simulate_recording(
 
     Args:
         directory: Folder to make; it must not exist or be empty.
-        num_scans: Number of scans, evenly spread over the drive.
+        num_scans: Number of scans, evenly spread over the drive and its turn on the spot.
         params: Ground, route, sensor and odometry.
         points_a_scan: A scan with more points is thinned to this many; None keeps all.
         terrain: Elevation model to drive over; None makes the ground.
@@ -69,7 +74,7 @@ def simulate_recording(
         raise InputError(f"a recording needs 2 or more scans, got {num_scans}")
     if params.route == "roaming":
         raise InputError("the route roaming makes submaps, not scans; choose another route")
-    track = plan_track(params)
+    track = _with_turns(plan_track(params))
     try:
         with whole_folder(directory, replace=overwrite) as unfinished:
             check_vacant(directory, overwrite=overwrite)  # another process may just have ended
@@ -95,6 +100,21 @@ def simulate_recording(
                 progress((k + 1) / num_scans)
     except OSError as error:
         raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from None
+
+
+def _with_turns(track: Track) -> Track:
+    """Let the rover take its time where it turns on the spot.
+
+    A submap has no scans from there. A recording does, and odometry that is made from its scans
+    would be lost at a heading that jumps.
+    """
+    change = np.diff(np.unwrap(track.yaw))
+    xy, yaw = [track.xy[:1]], [track.yaw[:1]]
+    for k, turn in enumerate(change):
+        steps = int(np.ceil(abs(turn) * TURN_LENGTH / STEP)) if abs(turn) > SUDDEN else 1
+        xy.append(np.repeat(track.xy[k + 1 : k + 2], steps, axis=0))
+        yaw.append(track.yaw[k] + turn * np.arange(1, steps + 1) / steps)
+    return Track(np.vstack(xy), np.concatenate(yaw))
 
 
 def _write_poses(

@@ -1,6 +1,7 @@
 """`gpgrad evaluate`, as a process."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
 from tests.core.evaluation.test_problems import found, write, yard
 from tests.end_to_end.process import Run, run_here, run_on_terminal
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +72,22 @@ def test_what_was_found_can_be_judged_again_otherwise(
     assert content["rules"][1]["true"] == 1
     first, second = (method["rules"]["surface"] for method in content["methods"])
     assert first["pose_error"] == second["pose_error"]
+
+
+def test_the_least_file_of_the_leaderboard_is_judged(
+    gpgrad: Run, known: Path, tmp_path: Path
+) -> None:
+    page = (ROOT / "assets" / "guide" / "leaderboard.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"^```json\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    mine = tmp_path / "mine.json"
+    mine.write_text(example)
+    finished = gpgrad(
+        *("evaluate", known, "--out", tmp_path / "r", "--closures", mine),
+        *("--num-resamples", "0"),
+    )
+    assert finished.code == 0, finished.err
+    assert finished.err == "gpgrad: a tool of mine lists 1 of 6 pairs: the others rank last\n"
+    assert finished.out.startswith("a tool of mine: AP ")
 
 
 def test_missing_truth_says_which_file_is_needed(

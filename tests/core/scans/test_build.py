@@ -311,5 +311,9 @@ def test_a_simulated_recording_shows_its_ground(tmp_path: Path) -> None:
     off = np.linalg.norm(odometry[:, 1:4] - truth[:, 1:4], axis=1)
     assert off[0] < 0.01
     assert 0.02 < off[-1] < 1.0
+    turns = Rotation.from_quat(truth[:, 4:])
+    steps = (turns[:-1].inv() * turns[1:]).magnitude()
+    assert steps.max() < 0.5  # it turns round bit by bit, as its odometry must see
+    assert steps.sum() > 3.0
     assert_refused(lambda: simulate_recording(tmp_path / "rec", 5, params), "is not empty")
     assert_refused(lambda: simulate_recording(tmp_path / "one", 1, params), "2 or more scans")

@@ -1,0 +1,216 @@
+"""Scan Context (Kim 2018): polar images of the largest heights, compared column by column."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.libraries import load_library
+from gpgrad_core.methods.cloud_detector import CloudDetector
+from gpgrad_core.methods.described_clouds import height_between, thinned
+from gpgrad_core.methods.outcome import outcome, seen_from_above
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.types import Registration, Submap
+
+RINGS, SECTORS = 20, 60
+"""Numbers of rings and of sectors, as in the paper."""
+RING = 1.0
+"""Width of a ring [length-scales]: the outer radius is 6 m with the default length-scale of 0.3 m.
+The paper's rings, for cities, are 4 m wide."""
+SHIFT = 2.0
+"""Distance from one root to the next [length-scales]."""
+SHIFTS = 6
+"""Number of roots on either side of the middle, along each axis."""
+ROOTS_COMPARED = 40
+"""Number of roots that the ring key leaves over."""
+VOXEL = 0.5
+NORMAL_RADIUS = 2.0
+"""Side of a voxel [length-scales] and radius for normals [voxels] of the clouds that are aligned,
+as for the other methods with point clouds."""
+LEAST_SCORE = 0.86
+"""Lowest score of a loop closure: on three traverses, no pair without overlap reaches it."""
+COARSE, FINE = 4.0, 1.0
+"""Largest distances of associated points in the two rounds of the alignment [inlier radii]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContextCloud:
+    """A submap's scan contexts, one for each root, and its thinned cloud.
+
+    Attributes:
+        roots: Positions of the roots (r, 2) [m]; the first one is the middle of the submap.
+        contexts: Scan context of each root, its columns of length 1 (r, sectors, rings).
+        ring_keys: Ring key of each root (r, rings).
+        points: Thinned cloud (k, 3) [m].
+        normals: Its normals (k, 3).
+    """
+
+    roots: Float[Array, "r 2"]
+    contexts: Float[NDArray[np.float32], "r sectors rings"]
+    ring_keys: Float[NDArray[np.float32], "r rings"]
+    points: Float[Array, "k 3"]
+    normals: Float[Array, "k 3"]
+
+
+def scan_context_detector(params: PipelineParams, memo: Memo) -> CloudDetector[ContextCloud]:
+    """Make Scan Context."""
+    return CloudDetector(describe_contexts, register_by_context, params, memo)
+
+
+def judged_by_context(params: PipelineParams) -> PipelineParams:
+    """Let the similarity of the contexts decide, as in the paper."""
+    return replace(params, closure=replace(params.closure, min_score=LEAST_SCORE))
+
+
+def describe_contexts(submap: Submap, params: PipelineParams) -> ContextCloud:
+    """Make the scan contexts of a submap about many roots around the middle of its points.
+
+    A camera sees only what lies ahead of a submap's origin, so the origin is a poor middle: about
+    it, the average precision on the three traverses of the guide is 0.33, 0.22 and 0.30, and about
+    the middle of the points it is 0.71, 0.43 and 0.45.
+    """
+    scale = params.map.terrain.length_scale
+    middle = submap.points.mean(axis=0)
+    steps = SHIFT * scale * np.arange(-SHIFTS, SHIFTS + 1)
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    roots = middle[:2] + grid[np.argsort(np.hypot(*grid.T), kind="stable")]
+    voxel = VOXEL * scale
+    cloud = thinned(submap, voxel, NORMAL_RADIUS * voxel)
+    points, normals = np.array(cloud.points), np.array(cloud.normals)
+    levelled = points - [0.0, 0.0, middle[2]]
+    images = [scan_context(levelled, root, RING * scale) for root in roots]
+    lengths = [np.linalg.norm(image, axis=1, keepdims=True) for image in images]
+    columns = [
+        np.divide(image, length, out=np.zeros_like(image), where=length > 0)
+        for image, length in zip(images, lengths, strict=True)
+    ]
+    return ContextCloud(
+        roots,
+        np.array(columns, np.float32),
+        np.array([ring_key(image) for image in images], np.float32),
+        points,
+        normals,
+    )
+
+
+def scan_context(
+    points: Float[Array, "n 3"], root: Float[Array, "2"], ring: float
+) -> Float[Array, "sectors rings"]:
+    """Make the scan context about a root.
+
+        φ(P_ij) = max z(p) over the points p in ring i and sector j    Kim 2018, Sec. III-A
+
+    An empty bin is 0, as in the paper. There all heights are above 0; here they are relative to
+    the submap's mean, because on open ground heights above a common 0 make all columns alike (an
+    average precision of 0.27 instead of 0.71).
+
+    Args:
+        points: Points whose mean height is 0 (n, 3) [m].
+        root: Middle of the rings [m].
+        ring: Width of a ring [m].
+
+    Returns:
+        The largest height of each bin (sectors, rings) [m].
+    """
+    x, y = (points[:, :2] - root).T
+    distance = (np.hypot(x, y) / ring).astype(np.intp)
+    inside = distance < RINGS
+    angle = np.arctan2(y[inside], x[inside]) / (2 * np.pi) + 0.5
+    sector = np.minimum((SECTORS * angle).astype(np.intp), SECTORS - 1)
+    image = np.full(SECTORS * RINGS, -np.inf)
+    np.maximum.at(image, sector * RINGS + distance[inside], points[inside, 2])
+    image[np.isneginf(image)] = 0.0
+    return image.reshape(SECTORS, RINGS)
+
+
+def ring_key(context: Float[Array, "sectors rings"]) -> Float[Array, "rings"]:
+    """Describe each ring by a number that does not change as the submap turns.
+
+    The paper counts the bins of a ring that are not empty (Sec. III-C). On open ground all are
+    full, so this is the mean height, as in the authors' own program.
+    """
+    return context.mean(axis=0)
+
+
+def distances(
+    query: Float[NDArray[np.float32], "r sectors rings"],
+    database: Float[NDArray[np.float32], "sectors rings"],
+) -> Float[Array, "r sectors"]:
+    """Compare scan contexts at every shift of their columns.
+
+        d(I_q, I_c) = 1 / N_s · Σ_j (1 - c_j(q) · c_j(c) / (|c_j(q)| |c_j(c)|))    Kim 2018, III-B
+
+    Args:
+        query: Contexts with columns of length 1, or 0 where a sector is empty.
+        database: One such context.
+
+    Returns:
+        The distance of each context, where its column j + k is compared with the database's
+        column j (r, k), from 0 to 2.
+    """
+    alike = query @ database.T  # column of the query, column of the database
+    column = np.arange(SECTORS)
+    later = (column[:, None] + column) % SECTORS  # (shift, column of the database)
+    return 1.0 - alike[:, later, column].mean(axis=2).astype(np.float64)
+
+
+def register_by_context(
+    query: ContextCloud, database: ContextCloud, params: PipelineParams
+) -> Registration:
+    """Find the root and the shift at which two submaps agree most, and align them from there.
+
+    The database's context about its middle is compared with those of the query about all roots
+    whose ring keys are similar. Shifted roots are the paper's remedy for a robot that comes back
+    beside its old track (its Sec. III-C). The shift gives the yaw and the root the offset, from
+    which point-to-plane ICP sets out, as the paper proposes. The score is ``1 - d``.
+    """
+    gap = np.linalg.norm(query.ring_keys - database.ring_keys[0], axis=1)
+    near = np.argsort(gap, kind="stable")[:ROOTS_COMPARED]
+    found = distances(query.contexts[near], database.contexts[0])
+    best, shift = np.unravel_index(int(np.argmin(found)), found.shape)
+    motion = np.eye(4)
+    yaw = -2 * np.pi * int(shift) / SECTORS
+    c, s = np.cos(yaw), np.sin(yaw)
+    motion[:2, :2] = [[c, -s], [s, c]]
+    motion[:2, 3] = database.roots[0] - motion[:2, :2] @ query.roots[near[best]]
+    motion, inliers = _align(query, database, motion, params.registration.radius(None))
+    middle = query.points.mean(axis=0, keepdims=True)
+    return outcome(seen_from_above(motion, middle), inliers, 1.0 - float(found[best, shift]))
+
+
+def _align(
+    query: ContextCloud,
+    database: ContextCloud,
+    motion: Float[Array, "4 4"],
+    radius: float,
+) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "k"]]:
+    """Align two clouds by ICP; gives the motion, and the points that have a partner."""
+    o3d: Any = load_library("open3d")
+    tools: Any = o3d.pipelines.registration
+    source, target = (_cloud(one) for one in (query, database))
+    motion = motion.copy()
+    motion[2, 3] = height_between(query.points, database.points, motion, radius)
+    found: Any = None
+    for reach in (COARSE, FINE):
+        found = tools.registration_icp(
+            source,
+            target,
+            reach * radius,
+            motion,
+            tools.TransformationEstimationPointToPlane(),
+        )
+        motion = np.array(found.transformation, dtype=np.float64)
+    inliers = np.zeros(len(query.points), bool)
+    pairs: Int[NDArray[np.int32], "m 2"] = np.asarray(found.correspondence_set)
+    inliers[pairs[:, 0]] = True
+    return motion, inliers
+
+
+def _cloud(one: ContextCloud) -> Any:
+    o3d: Any = load_library("open3d")
+    cloud: Any = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(one.points)))
+    cloud.normals = o3d.utility.Vector3dVector(np.array(one.normals))
+    return cloud
