@@ -26,6 +26,7 @@ from app.cli.inputs import (
     DatasetPath,
     ParamsFile,
     base_params,
+    built_first,
     load_sources,
     open_store,
     settled,
@@ -84,7 +85,8 @@ class Detect:
             check_output(self.g2o, (".g2o",), overwrite=self.overwrite)
         check_apart([self.out, self.g2o], [self.dataset, self.params])
         store = open_store(self.cache)
-        outline = outline_dataset(self.dataset)
+        with built_first(self.dataset):
+            outline = outline_dataset(self.dataset)
         asked = self.pipeline.over(base_params(outline.dataset, self.params))
         if self.g2o:
             odometry_poses(outline.dataset)  # refuses a dataset without odometry before the work
@@ -96,9 +98,10 @@ class Detect:
             workers_for(self.scheduler, num_pairs) as executor,
         ):
             kept = shared(room, executor, outline)
-            dataset, sources = load_sources(
-                outline, check, most_bytes=kept_in_memory(kept, executor)
-            )
+            with built_first(self.dataset):
+                dataset, sources = load_sources(
+                    outline, check, most_bytes=kept_in_memory(kept, executor)
+                )
             if method.fitted:  # to the whole dataset, so that a single pair gets the same verdict
                 some = [sources[k].load() for k in representative(num_submaps)]
                 asked = settled(asked, some, dataset.name, store)

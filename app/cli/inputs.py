@@ -1,6 +1,8 @@
 """What most verbs read: a dataset, a file of parameters, and the flags that they share."""
 
-from collections.abc import Callable, Sequence
+import contextlib
+import shlex
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -11,6 +13,7 @@ from app.cli.flags import Given
 from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import Outline, load_dataset, open_dataset
 from gpgrad_core.datasets.folder import MOST_LOADED
+from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.run.memo import Memo
@@ -53,6 +56,24 @@ AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)
 
 
+@contextlib.contextmanager
+def built_first(path: Path) -> Generator[None]:
+    """Say how to build submaps if a dataset that cannot be read is a recording of scans."""
+    try:
+        yield
+    except InputError as error:
+        from gpgrad_core.scans import is_recording  # noqa: PLC0415 - loads slowly
+
+        if not is_recording(path):
+            raise
+        given = shlex.quote(str(path))
+        out = shlex.quote(f"{path.resolve().stem}-submaps")
+        raise InputError(
+            f"{path}: is a recording, not a dataset: build its submaps first, and open these: "
+            f"gpgrad build {given} --out {out}"
+        ) from error
+
+
 def load(path: Path, *, most_bytes: int | None = None) -> Dataset:
     """Load a dataset, and report what loading left out.
 
@@ -61,7 +82,7 @@ def load(path: Path, *, most_bytes: int | None = None) -> Dataset:
         most_bytes: Bytes of points to keep in memory; further ones wait in a temporary file. None
             keeps all in memory.
     """
-    with progress_bar("load") as progress:
+    with progress_bar("load") as progress, built_first(path):
         dataset = load_dataset(path, progress, most_bytes=most_bytes)
     for note in dataset.notes:
         warn(note)

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.datasets.las import read_las, unpacked_las
+from gpgrad_core.datasets.las import read_las, read_las_property, unpacked_las
 from gpgrad_core.datasets.npy import read_npy, read_npz, read_npz_property, unpacked_npz
-from gpgrad_core.datasets.pcd import read_pcd, read_pcd_colors, unpacked_pcd
+from gpgrad_core.datasets.pcd import read_pcd, read_pcd_colors, read_pcd_property, unpacked_pcd
 from gpgrad_core.datasets.ply import read_ply, read_ply_colors, read_ply_property
 from gpgrad_core.datasets.tables import read_table
 from gpgrad_core.errors import InputError
@@ -125,15 +125,16 @@ def _are_colors(colors: Points, points: Points) -> bool:
 def read_property(path: Path, name: str) -> Float[NDArray[np.float64], "n"] | None:
     """Read a named number of each point, such as its ``intensity``; None if the file has none.
 
-    Those of ``.ply`` and ``.npz`` have the file's names; the fourth number of KITTI's ``.bin`` is
-    its ``intensity`` or ``reflectance``.
+    Those of ``.ply``, ``.npz`` and ``.pcd`` have the file's names; the fourth number of KITTI's
+    ``.bin`` is its ``intensity`` or ``reflectance``; ``.las`` and ``.laz`` have those of
+    `las.FIELDS`.
 
     Raises:
         InputError: If the file is broken.
     """
     if path.suffix.lower() == ".bin":
         return _read_rows(path)[:, 3].astype(np.float64) if name in FOURTH else None
-    reader = PROPERTY_READERS.get(path.suffix.lower())
+    reader = FIELD_READERS.get(path.suffix.lower())
     values = None if reader is None else reader(path, name)
     return None if values is None else np.asarray(values, np.float64)
 
@@ -193,6 +194,13 @@ PROPERTY_READERS: dict[str, Callable[[Path, str], Float[NDArray[np.floating], "n
 }
 """The reader of a named number of each point, by the file's ending. The names are ``noise_std``,
 the standard deviation of the height [m], and ``range``, the distance from the sensor [m]."""
+
+FIELD_READERS = PROPERTY_READERS | {
+    ".pcd": read_pcd_property,
+    ".las": read_las_property,
+    ".laz": read_las_property,
+}
+"""The reader of any number of each point; what these files call ``range`` is not taken for ours."""
 
 COLOR_READERS: dict[str, Callable[[Path], Float[NDArray[np.floating], "n 3"] | None]] = {
     ".ply": read_ply_colors,

@@ -8,11 +8,12 @@ process of its own: for a damaged file it may abort, or never return.
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from gpgrad_core.arrays import Array
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.tables import cut_short, surplus
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
@@ -23,6 +24,15 @@ LEAST_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point, by its format."""
 LEAST_HEADERS = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 """Bytes of the header, by the minor version."""
+FIELDS = {
+    "intensity": (12, "<u2", 0xFFFF),
+    "return_number": (14, "u1", 0x07),
+    "classification": (15, "u1", 0x1F),
+    "user_data": (17, "u1", 0xFF),
+}
+"""Where a number of a point begins, its type, and which of its bits count, in formats 0 to 5."""
+FIELDS_FROM_6 = FIELDS | {"return_number": (14, "u1", 0x0F), "classification": (16, "u1", 0xFF)}
+"""The same in formats 6 to 10 (ASPRS, LAS Specification 1.4)."""
 LASZIP = (b"laszip encoded", 22204)
 """Owner and number of the record that describes the compression."""
 MOST_RECORDS = 100_000
@@ -38,6 +48,7 @@ class _Header:
 
     Attributes:
         compressed: Whether the points are compressed.
+        kind: Format of a point, from 0 to 10.
         count: Number of points.
         length: Bytes of a point.
         begin: Where the points begin.
@@ -50,6 +61,7 @@ class _Header:
     """
 
     compressed: bool
+    kind: int
     count: int
     length: int
     begin: int
@@ -68,6 +80,30 @@ def read_las(path: Path) -> Float[Array, "n 3"]:
         InputError: If it is no such file, its size is not what its header says, points lie outside
             of the box that its header gives, or lazrs is needed and not installed.
     """
+    header, body = _read_body(path)
+    if not header.count:
+        return np.empty((0, 3))
+    points = _column(body, header, 0, "<3i4") * header.scale + header.offset
+    _check_box(points, header, path)
+    return points
+
+
+def read_las_property(path: Path, name: str) -> Float[Array, "n"] | None:
+    """Read a number of each point, one of `FIELDS`, such as ``intensity``; None if it is another.
+
+    Raises:
+        InputError: See `read_las`.
+    """
+    header, body = _read_body(path)
+    field = (FIELDS if header.kind < 6 else FIELDS_FROM_6).get(name)
+    if field is None:
+        return None
+    start, kind, bits = field
+    return (_column(body, header, start, kind) & bits).astype(np.float64)
+
+
+def _read_body(path: Path) -> tuple[_Header, memoryview]:
+    """Read the header, and the points as bytes."""
     data = path.read_bytes()
     if path.suffix.lower() == ".laz":
         try:
@@ -76,16 +112,16 @@ def read_las(path: Path) -> Float[Array, "n 3"]:
             raise InputError(f"{path}: to read {path.suffix}, {error}") from None
     header = _parse_header(data, path)
     if header.compressed:
-        body, begin = _decompressed(data, header, path), 0
-    else:
-        body, begin = data, header.begin
-    if not header.count:
-        return np.empty((0, 3))
-    row = np.dtype({"names": ["xyz"], "formats": ["<3i4"], "itemsize": header.length})
-    whole = np.frombuffer(body, row, header.count, begin)["xyz"]
-    points = whole * header.scale + header.offset
-    _check_box(points, header, path)
-    return points
+        return header, memoryview(_decompressed(data, header, path))
+    return header, memoryview(data)[header.begin :]
+
+
+def _column(body: memoryview, header: _Header, start: int, kind: str) -> NDArray[Any]:
+    """Give what each point has at a place, counted from the point's first byte."""
+    row = np.dtype(
+        {"names": ["it"], "formats": [kind], "offsets": [start], "itemsize": header.length}
+    )
+    return np.frombuffer(body, row, header.count)["it"]
 
 
 def unpacked_las(path: Path) -> int:
@@ -136,7 +172,7 @@ def _parse_header(data: bytes, path: Path) -> _Header:
         raise _broken(
             path, f"its {end - begin:,} compressed bytes cannot be the {count:,} points promised"
         )
-    return _Header(compressed, count, length, begin, end, scale, offset, low, high, laszip)
+    return _Header(compressed, kind, count, length, begin, end, scale, offset, low, high, laszip)
 
 
 def _version(data: bytes, path: Path) -> int:

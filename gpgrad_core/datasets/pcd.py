@@ -110,6 +110,19 @@ def read_pcd_colors(path: Path) -> Float[NDArray[np.float64], "n 3"] | None:
     return np.column_stack([whole >> 16, (whole >> 8) & 0xFF, whole & 0xFF]) / 255.0
 
 
+def read_pcd_property(path: Path, name: str) -> Float[NDArray[np.float64], "n"] | None:
+    """Read a field of one number a point, such as ``intensity``; None if there is no such field.
+
+    Raises:
+        InputError: See `read_pcd`.
+    """
+    data = path.read_bytes()
+    header = _parse_header(data, path)
+    if header.names.count(name) != 1 or header.counts[header.names.index(name)] != 1:
+        return None
+    return _read_fields(data, header, (name,) * 3, path)[:, 0].astype(np.float64)
+
+
 def unpacked_pcd(path: Path) -> int:
     """Give the size of a PCD file's points, unpacked [bytes].
 

@@ -1,6 +1,6 @@
 """From what a robot recorded to submaps: scans and poses in, a dataset out."""
 
-from gpgrad_core.scans.build import BuildReport, build_dataset, open_recording
+from gpgrad_core.scans.build import BuildReport, build_dataset, is_recording, open_recording
 from gpgrad_core.scans.keeping import Condition, parse_condition
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.recording import Recording, RecordingSources
@@ -13,6 +13,7 @@ __all__ = [
     "Recording",
     "RecordingSources",
     "build_dataset",
+    "is_recording",
     "open_recording",
     "parse_condition",
     "simulate_recording",

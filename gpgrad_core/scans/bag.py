@@ -16,7 +16,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.places import is_place
 from gpgrad_core.run.progress import Cancelled
-from gpgrad_core.scans.keeping import Condition
+from gpgrad_core.scans.keeping import Condition, Tally
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.point_cloud2 import points_of
 from gpgrad_core.scans.pose_files import (
@@ -113,19 +113,21 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         f for file in _files(path) for f in (sorted(file.iterdir()) if file.is_dir() else [file])
     ]
     texts = [file for file in (sources.poses, sources.truth, sources.mount) if file]
+    tally = Tally()
     return Recording(
         name=path.resolve().stem,
         identity=identify([*files, *texts]),
         stamps=stamps[kept],
         body=body.poses[kept],
         mount=mount.poses[kept],
-        read=_reader(path, cloud_topic, np.array(contents.logged), kept, sources.keep),
+        read=_reader(path, cloud_topic, np.array(contents.logged), kept, sources.keep, tally),
         labels=tuple(f"{path.name}, {cloud_topic}, message {k}" for k in kept),
         covariance=None if body.covariance is None else body.covariance[kept],
         truth=true_poses,
         positions_only=truth is not None and truth.positions_only,
         notes=(*notes, *truth_notes, *keeping(sources)),
         origin=None if truth is None else truth.origin,
+        tally=tally,
     )
 
 
@@ -313,6 +315,7 @@ def _reader(
     logged: Int[NDArray[np.int64], "n"],
     kept: Int[NDArray[np.intp], "m"],
     keep: Sequence[Condition],
+    tally: Tally,
 ) -> Reader:
     def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
         wanted = kept[start:stop]
@@ -328,7 +331,7 @@ def _reader(
             for connection, _, raw in reader.messages(connections, start=since):
                 if number in chosen:
                     message = reader.deserialize(raw, connection.msgtype)
-                    yield points_of(message, f"{path}, {topic}, message {number}", keep)
+                    yield points_of(message, f"{path}, {topic}, message {number}", keep, tally)
                 if number >= wanted[-1]:
                     return
                 number += 1

@@ -27,7 +27,7 @@ from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.scans.bag import is_bag, open_bag
 from gpgrad_core.scans.cpet import open_posed_scans
 from gpgrad_core.scans.cutting import cut
-from gpgrad_core.scans.folder import open_folder
+from gpgrad_core.scans.folder import is_scan_folder, open_folder
 from gpgrad_core.scans.gravity import (
     estimate_up,
     ground_normal,
@@ -66,6 +66,12 @@ class BuildReport:
     num_scans: int
     num_resumed: int
     notes: tuple[str, ...]
+
+
+def is_recording(path: Path | str) -> bool:
+    """Tell whether a path holds scans, of which `build_dataset` makes a dataset."""
+    path = Path(path)
+    return is_bag(path) or is_katwijk(path) or bool(find_products(path)) or is_scan_folder(path)
 
 
 def open_recording(
@@ -285,6 +291,7 @@ def _add_submap(
     from_world = Poses.of(level_pose(recording.body.one(scans.start))).inverse()
     sums = VoxelSums(params.voxel_size)
     counts = Counter[str](dict.fromkeys(COUNTED, 0))
+    tally, read, met = recording.tally, recording.tally.read, recording.tally.kept
     for k, points in zip(scans, recording.read(scans.start, scans.stop), strict=True):
         kept, dropped = _usable(points, params)
         counts.update(dropped)
@@ -305,6 +312,8 @@ def _add_submap(
         }
         write_ply(cloud, voxels.points, extras=extras)
     entry: Entry = {"id": submap_id, "scans": [scans.start, scans.stop]}
+    if tally.read > read:
+        entry |= {"before_keep": tally.read - read, "kept": tally.kept - met}
     return journal.added(entry | {"points": len(voxels.keys)} | dict(counts), cloud)
 
 
@@ -371,6 +380,9 @@ def _limits(params: BuildParams) -> str:
 def _left_out(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
     """Report what was left out."""
     total = {key: sum(entry[key] for entry in entries) for key in COUNTED}
+    before, kept = (sum(entry.get(key, 0) for entry in entries) for key in ("before_keep", "kept"))
+    if before:
+        yield f"{kept:,} of {before:,} points ({kept / before:.1%}) meet --keep and are kept"
     reasons = {
         "not_finite": "not finite",
         "too_close": f"closer than {params.min_range:g} m to the sensor",

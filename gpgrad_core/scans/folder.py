@@ -13,7 +13,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.clouds import READERS, read_points, read_property
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.whole import is_unfinished
-from gpgrad_core.scans.keeping import Condition, kept_points
+from gpgrad_core.scans.keeping import Condition, Tally, kept_points
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.pose_files import (
     Mount,
@@ -78,13 +78,14 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     true_poses, truth_notes = truth_at(
         files.true_trajectory, keys[known], str(files.truth_path), params
     )
+    tally = Tally()
     return Recording(
         name=path.resolve().name,
         identity=identify([*kept, *files.paths]),
         stamps=None if stamps is None else stamps[order[known]],
         body=located.poses[known],
         mount=files.mount.pose,
-        read=_reader(kept, sources.keep),
+        read=_reader(kept, sources.keep, tally),
         labels=tuple(cloud.name for cloud in kept),
         up="-y" if files.mount.on_camera else "z",
         covariance=None if located.covariance is None else located.covariance[known],
@@ -92,7 +93,28 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
         positions_only=files.truth is not None and files.truth.positions_only,
         notes=(*notes, *files.mount_notes, *truth_notes, *keeping(sources)),
         origin=None if files.truth is None else files.truth.origin,
+        tally=tally,
     )
+
+
+def is_scan_folder(path: Path) -> bool:
+    """Tell whether clouds are scans rather than submaps: by their folder, or by their poses.
+
+    Scans lie in ``scans/``, ``velodyne/`` or the like, or beside poses by time or by KITTI's rows;
+    the poses of submaps name them by whole numbers.
+    """
+    if not path.is_dir() or (path / "submaps").is_dir():
+        return False
+    try:
+        _, folder = _find_clouds(path)
+        pose_path = _find([path] if folder == path else [path, folder], POSE_NAMES)
+        if pose_path is None or folder != path:
+            return folder != path
+        poses = read_pose_file(pose_path)
+    except InputError:
+        return False
+    stamps = poses.trajectory.stamps
+    return poses.numbered or bool((stamps != np.floor(stamps)).any())
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,11 +291,11 @@ def number_in(stem: str) -> float | None:
     return float(numbers[-1]) if numbers else None
 
 
-def _reader(clouds: list[Path], keep: Sequence[Condition]) -> Reader:
+def _reader(clouds: list[Path], keep: Sequence[Condition], tally: Tally) -> Reader:
     def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
         for cloud in clouds[start:stop]:
             points = read_points(cloud)
-            mask = kept_points(keep, partial(read_property, cloud), str(cloud))
+            mask = kept_points(keep, partial(read_property, cloud), str(cloud), tally)
             yield points if mask is None else points[mask]
 
     return read

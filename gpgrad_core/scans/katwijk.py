@@ -32,7 +32,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.reading.places import is_place
 from gpgrad_core.reading.png16 import read_grey_png
 from gpgrad_core.reading.text import lines_of, read_text
-from gpgrad_core.scans.keeping import Condition, kept_points
+from gpgrad_core.scans.keeping import Condition, Tally, kept_points
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.pose_files import PoseFile, positions_of, read_mount, read_pose_file
 from gpgrad_core.scans.recording import (
@@ -117,17 +117,19 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
         )
     images = [_image(file, kind) for file in kept for kind in KINDS]
     texts = [file for file in (sources.poses, positions, sources.mount) if file is not None]
+    tally = Tally()
     return Recording(
         name=path.resolve().name,
         identity=identify([*images, *texts]),
         stamps=stamps[known],
         body=located.poses[known],
         mount=mount,
-        read=_reader(kept, sources.keep),
+        read=_reader(kept, sources.keep, tally),
         labels=tuple(file.name for file in kept),
         truth=true_poses,
         positions_only=truth is not None,
         notes=(*notes, *truth_notes, *keeping(sources)),
+        tally=tally,
         origin=None if measured is None else measured.origin,
     )
 
@@ -197,11 +199,11 @@ def _along_track(track: Trajectory, path: Path) -> Trajectory:
     return Trajectory.in_order(track.stamps, Poses(positions, turns))
 
 
-def _reader(files: Sequence[Path], keep: Sequence[Condition]) -> Reader:
+def _reader(files: Sequence[Path], keep: Sequence[Condition], tally: Tally) -> Reader:
     def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
         for file in files[start:stop]:
             images = [read_grey_png(_image(file, kind), LASERS, COLUMNS) for kind in KINDS]
-            yield points_of_images(*images, keep=keep, where=str(file))
+            yield points_of_images(*images, keep=keep, where=str(file), tally=tally)
 
     return read
 
@@ -212,6 +214,7 @@ def points_of_images(
     intensity: UInt16[NDArray[np.uint16], "16 columns"],
     *,
     keep: Sequence[Condition] = (),
+    tally: Tally | None = None,
     where: str = "",
 ) -> Float[Array, "n 3"]:
     """Turn a triple of images into points in the LiDAR's frame [m]; no returns are left out.
@@ -221,6 +224,7 @@ def points_of_images(
         azimuth: Azimuths [0.01 degrees].
         intensity: Strengths of the returns.
         keep: Conditions on ``range`` [m], ``azimuth`` [degrees] and ``intensity``.
+        tally: Counts the points that meet them, if it is given.
         where: The scan, for error messages.
 
     Raises:
@@ -242,5 +246,5 @@ def points_of_images(
     points = np.column_stack(
         [level * np.cos(turn), level * np.sin(turn), numbers["range"] * np.sin(elevation)]
     )
-    mask = kept_points(keep, numbers.get, where)
+    mask = kept_points(keep, numbers.get, where, tally)
     return points if mask is None else points[mask]

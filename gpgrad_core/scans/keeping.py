@@ -40,6 +40,24 @@ class Condition:
         return f"{self.field}{self.relation}{self.limit:g}"
 
 
+@dataclass
+class Tally:
+    """How many points conditions kept so far, of how many that were read.
+
+    Attributes:
+        read: Number of points that were read.
+        kept: Number of those that met all conditions.
+    """
+
+    read: int = 0
+    kept: int = 0
+
+    def add(self, mask: Bool[NDArray[np.bool_], "n"]) -> None:
+        """Count the points of a scan."""
+        self.read += len(mask)
+        self.kept += int(mask.sum())
+
+
 def parse_condition(text: str) -> Condition:
     """Read a condition.
 
@@ -63,6 +81,7 @@ def kept_points(
     conditions: Sequence[Condition],
     values_of: Callable[[str], NDArray[np.float64] | None],
     where: str,
+    tally: Tally | None = None,
 ) -> Bool[NDArray[np.bool_], "n"] | None:
     """Find the points that meet all conditions.
 
@@ -70,6 +89,7 @@ def kept_points(
         conditions: The conditions.
         values_of: Gives a number of each point (n,) by its name; None if there is none.
         where: The scan, for the error message.
+        tally: Counts them, if it is given.
 
     Returns:
         A mask (n,); None if there are no conditions.
@@ -84,4 +104,6 @@ def kept_points(
             raise InputError(f"{where}: its points have no field {one.field} for --keep {one}")
         met = RELATIONS[one.relation](values, one.limit)
         mask = met if mask is None else mask & met
+    if mask is not None and tally is not None:
+        tally.add(mask)
     return mask

@@ -8,14 +8,14 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.scans.keeping import Condition, kept_points
+from gpgrad_core.scans.keeping import Condition, Tally, kept_points
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's types by the numbers that the message uses for them."""
 
 
 def points_of(
-    message: Any, where: str, keep: Sequence[Condition] = ()
+    message: Any, where: str, keep: Sequence[Condition] = (), tally: Tally | None = None
 ) -> Float[NDArray[np.floating], "n 3"]:
     """Read x, y and z [m] of each point, also where they are NaN.
 
@@ -23,6 +23,7 @@ def points_of(
         message: The message, deserialised by rosbags.
         where: Topic and number of the message, for the error message.
         keep: Conditions on any fields of the message; only points that meet all are read.
+        tally: Counts them, if it is given.
 
     Raises:
         InputError: If the message has no x, y and z, lacks a field of a condition, or has fewer
@@ -70,7 +71,7 @@ def points_of(
     def values_of(name: str) -> NDArray[np.float64]:
         return table[name].astype(np.float64)
 
-    mask = kept_points(keep, values_of, where)
+    mask = kept_points(keep, values_of, where, tally)
     if mask is not None:
         table = table[mask]
     points = np.column_stack([table[name] for name in "xyz"])

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.scans.keeping import Condition
+from gpgrad_core.scans.keeping import Condition, Tally
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
 
@@ -65,6 +65,7 @@ class Recording:
         notes: What was left out or assumed, one line each.
         origin: Latitude, longitude [degrees] and height [m] of the frame of the truth, or else
             of the poses, whose x points east and y north; None if unknown.
+        tally: Counts the points of the scans that were read, and those that conditions kept.
     """
 
     name: str
@@ -80,6 +81,7 @@ class Recording:
     positions_only: bool = False
     notes: tuple[str, ...] = ()
     origin: tuple[float, float, float] | None = None
+    tally: Tally = field(default_factory=Tally)
 
     def __len__(self) -> int:
         """Number of scans."""

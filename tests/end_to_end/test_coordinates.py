@@ -139,3 +139,34 @@ def test_only_a_raster_has_coordinates(
 ) -> None:
     assert run(["map", str(slope), "--out", str(tmp_path / "m.png"), "--origin", ORIGIN]) == 2
     assert "name a file that ends in .tif" in capsys.readouterr().err
+
+
+def test_several_traverses_are_placed_by_the_first(traverse: Path, tmp_path: Path) -> None:
+    rows = np.loadtxt(traverse / "poses_odom.txt")
+    for name, offset, origin in (("first", 120.0, ORIGIN), ("later", -4000.0, "10.0,20.0,0.0")):
+        data = shutil.copytree(traverse, tmp_path / name)
+        true = rows[:, 1:4] + np.array([offset, 0.0, 0.0])
+        (data / "positions_gt.txt").write_text(
+            "".join(f"{k} {x} {y} {z}\n" for k, (x, y, z) in enumerate(true))
+        )
+        about = (data / "dataset.toml").read_text().replace("small traverse", name)
+        (data / "dataset.toml").write_text(f"origin = [{origin}]\n{about}")
+    same = {"num_inliers": 20, "score": 9.0, "dissimilarity": 1.0, "overlap_area": 40.0}
+    same |= {"accepted": True, "reason": "", "T_database_query": {"x": 0.0, "y": 0.0, "yaw": 0.0}}
+    file = write_by_hand(tmp_path / "mine.json", accepted=True)
+    content = json.loads(file.read_text())
+    content["pairs"] = [
+        {"query": f"later:00{k}", "database": f"first:00{k}"} | same for k in range(4)
+    ]
+    file.write_text(json.dumps(content))
+    out = tmp_path / "map"
+    both = [str(tmp_path / "first"), str(tmp_path / "later")]
+    flags = ["--closures", str(file), "--no-merge", "--crs", "UTM"]
+    assert run(["slam", *both, "--out", str(out), *flags]) == 0
+    features = json.loads((out / "poses.geojson").read_text())["features"]
+    points = [one["geometry"] for one in features if one["geometry"]["type"] == "Point"]
+    degrees = np.array([one["coordinates"] for one in points])
+    to_utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32633", always_xy=True)
+    found = np.column_stack([*to_utm.transform(degrees[:, 0], degrees[:, 1]), degrees[:, 2]])
+    wanted = in_utm(rows[:, 1:4] + np.array([120.0, 0.0, 0.0]))
+    np.testing.assert_allclose(found, np.vstack([wanted, wanted]), atol=0.1)

@@ -7,9 +7,10 @@ import urllib.error
 import urllib.request
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.end_to_end.process import Run, start
+from tests.end_to_end.process import Run, run_here, start
 
 
 @pytest.mark.parametrize("built_in", [False, True])
@@ -78,3 +79,46 @@ def test_an_address_that_is_not_here_is_refused(
     gpgrad: Run, traverse: Path, flag: str, value: str, said: str
 ) -> None:
     assert said in gpgrad("view", traverse, "--no-open", flag, value).refusal
+
+
+def with_poses(folder: Path, inner: str, row: str) -> Path:
+    """Write a recording of four scans, with a file of poses."""
+    (folder / inner).mkdir(parents=True)
+    for k in range(4):
+        np.save(folder / inner / f"{k:06d}.npy", np.random.default_rng(k).normal(size=(50, 3)))
+    rows = "".join(row.format(k=k) + "\n" for k in range(4))
+    (folder / "poses.txt").write_text(rows)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("inner", "row"),
+    [
+        ("scans", "{k} 0 0 0 0 0 0 1"),
+        ("velodyne", "1 0 0 {k} 0 1 0 0 0 0 1 0"),
+        (".", "1 0 0 {k} 0 1 0 0 0 0 1 0"),
+        (".", "{k}.25 0 0 0 0 0 0 1"),
+        ("bag", ""),
+    ],
+)
+def test_a_recording_is_told_to_be_built_first(tmp_path: Path, inner: str, row: str) -> None:
+    path = tmp_path / "my drive"
+    if inner == "bag":
+        path = tmp_path / "my drive.bag"
+        path.write_bytes(b"#ROSBAG V2.0\n")
+    else:
+        with_poses(path, inner, row)
+    for verb in (("view", "--no-open"), ("detect", "--out", tmp_path / "c.json")):
+        assert run_here(verb[0], path, *verb[1:]).refusal == (
+            f"{path}: is a recording, not a dataset: build its submaps first, and open these: "
+            f"gpgrad build '{path}' --out 'my drive-submaps'"
+        )
+
+
+def test_a_wrong_dataset_is_not_taken_for_a_recording(tmp_path: Path) -> None:
+    path = with_poses(tmp_path / "data", ".", "{k} 0 0 0 0 0 0 1")
+    with (path / "poses.txt").open("a") as file:
+        file.write("9 0 0 0 0 0 0 1\n")
+    said = run_here("view", path, "--no-open").refusal
+    assert "poses.txt, line 5" in said
+    assert "recording" not in said

@@ -1,5 +1,6 @@
 """S3LI's form: a ROS 1 bag, TUM poses, weak points to leave out, and a truth of positions only."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -229,3 +230,57 @@ def test_positions_beside_kitti_poses(tmp_path: Path) -> None:
     (tmp_path / "poses.txt").write_text(3 * rows)
     (tmp_path / "positions_gt.txt").write_text("1 2 3 4\n")
     assert_refused(lambda: open_recording(tmp_path), "positions_gt.txt", "give TUM poses")
+
+
+def as_pcd(path: Path, points: np.ndarray) -> None:
+    fields = "VERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
+    size = f"WIDTH {len(points)}\nHEIGHT 1\nPOINTS {len(points)}\nDATA binary\n"
+    path.write_bytes(f"{fields}{size}".encode() + with_strength(points).astype("<f4").tobytes())
+
+
+def as_las(path: Path, points: np.ndarray) -> None:
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=int(path.parent.name), version="1.4")
+    header.scales = np.full(3, 1e-6)
+    las = laspy.LasData(header)
+    las.xyz = points
+    las.intensity = with_strength(points)[:, 3].astype(np.uint16)
+    las.classification = np.full(len(points), 17)
+    las.return_number = 1 + np.arange(len(points)) % 5
+    las.number_of_returns = np.full(len(points), 5)
+    las.user_data = np.full(len(points), 200)
+    las.write(str(path))
+
+
+def with_strength(points: np.ndarray) -> np.ndarray:
+    """Add a fourth number, 2 and 300 in turns."""
+    return np.column_stack([points, np.where(np.arange(len(points)) % 2, 300.0, 2.0)])
+
+
+@pytest.mark.parametrize(
+    ("name", "ending", "writer"),
+    [("pcd", ".pcd", as_pcd), ("3", ".las", as_las), ("7", ".las", as_las), ("6", ".laz", as_las)],
+)
+def test_conditions_on_other_scans_and_how_many_points_they_keep(
+    name: str, ending: str, writer: Callable[[Path, np.ndarray], None], tmp_path: Path
+) -> None:
+    drive = make_drive(num_scans=6, points_a_scan=200)
+    folder = write_drive(tmp_path / name, drive, ending, writer)
+    keep = RecordingSources(keep=(parse_condition("intensity>3"),))
+    (points,) = open_recording(folder, keep).read(0, 1)
+    np.testing.assert_allclose(points, drive.scans[0][1::2], atol=1e-5)
+    params = BuildParams(max_length=100.0, min_points=10)
+    report = build_dataset(folder, tmp_path / "built", params, sources=keep)
+    number = sum(len(scan) for scan in drive.scans)
+    kept = sum(len(scan[1::2]) for scan in drive.scans)
+    said = f"{kept:,} of {number:,} points ({kept / number:.1%}) meet --keep and are kept"
+    assert said in report.notes
+    if ending == ".las":
+        for condition in ("classification==17", "user_data==200", "return_number==2"):
+            one = RecordingSources(keep=(parse_condition(condition),))
+            (points,) = open_recording(folder, one).read(0, 1)
+            scan = drive.scans[0]
+            wanted = scan[1::5] if condition.startswith("return") else scan
+            np.testing.assert_allclose(points, wanted, atol=1e-5)
+    unknown = RecordingSources(keep=(parse_condition("ring>1"),))
+    assert_refused(lambda: list(open_recording(folder, unknown).read(0, 1)), "no field ring")
