@@ -91,6 +91,19 @@ class SearchableDetector(StagedDetector, Protocol):
         ...
 
 
+@runtime_checkable
+class KeepingDetector(SearchableDetector, Protocol):
+    """A `SearchableDetector` with a store, which later runs share."""
+
+    def key(self, extracted: Any) -> str:
+        """Give the key of an extracted submap: the same only for the same points and parameters."""
+        ...
+
+    def keep(self, make: Callable[[], R], *made_from: object) -> R:
+        """Return ``make()``, from the store if it was made before from the same."""
+        ...
+
+
 def compare_all(
     submaps: Sequence[SubmapSource],
     detector: LoopDetector,

@@ -1,5 +1,6 @@
 """The order of the stages, which only this file knows."""
 
+import hashlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from gpgrad_core.images import extract_images, judge_by_images, some_of
 from gpgrad_core.loop_closure import classify, with_images
 from gpgrad_core.matching import match_features
 from gpgrad_core.pipeline.all_pairs import (
+    KeepingDetector,
     Pair,
     SearchableDetector,
     StagedDetector,
@@ -458,20 +460,42 @@ class _Choice:
         self.shortlists: dict[str, tuple[Candidate, ...]] = {}
         self._ids, self._detector = ids, detector
         self._candidates: Candidates = candidates
-        self._shortlist = Shortlist(seed)
+        self._shortlist, self._seed = Shortlist(seed), seed
+        self._waiting: list[tuple[str, Any]] = []  # not on the shortlist yet
 
     def __call__(self, extracted: list[Any], progress: Progress) -> list[Pair]:
         places = {name: place for place, name in enumerate(self._ids)}
         pairs: list[Pair] = []
+        earlier = ""
         for query, one in enumerate(extracted):
-            name, features = self._ids[query], self._detector.keypoints(one)
-            wanted = num_wanted(self._candidates, query)
+            name, wanted = self._ids[query], num_wanted(self._candidates, query)
             if wanted == query:
                 pairs += [(query, database) for database in range(query)]
             else:
-                best = self._shortlist.candidates(features, wanted)
+                best = self._kept(earlier, one, wanted)
                 self.shortlists[name] = best
                 pairs += sorted((query, places[candidate.id]) for candidate in best)
-            self._shortlist.add(name, features)
+            self._waiting.append((name, one))
+            if isinstance(self._detector, KeepingDetector):
+                earlier = _chained(earlier, name, self._detector.key(one))
             progress((query + 1) / len(extracted))
         return pairs
+
+    def _kept(self, earlier: str, one: Any, wanted: int) -> tuple[Candidate, ...]:
+        """Find the candidates, unless an earlier run found them after the same submaps."""
+        detector = self._detector
+        if not isinstance(detector, KeepingDetector):
+            return self._find(one, wanted)
+        made_from = ("shortlist", earlier, detector.key(one), wanted, self._seed)
+        return detector.keep(lambda: self._find(one, wanted), *made_from)
+
+    def _find(self, one: Any, wanted: int) -> tuple[Candidate, ...]:
+        for name, waiting in self._waiting:
+            self._shortlist.add(name, self._detector.keypoints(waiting))
+        self._waiting = []
+        return self._shortlist.candidates(self._detector.keypoints(one), wanted)
+
+
+def _chained(earlier: str, name: str, key: str) -> str:
+    """Name a row of submaps by the row without the last of them, and that one."""
+    return hashlib.sha256(f"{earlier}\n{name}\n{key}".encode()).hexdigest()

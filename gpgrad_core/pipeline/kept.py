@@ -1,5 +1,6 @@
 """The pipeline's stages over a store: what an earlier run has made is not made again."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -19,6 +20,7 @@ from gpgrad_core.types import (
 )
 
 D = TypeVar("D", bound=LoopDetector)
+R = TypeVar("R")
 
 LOADED = Memo(200_000_000)
 """Views that this process has loaded, by their keys: it gets a new detector with every job."""
@@ -92,6 +94,14 @@ class KeptDetector(SourceDetector):
             if isinstance(kept, Features):
                 return kept
         return self._load(extracted).features
+
+    def key(self, extracted: View) -> str:
+        """Give the key of a view."""
+        return extracted.key
+
+    def keep(self, make: Callable[[], R], *made_from: object) -> R:
+        """Return ``make()``, from the store if it was made before from the same."""
+        return self.store(make, *made_from)
 
     def compare(self, query: View, database: View) -> Registration:
         """Register two views, unless that was done before."""

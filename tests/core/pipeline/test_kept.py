@@ -26,7 +26,16 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset, GradientMap, LoopClosure, Registration, Submap, SubmapSource
+from gpgrad_core.shortlist import Candidate, Shortlist
+from gpgrad_core.types import (
+    Dataset,
+    Features,
+    GradientMap,
+    LoopClosure,
+    Registration,
+    Submap,
+    SubmapSource,
+)
 from tests.core.ground import Ground
 
 PARAMS = PipelineParams(
@@ -163,6 +172,37 @@ def test_another_threshold_compares_nothing_and_another_radius_makes_no_map(tmp_
     smoother = replace(PARAMS, map=replace(PARAMS.map, length_scale=0.6))
     run(Store(tmp_path), smoother)
     assert ran() == 4 * ["map"] + 6 * ["pair"]
+
+
+def test_candidates_are_found_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    find = Shortlist.candidates
+
+    def counted(self: Shortlist, features: Features, count: int) -> tuple[Candidate, ...]:
+        asked.append(len(self))
+        return find(self, features, count)
+
+    monkeypatch.setattr(Shortlist, "candidates", counted)
+    without = run(None, candidates=1)
+    assert asked == [2, 3]
+    asked.clear()
+    assert run(Store(tmp_path), candidates=1).shortlists == without.shortlists
+    assert asked == [2, 3]
+    asked.clear()
+    other = replace(PARAMS, registration=RegistrationParams(inlier_radius=0.5))
+    for params in (PARAMS, other):  # the candidates follow from the keypoints
+        assert run(Store(tmp_path), params, candidates=1).shortlists == without.shortlists
+    assert asked == []
+    run(Store(tmp_path), candidates=2)
+    assert asked == [3]
+    asked.clear()
+    # Behind other submaps everything is found anew, and only that.
+    fewer = replace(DATASET, submaps=(*DATASET.submaps[:3], DATASET.submaps[0]))
+    fewer = replace(fewer, submaps=(*fewer.submaps[:3], replace(fewer.submaps[3], id="again")))
+    detector = keeping(Counting(PARAMS, Memo()), Store(tmp_path))
+    detect_loop_closures(fewer, PARAMS, detector=detector, candidates=1)
+    assert asked == [3]
+    ran()
 
 
 def test_a_run_that_was_stopped_goes_on_where_it_was(tmp_path: Path) -> None:
