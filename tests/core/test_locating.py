@@ -1,6 +1,5 @@
 """Submaps are found on a larger model of their ground, and nowhere else."""
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -139,7 +138,7 @@ def test_windows_near_a_place() -> None:
     with pytest.raises(InputError, match=r"no 100 heights together within 2 m of 0, 0"):
         cut_windows(model(), 10.1, (0.0, 0.0, 2.0))
     with pytest.raises(InputError, match=r"windows of 1 m to search.*--near E,N,RADIUS"):
-        cut_windows(replace(model(), cell=(2.0, 2.0), heights=np.zeros((2000, 2000))), 20.0 / 40)
+        cut_windows(Elevations(np.zeros((2000, 2000)), (0.05, 0.05)), 0.5)
 
 
 def test_a_window_gives_its_heights_where_they_are() -> None:
