@@ -7,7 +7,7 @@ GOOD = "light-dark(#1a7f37, #5bd37c)"
 BAD = "light-dark(#c23b36, #ff8a80)"
 BUSY = "light-dark(#9a5b00, #f0b24a)"
 # Of the ground that white words stand on.
-GOOD_GROUND = "#1a8f3c"
+GOOD_GROUND = "#177d34"
 BAD_GROUND = "#c23b36"
 BUSY_GROUND = "#8a5200"
 FAINT = "opacity:.75"

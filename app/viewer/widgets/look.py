@@ -71,7 +71,7 @@ BESIDE = """
 """
 
 
-# Screen readers hear of a slider only what it is called. An arrow key that moves one must not fly
+# Screen readers hear of a slider, and of a button with a picture, only what it is called. An arrow key that moves one must not fly
 # the camera as well, which listens to the whole page.
 REACH = """
 (() => {
@@ -86,6 +86,13 @@ REACH = """
       thumb.setAttribute('aria-label', label.textContent);
       const typed = root.parentElement.querySelector('input:not([type=hidden])');
       if (typed) typed.setAttribute('aria-label', label.textContent + ', typed');
+    }
+    for (const pressed of document.querySelectorAll('.mantine-ActionIcon-root')) {
+      if (pressed.getAttribute('aria-label') || pressed.textContent.trim()) continue;
+      const icon = pressed.querySelector('svg')?.getAttribute('class') ?? '';
+      const kind = icon.match(/tabler-icon-([a-z-]+)/)?.[1] ?? 'more';
+      const names = {'list-search': 'Commands', 'adjustments': 'Settings of the page'};
+      pressed.setAttribute('aria-label', names[kind] ?? kind.replaceAll('-', ' '));
     }
   }, 700);
   const keys = ['ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown'];
