@@ -137,14 +137,15 @@ def test_pairs_are_decided_by_keys(open_viewer: Open) -> None:
     page = open_viewer()
     page.settle()
     page.tab("Triage")
+    page.press("Compare pairs")
+    page.wait(lambda: bool(page.say("triage")), "the list", timeout=240.0)
+    assert page.viewer.wait_idle(240.0)  # type: ignore[attr-defined]
     desk = page.viewer.sessions[0].desk  # type: ignore[attr-defined]
     pair = desk.shown_pair
     for key, accepted, said in (("x", False, "refused by hand"), ("a", True, "accepted by hand")):
         page.key(key)
         page.wait(lambda said=said: page.say("decided") == said, said)
         assert desk.decisions.verdicts[pair] is accepted
-    page.press("Compare pairs")
-    assert page.viewer.wait_idle(240.0)  # type: ignore[attr-defined]
     page.key("g")
     page.wait(lambda: desk.shown_pair != pair, "the next undecided pair")
     assert desk.shown_pair not in desk.decisions.verdicts
