@@ -53,7 +53,7 @@ def flags_of_all() -> set[str]:
     """Every flag of the command, and of the benchmarks that pages name."""
     benchmarks = [
         (ROOT / "tests" / "benchmarks" / f"{name}.py").read_text(encoding="utf-8")
-        for name in ("bench_peers", "bench_refined", "bench_whole")
+        for name in ("bench_peers", "bench_refined", "bench_traverse", "bench_whole")
     ]
     options = re.findall(r"^    (\w+): ", "\n".join(benchmarks), flags=re.MULTILINE)
     flags = {f"--{name.replace('_', '-')}" for name in options}
