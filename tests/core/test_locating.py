@@ -149,6 +149,7 @@ def test_a_window_gives_its_heights_where_they_are() -> None:
     assert model().heights[row, column] == pytest.approx(points[7, 2])
 
 
+@pytest.mark.slow
 def test_merged_submaps_lie_as_their_poses_say() -> None:
     some = [submap(12, 30, 2.0, "a_1"), submap(17, 28, 0.5, "a_2")]
     poses = [one.pose_odometry for one in some if one.pose_odometry is not None]
@@ -162,6 +163,7 @@ def test_merged_submaps_lie_as_their_poses_say() -> None:
     np.testing.assert_allclose(place.pose.translation[:2] - CORNER, [12, 30], atol=0.1)
 
 
+@pytest.mark.slow
 def test_the_places_are_shown_as_a_dataset(tmp_path: Path) -> None:
     windows, params = searched()
     some = [submap(12, 30, 2.0, "a_1"), submap(20, 20, 0.3, "a_2", seed=1)]
