@@ -71,8 +71,8 @@ BESIDE = """
 """
 
 
-# Screen readers hear of a slider, and of a button with a picture, only what it is called. An arrow key that moves one must not fly
-# the camera as well, which listens to the whole page.
+# Screen readers hear of a slider, and of a button with a picture, only what it is called. An arrow
+# key that moves a slider must not fly the camera as well, which listens to the whole page.
 REACH = """
 (() => {
   if (window.gpgradReach) return;
