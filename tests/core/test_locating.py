@@ -104,6 +104,7 @@ def test_the_score_pays_for_the_number_of_places() -> None:
     assert paid == pytest.approx(np.log10(len(windows)))
 
 
+@pytest.mark.slow
 def test_one_scale_that_both_resolve() -> None:
     windows, (of_query, of_model) = searched()
     assert of_query.map.scale == of_model.map.scale
