@@ -184,7 +184,7 @@ def merge_submaps(submaps: Sequence[Submap], poses: Sequence[Pose], voxel: float
     """
     first = Pose.from_planar(poses[0].planar, float(poses[0].translation[2])).inverse()
     joined = [(first @ pose).apply(one.points) for one, pose in zip(submaps, poses, strict=True)]
-    return Submap.from_points(voxel_means(np.concatenate(joined), voxel), "merged")
+    return Submap.from_points(voxel_means(np.concatenate(joined), voxel), "merged_000")
 
 
 def parameters_for(

@@ -11,7 +11,7 @@ from typing_extensions import Doc
 
 from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, base_params, load
 from app.cli.outputs import Overwrite
-from app.cli.terminal import count, progress_bar, say
+from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import check_vacant, write_dataset
 from gpgrad_core.datasets.dem import read_elevation_model
 from gpgrad_core.datasets.folder import index_of
@@ -102,15 +102,16 @@ class Locate:
                 f"--map-noise must be from {NOISE_STD.low} to {NOISE_STD.high} m, got "
                 f"{self.map_noise:g}"
             )
+        if self.poses is not None and not self.merged:
+            raise InputError(f"--poses {self.poses}: joins the submaps, which --merged asks for")
         near = None if self.near is None else _read_circle(self.near)
         model = read_elevation_model(self.map)
         cell = max(model.cell)
         dataset = load(self.dataset)
         submaps = list(dataset.submaps)
-        if self.merged or self.poses is not None:
+        if self.merged:
             poses = _poses_of(dataset, self.poses)
-            if self.merged:
-                submaps = [merge_submaps(submaps, poses, CELLS_A_VOXEL * cell)]
+            submaps = [merge_submaps(submaps, poses, CELLS_A_VOXEL * cell)]
         windows = cut_windows(model, max(map(width_of, submaps)), near)
         start = perf_counter()
         with progress_bar("fit") as progress:
@@ -142,10 +143,12 @@ class Locate:
             num_windows=len(windows),
             params=params,
         )
-        if self.show is not None:
+        found = [place for place in places if place.verdict.accepted]
+        if self.show is not None and not found:
+            warn(f"--show {self.show}: no submap was found, so there is nothing to show")
+        elif self.show is not None:
             shown = shown_on_model(dataset, submaps, places, model, self.map.name, params)
             write_dataset(shown, self.show, overwrite=self.overwrite)
-        found = [place for place in places if place.verdict.accepted]
         certain = "" if not found else f", to {_typical(found):.2g} m (standard deviation)"
         say(
             f"{len(found)} of {count(len(places), 'submap')} found on {self.map.name}"
@@ -176,7 +179,9 @@ def _poses_of(dataset: Dataset, path: Path | None) -> list[Pose]:
     read = {} if path is None else read_poses(path, known)
     poses: list[Pose] = []
     for submap in dataset.submaps:
-        pose = submap.pose_odometry if path is None else read.get(numbers[submap.id] or 0)
+        number = numbers[submap.id]
+        named = None if number is None else read.get(number)
+        pose = submap.pose_odometry if path is None else named
         if pose is None:
             raise InputError(
                 f"{path or dataset.name}: has no pose of submap {submap.id}, and the traverse "

@@ -151,7 +151,7 @@ def test_a_window_gives_its_heights_where_they_are() -> None:
 
 
 @pytest.mark.slow
-def test_merged_submaps_lie_as_their_poses_say() -> None:
+def test_merged_submaps_lie_as_their_poses_say(tmp_path: Path) -> None:
     some = [submap(12, 30, 2.0, "a_1"), submap(17, 28, 0.5, "a_2")]
     poses = [one.pose_odometry for one in some if one.pose_odometry is not None]
     merged = merge_submaps(some, poses, 0.1)
@@ -162,6 +162,9 @@ def test_merged_submaps_lie_as_their_poses_say() -> None:
     assert place.verdict.accepted
     assert place.pose is not None
     np.testing.assert_allclose(place.pose.translation[:2] - CORNER, [12, 30], atol=0.1)
+    shown = shown_on_model(Dataset("drive", (merged,)), [merged], [place], model(), "dem", params)
+    write_dataset(shown, tmp_path / "shown")
+    assert [one.id for one in load_dataset(tmp_path / "shown").submaps] == ["merged_000", "map_001"]
 
 
 @pytest.mark.slow

@@ -76,6 +76,7 @@ def test_a_drive_is_found(driven: Path) -> None:
         (("--near", "1,2,-3"), "the radius must be above 0"),
         (("--map-noise", "0"), "--map-noise must be from"),
         (("--poses", "no.txt", "--merged"), "no.txt"),
+        (("--poses", "no.txt"), "which --merged asks for"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_line(
