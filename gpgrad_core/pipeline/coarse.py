@@ -29,12 +29,17 @@ THINNED_TO = 0.7
 the picture.
 
 Even thinning leaves the trusted area as it is, while random thinning makes holes in it. Measured
-at length-scales from 0.15 to 0.5 m and a noise of 5 cm: heights within 2 cm rms of the full map,
-the trusted area within 2 % of the map, in less than half the time.
+at length-scales from 0.2 to 0.9 m and a noise from 2 to 30 cm, in less than half the time: the
+trusted area is smaller by 1 to 6 % of the map, and with a noise of 5 cm heights are within 2 cm rms
+of the full map.
 """
 FEWEST_CELLS = 50
 """Smallest number of these cells along the longer side of the submap. With a long length-scale,
 more points cost little."""
+BENT = 0.25
+"""Least standard deviation of the mean of a cell of one length-scale, in those of the terrain. It
+is what the ground bends within the cell, and enough to keep the fit quick. Without the share of the
+noise, which many points average out, the map would lose all trusted ground where noise is high."""
 LEAST_SIGNAL_STD = 0.001
 """Smallest value that the parameters allow [m]; perfectly flat ground has a smaller one."""
 
@@ -94,9 +99,10 @@ def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
     points, noise_std = submap.points[kept], ordinary_noise(submap, submap, params)[kept]
     longest = float(np.ptp(points[:, :2], axis=0).max())
     cell = min(THINNED_TO * params.length_scale, longest / FEWEST_CELLS)
-    means, _ = bin_points(points, cell, noise_std)
-    # The ground bends within a cell, so a mean is no more certain than a point.
-    of_cell = bin_points(np.column_stack([points[:, :2], noise_std]), cell)[0][:, 2]
+    means, of_mean = bin_points(points, cell, noise_std)
+    # The ground bends within a cell, so a mean tells less than its many points do.
+    bent = BENT * signal_std_of(points, params) * (cell / params.length_scale) ** 2
+    of_cell = np.hypot(of_mean, bent)
     read_only(means)
     # This fingerprint is a new key for the memo, without hashing the points again.
     return Submap(submap.id, means, f"{submap.fingerprint}-{hash(params)}", noise_std=of_cell)

@@ -34,6 +34,15 @@ def test_it_is_the_same_terrain_with_larger_cells() -> None:
     assert coarse.trusted(0.3).mean() > full.trusted(0.3).mean() - 0.05
 
 
+@pytest.mark.parametrize("noise_std", [0.02, 0.1, 0.2])
+def test_it_trusts_the_same_ground_with_any_noise(noise_std: float) -> None:
+    params = replace(PARAMS, noise_std=noise_std)
+    coarse = infer_coarse_map(SUBMAP, params, Memo())
+    full = sample_map(SUBMAP, fit_terrain(SUBMAP, params.terrain), COARSER * params.resolution)
+    both = coarse.trusted(0.3) & full.trusted(0.3)
+    assert both.sum() > 0.9 * (coarse.trusted(0.3) | full.trusted(0.3)).sum() > 0
+
+
 def test_it_is_made_of_fewer_points_that_lie_as_wide() -> None:
     thinned = thin_evenly(SUBMAP, PARAMS.terrain)
     assert len(thinned.points) < 0.6 * len(SUBMAP.points)
