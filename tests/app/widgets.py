@@ -43,4 +43,5 @@ def user_presses(handle: Any) -> None:
 def html_says(bridge: Bridge, name: str, **data: object) -> None:
     """Say something as a script of a page does."""
     page = object.__new__(viser.ClientHandle)  # of no server; it only says who speaks
+    page.client_id = 1
     bridge._take(page, json.dumps({"number": 1, "name": name, "data": data}))

@@ -149,3 +149,23 @@ def test_pairs_are_decided_by_keys(open_viewer: Open) -> None:
     page.key("g")
     page.wait(lambda: desk.shown_pair != pair, "the next undecided pair")
     assert desk.shown_pair not in desk.decisions.verdicts
+
+
+def test_the_flat_picture_is_drawn_for_who_has_it_in_view(open_viewer: Open) -> None:
+    page = open_viewer()
+    page.settle()
+    (session,) = page.viewer.sessions  # type: ignore[attr-defined]
+    image = session.inspect._matches._image
+    assert not image.visible
+    page.tab("Inspect")
+    page.wait(lambda: image.visible, "the picture")
+    before = image.image.copy()
+    page.tab("View")
+    page.wait(lambda: not session.inspect._seen_by, "nobody to look at it")
+    page.drag("Variance mask", -20)
+    page.settle()
+    assert (image.image == before).all()
+    page.tab("Inspect")
+    page.wait(
+        lambda: image.image.shape != before.shape or (image.image != before).any(), "a new one"
+    )

@@ -1,5 +1,6 @@
 """The associations: a flat picture of them, and the figures of the one that is pointed at."""
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
@@ -9,6 +10,7 @@ from jaxtyping import UInt8
 
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_choice, on_option
+from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.html import BAD, FAINT, paragraph, table
 from gpgrad_core.arrays import NDArray
 
@@ -16,6 +18,19 @@ PREVIOUS, NEXT, NONE = "previous", "next", "none"
 JPEG_QUALITY = 85
 NO_PICTURE = np.zeros((2, 2, 3), dtype=np.uint8)
 """Stands in, unseen, until the first is drawn."""
+SEEN = "flat-picture-seen"
+"""What a page says when the flat picture comes into view, or goes."""
+# A pixel above the picture is watched instead of it: viser puts a new one there for each picture.
+WATCH = '<div data-testid="flat-picture" style="height:1px"></div>' + run_when_shown(
+    f"""
+const mark = this.parentElement.querySelector('[data-testid=flat-picture]');
+(function run() {{
+  if (!window.gpgrad) {{ setTimeout(run, 50); return; }}  // the bridge may come later
+  new IntersectionObserver(all => gpgrad.say({json.dumps(SEEN)},
+    {{seen: all[all.length - 1].isIntersecting}}, true)).observe(mark);
+}})()
+"""
+)
 NO_MATCH = "Choose an association by its number, or with the keys N and P. Both pictures show it."
 
 
@@ -84,6 +99,7 @@ class MatchesPanel:
         )
         self._figures = gui.add_html(paragraph(NO_MATCH, FAINT))
         self._title = gui.add_html("")
+        gui.add_html(WATCH)
         self._image = gui.add_image(
             NO_PICTURE, format="jpeg", jpeg_quality=JPEG_QUALITY, visible=False
         )

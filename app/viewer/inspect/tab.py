@@ -13,12 +13,14 @@ from app.viewer.draw.placement import z_offset_of
 from app.viewer.draw.readout import Reading, other_place, read, reading_of, significant_digits
 from app.viewer.draw.ruler import Ruler, measure
 from app.viewer.feature import Desk, Feature
+from app.viewer.host import pages
 from app.viewer.inspect.flat_picture import MASKED, Image, draw_pane
-from app.viewer.inspect.panel import Key, MatchesPanel, MatchFigures
+from app.viewer.inspect.panel import SEEN, Key, MatchesPanel, MatchFigures
 from app.viewer.inspect.profile import RulerPanel
 from app.viewer.inspect.reading import ReadingPanel
 from app.viewer.runner import Runner
 from app.viewer.state import COMPARED, Layer, Probe, Role, ViewState, same_pair
+from app.viewer.widgets.bridge import Data
 from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.run.progress import Progress
@@ -58,7 +60,9 @@ class InspectTab(Feature):
         self._matches = MatchesPanel(
             desk.host, on_match=lambda number: desk.change(match=number), on_step=self.step
         )
-        # Drawn after the scene, and only the newest: the flat picture must cost the 3D nothing.
+        # Drawn after the scene, only the newest, and only while a page has it in view: the flat
+        # picture must cost the 3D nothing.
+        self._seen_by: set[int] = set()
         self._painter: Runner[_ShownPair, Image] = Runner(
             _draw,
             self._on_drawn,
@@ -67,6 +71,7 @@ class InspectTab(Feature):
         )
         self.workers = (self._painter,)
         desk.host.scene.on_click(modifier="shift")(self.clicked)
+        desk.bridge.hear(SEEN, self._see)
 
     def show(self, state: ViewState, result: PairResult) -> None:
         """Follow what was found and what is pointed at."""
@@ -76,7 +81,8 @@ class InspectTab(Feature):
             self._ends = ()
         if self._ends or self._ruled:
             self._measure()
-        self._painter.submit((state, result))
+        if not self._seen_by.isdisjoint(pages(self._desk.host)):
+            self._painter.submit((state, result))
         self._show_reading(state, result)
         figures = match_figures(state, result)
         self._matches.show_match(state.match if figures is not None else 0, figures)
@@ -109,6 +115,17 @@ class InspectTab(Feature):
             self._measure()
         else:
             self._desk.change(probe=probe)
+
+    def _see(self, page: viser.ClientHandle, data: Data) -> None:
+        """Draw the flat picture for a page that has it in view, and for no other."""
+        if data.get("seen") is not True:
+            self._seen_by.discard(page.client_id)
+            return
+        self._seen_by.add(page.client_id)
+        with self._lock:
+            shown = self._shown
+        if shown is not None:
+            self._painter.submit(shown)
 
     # The ruler.
 

@@ -8,6 +8,7 @@ import viser
 
 from app.viewer.draw.readout import reading_of
 from app.viewer.inspect.flat_picture import WIDTH
+from app.viewer.inspect.panel import SEEN
 from app.viewer.inspect.tab import InspectTab, key_of, match_figures, reading_rows, title_of
 from app.viewer.state import (
     Probe,
@@ -21,7 +22,7 @@ from app.viewer.state import (
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.desk import Recorder, make_desk
 from tests.app.synthetic import make_dataset, make_result
-from tests.app.widgets import find, user_presses, user_sets
+from tests.app.widgets import find, html_says, user_presses, user_sets
 
 STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
 RESULT = make_result(STATE)
@@ -63,6 +64,9 @@ def test_the_flat_picture_is_drawn_with_its_legend(inspection: InspectTab) -> No
     image = inspection._matches._image
     assert not image.visible
     inspection.show(STATE, RESULT)
+    assert inspection.wait_idle(20)
+    assert not image.visible  # nobody has it in view
+    html_says(inspection._desk.bridge, SEEN, seen=True)
     assert inspection.wait_idle(20)
     assert image.visible
     assert image.image.shape[1] == WIDTH
