@@ -207,8 +207,8 @@ def map_grid(submap: Submap, resolution: float) -> Grid:
     Raises:
         InputError: If the grid would have more than `MOST_CELLS` cells.
     """
-    xy, name = submap.points[:, :2], f"submap {submap.id}"
-    return Grid.covering(xy, resolution, name=name, max_cells=MOST_CELLS)
+    name = f"submap {submap.id}"
+    return Grid.covering(submap.corners, resolution, name=name, max_cells=MOST_CELLS)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ radians; only `Grid` knows pixels.
 
 import hashlib
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
@@ -80,6 +81,12 @@ class Submap:
     def num_points(self) -> int:
         """Number of points."""
         return len(self.points)
+
+    @cached_property
+    def corners(self) -> Float[Array, "2 2"]:
+        """Lowest and highest x and y of the points [m]."""
+        xy = self.points[:, :2]
+        return np.stack([xy.min(axis=0), xy.max(axis=0)])
 
     def load(self) -> "Submap":
         """Return itself, because it is loaded: a submap is its own `SubmapSource`."""
