@@ -31,6 +31,7 @@ AWAKE = (
 THUMB = """(() => {
   const label = [...document.querySelectorAll('label')].find(l => l.innerText.startsWith(%s));
   const thumb = document.getElementById(label.htmlFor).querySelector('[role=slider]');
+  thumb.scrollIntoView({block: 'nearest'});
   const box = thumb.getBoundingClientRect();
   return [box.x + box.width / 2, box.y + box.height / 2];
 })()"""

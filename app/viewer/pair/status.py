@@ -14,6 +14,8 @@ from gpgrad_core.run.progress import Progress
 
 NOTICED = 0.15
 """A picture that is shown sooner needs no word before it: each word costs the page time [s]."""
+LATE = 0.3
+"""What no longer fits the picture may stand so long [s]: to write it anew costs the page time."""
 LONG = 1.0
 """What takes longer has a bar and can be cancelled [s]."""
 
@@ -22,7 +24,12 @@ class PictureStatus:
     """Watches one computation after the other, and writes the status line."""
 
     def __init__(
-        self, host: Host, bridge: Bridge, memo: Memo, on_cancel: Callable[[], None]
+        self,
+        host: Host,
+        bridge: Bridge,
+        memo: Memo,
+        on_cancel: Callable[[], None],
+        on_late: Callable[[], None] = lambda: None,
     ) -> None:
         """Make the line in the current container.
 
@@ -31,13 +38,17 @@ class PictureStatus:
             bridge: Hears its button.
             memo: What remembers the results of the pipeline.
             on_cancel: Called when what is being computed is no longer wanted.
+            on_late: Called once after a preview, if the last finished picture has not been true for
+                some time.
         """
+        self._on_late, self._late_due = on_late, False
         self.line = StatusLine(host, bridge, on_cancel)
         self._shared_memo = memo
         self._memo = TimedMemo(memo)
         self._began = time.monotonic()
         self._fraction = 0.0
         self._word_due = False
+        self._outdated_at: float | None = None  # since when the last finished picture is none
         self._patience = threading.Timer(LONG, self._be_patient)
 
     @property
@@ -48,6 +59,9 @@ class PictureStatus:
     def begin(self) -> None:
         """Watch a new computation."""
         self._began = time.monotonic()
+        self._late_due = False
+        if self._outdated_at is None:
+            self._outdated_at = self._began
         self._fraction = 0.0
         self._memo = TimedMemo(self._shared_memo)
         self._word_due = True
@@ -67,6 +81,7 @@ class PictureStatus:
                 self._say_computing()
             if taken > LONG:
                 self.line.progress(fraction)
+            self._tell_if_late()
 
         return report
 
@@ -81,6 +96,8 @@ class PictureStatus:
         """Say that surfaces are shown, and that the rest is being made."""
         self._word_due = False
         self.line.preview(seconds, coarse=coarse)
+        self._late_due = True
+        self._tell_if_late()
 
     def finished(self, seconds: float, details: str, *, newer_waits: bool) -> None:
         """Say that the picture is shown.
@@ -90,6 +107,7 @@ class PictureStatus:
             details: Counts of what is drawn.
             newer_waits: Whether it is superseded already.
         """
+        self._outdated_at = None
         self._word_due = False
         if newer_waits:
             self.line.stale(seconds)
@@ -98,11 +116,13 @@ class PictureStatus:
 
     def cancelled(self) -> None:
         """Say that a user has cancelled the computation."""
+        self._outdated_at = None
         self._word_due = False
         self.line.cancelled()
 
     def failed(self, message: str) -> None:
         """Say what went wrong."""
+        self._outdated_at = None
         self._word_due = False
         self.line.error(message)
 
@@ -114,6 +134,14 @@ class PictureStatus:
         if self._word_due:
             self._word_due = False
             self.line.computing()
+
+    def _tell_if_late(self) -> None:
+        # The last finished picture may be older than this computation: in a drag, one supersedes
+        # the other.
+        since = self._outdated_at
+        if self._late_due and since is not None and time.monotonic() - since > LATE:
+            self._late_due = False
+            self._on_late()
 
     def _be_patient(self) -> None:
         """Show how to cancel it, even if it reports nothing for a while."""

@@ -56,7 +56,9 @@ class PairTab(Feature):
         self._histogram = HistogramOf()
         self._title = PageTitle(host)
         self._verdict = VerdictCard(host)
-        self._status = PictureStatus(host, desk.bridge, desk.memo, self._cancel)
+        self._status = PictureStatus(
+            host, desk.bridge, desk.memo, self._cancel, self._mark_outdated
+        )
         with view:
             self._summary = DatasetSummary(host)
             self._summary.show(state.dataset)
@@ -69,6 +71,7 @@ class PairTab(Feature):
             )
         self._dark = False
         self._painted: ViewState | None = None  # whose full surfaces are to be seen
+        self._preview_shown: PairPicture | None = None  # while the rest of it is being made
         self._start_camera(opened)
         self._runner: Runner[ViewState, PairPicture] = Runner(
             self._compute,
@@ -162,17 +165,26 @@ class PairTab(Feature):
 
     def _on_result(self, state: ViewState, picture: PairPicture, seconds: float) -> None:
         shown, result = picture.shown, picture.result
-        self._show_legend(shown)
         if result is None:
-            if picture.coarse:
-                self._verdict.outdate()
+            self._preview_shown = picture
             self._status.preview(seconds, coarse=picture.coarse)
         else:
+            self._preview_shown = None
+            self._show_legend(shown)
             self._verdict.show(state, result)
             newer_waits = self._runner.newer_waits
             self._status.finished(seconds, details(shown, state), newer_waits=newer_waits)
             self._desk.tell(Feature.show, state, result)
         self._desk.host.flush()
+
+    def _mark_outdated(self) -> None:
+        """Fade the verdict, and show the legend of the preview: the rest takes a while."""
+        preview = self._preview_shown
+        if preview is not None:
+            self._show_legend(preview.shown)
+            if preview.coarse:
+                self._verdict.outdate()
+            self._desk.host.flush()
 
     def _show_legend(self, shown: Shown) -> None:
         if shown.scale is None:
@@ -187,6 +199,7 @@ class PairTab(Feature):
 
     def _outdate(self, tell: Callable[[], None]) -> None:
         """Say that what is seen is not what is set: on the card, in the scene, and why."""
+        self._mark_outdated()
         self._verdict.outdate("out of date")
         self._desk.tell(Feature.outdated)
         tell()

@@ -10,6 +10,7 @@ import viser
 from app.viewer.capacity import Capacity
 from app.viewer.draw.surfels import OVERLAP
 from app.viewer.opened import Opened
+from app.viewer.pair import status
 from app.viewer.pair import tab as pair_module
 from app.viewer.params.fit import with_fitted
 from app.viewer.params.tab import MAIN_PARAMETERS
@@ -115,21 +116,29 @@ def test_many_events_end_on_the_last_and_do_not_echo(
     assert not session.pair._runner._waiting
 
 
-def test_a_gp_slider_shows_coarse_surfaces_first(session: Session, pipeline: FakePipeline) -> None:
+@pytest.mark.parametrize(("late", "faded"), [(0.0, True), (60.0, False)])
+def test_a_gp_slider_shows_coarse_surfaces_first(
+    session: Session,
+    pipeline: FakePipeline,
+    monkeypatch: pytest.MonkeyPatch,
+    late: float,
+    faded: bool,
+) -> None:
+    monkeypatch.setattr(status, "LATE", late)
     before: list[tuple[str, str, float]] = []
 
     def make(state: ViewState) -> PairResult:
         surface: Any = gui(session).scene._handle_from_node_name["/pair/query/surface"]
-        status, card = said(session.pair._status.line), said(session.pair._verdict)
-        before.append((status, card, surface.point_size))
+        line, card = said(session.pair._status.line), said(session.pair._verdict)
+        before.append((line, card, surface.point_size))
         return make_result(state)
 
     pipeline.make = make
     user_sets(find(gui(session), "Length-scale"), 0.5)
     assert session.wait_idle(20)
-    ((status, card, size),) = before
-    assert "Coarse picture" in status
-    assert "opacity:.4" in card  # the last verdict is faded
+    ((line, card, size),) = before
+    assert "Coarse picture" in line
+    assert ("opacity:.4" in card) == faded  # the last verdict fades if it would stand too long
     assert size == pytest.approx(OVERLAP * COARSER * START.map.resolution)
     assert "Up to date" in said(session.pair._status.line)
     assert "opacity:.4" not in said(session.pair._verdict)
@@ -149,7 +158,7 @@ def test_sliders_of_later_stages_need_no_coarse_surfaces(
         user_sets(find(gui(session), name), value)
         assert session.wait_idle(20)
     assert len(before) == 3
-    assert not any("shown" in status or "Coarse" in status for status in before)
+    assert not any("shown" in line or "Coarse" in line for line in before)
 
 
 def test_what_takes_long_is_announced_though_it_reports_nothing(
