@@ -119,6 +119,10 @@ def test_what_is_drawn_fits_and_can_be_read(
         desk = page.viewer.sessions[0].desk  # type: ignore[attr-defined]
         desk.change(options=replace(desk.state.options, dark=True))
         page.page.wait_for_timeout(1000)
+    page.press("Explore")
+    page.press("Tune")  # a panel that comes back is as wide as before
+    page.tab("All pairs")
+    page.tab("View")
     found: Any = page.page.evaluate(FITS)
     assert found["pale"] == []
     assert found["low"] == []

@@ -129,7 +129,7 @@ def _walk(walk: Walk) -> None:
     walk.do("length-scale", lambda: page.drag("Length-scale", 25), walk.idle)
     walk.do("variance mask", lambda: page.drag("Variance mask", -15), walk.idle)
     walk.do("layer gradient", lambda: page.choose("Layer", "gradient"), walk.idle)
-    walk.do("next pair", lambda: page.press("next"), walk.idle)
+    walk.do("next query", lambda: page.key("j"), walk.idle)
     walk.do(
         "Explore", lambda: page.press("Explore"), lambda: "submaps" in page.say("world-summary")
     )

@@ -43,6 +43,8 @@ SCRIPT = """
   };
   const ground = 'background:color-mix(in srgb,var(--mantine-color-body) 78%,transparent);' +
     'border-radius:.35em;padding:.15em .55em;';
+  // Where a caption of the scene may lie behind it, only the letters have a ground.
+  const halo = 'text-shadow:' + Array(4).fill('0 0 2px var(--mantine-color-body)') + ';';
   const over = make(document.body, 'position:fixed;pointer-events:none;z-index:1;overflow:hidden;' +
     'color:var(--mantine-color-text);font:13px/1.35 var(--mantine-font-family)');
   over.dataset.testid = 'over-canvas';
@@ -58,7 +60,7 @@ SCRIPT = """
     'margin:0 auto 3px');
   const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
   const frame = make(over, 'position:absolute;right:14px;bottom:12px;display:flex;gap:.5em;' +
-    'align-items:flex-end;font-size:12px;' + ground);
+    'align-items:flex-end;font-size:12px;padding:.15em .55em;' + halo);
   frame.dataset.testid = 'axes';
   const note = make(frame, '');
   frame.appendChild(svg);

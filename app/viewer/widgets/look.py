@@ -30,13 +30,18 @@ button.mantine-Button-root { min-height: 32px; }
 .mantine-Slider-thumb { width: .7rem !important; height: 1.1rem !important; }
 [data-dock-strip] { flex-wrap: nowrap !important; }
 [data-dock-strip] > [data-dock-tab] {
-  padding: 0 4px !important; flex: 0 0 auto !important; letter-spacing: -.2px;
+  padding: 0 3.9px !important; flex: 0 0 auto !important; letter-spacing: -.2px;
 }
 [data-dock-strip] > [data-dock-tab], [data-dock-strip] > [data-dock-tab] * {
   font-size: 12.5px !important; max-width: none !important;
 }
 [data-dock-tab][aria-selected=true] { color: light-dark(#1659a0, #8cc3f7) !important; }
 .tabler-icon-cloud-check { visibility: hidden; }
+/* A dock that was empty for a moment, as when the mode changes, comes back in viser's own width. */
+@media (min-width: 641px) {
+  [data-dock-region=left]:has([data-dock-group]),
+  [data-dock-region=left] > div > div:has([data-dock-group]) { min-width: 324px !important; }
+}
 @media (max-width: 640px) {
   .mantine-Paper-root:has([data-testid=verdict]) { left: 0 !important; width: 100% !important; }
   .mantine-Paper-root:has([data-testid=verdict]) .mantine-ScrollArea-content > div {
