@@ -14,6 +14,7 @@ from app.viewer.session_file import read_session
 from gpgrad_core.datasets import load_cloud, load_dataset
 from gpgrad_core.datasets.about import read_about
 from gpgrad_core.datasets.cpet import read_matrix_pose
+from gpgrad_core.datasets.dem import read_elevation_model
 from gpgrad_core.datasets.poses import read_poses
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import read_problems
@@ -113,6 +114,7 @@ FORMATS: dict[str, Format] = {
     "closures": Format(".json", texts.closures, lambda path: restore_closures(read_closures(path))),
     "zip": Format(".zip", packed.archive, _read_archive),
     "image": Format(".png", packed.image, lambda path: list(read_images([path])), share=0.2),
+    "tif": Format(".tif", packed.geotiff, read_elevation_model, share=0.5),
     "bag": Format(".bag", packed.bag, _read_bag, share=0.3),
 }
 

@@ -9,6 +9,7 @@ import zlib
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -209,3 +210,37 @@ def bag(rng: random.Random) -> Case:
     if rng.random() < 0.3:
         return replace(cut(rng, whole, len(whole) // 20), ending=ending)
     return replace(at_random(rng, whole), ending=ending)
+
+
+def _geotiff(keys: tuple[int, ...], **how: Any) -> bytes:
+    """Make an elevation model of 12 x 9 cells of 2 m."""
+    import tifffile  # noqa: PLC0415 (only where elevation models are fuzzed)
+
+    heights = np.random.default_rng(0).normal(size=(12, 9)).astype(np.float32)
+    tags = [
+        (33550, "d", 3, (2.0, 2.0, 0.0), True),
+        (33922, "d", 6, (0.0, 0.0, 0.0, 500_000.0, 5_000_000.0, 0.0), True),
+        (34735, "H", len(keys), keys, True),
+        (42113, "s", 0, "-9999", True),
+    ]
+    file = io.BytesIO()
+    tifffile.imwrite(file, how.pop("heights", heights), extratags=tags, metadata=None, **how)
+    return file.getvalue()
+
+
+METRES = (1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 32633)
+"""Directory of keys: a projected system, EPSG:32633."""
+
+
+def geotiff(rng: random.Random) -> Case:
+    what = rng.choice(("degrees", "feet", "words", "cut", "random", "random", "random"))
+    match what:
+        case "degrees":
+            return Case(_geotiff((1, 1, 0, 1, 1024, 0, 1, 2)), what, damaged=True)
+        case "feet":
+            return Case(_geotiff((*METRES[:3], 3, *METRES[4:], 3076, 0, 1, 9002)), what, True)
+        case "words":
+            return Case(_geotiff(METRES, heights=np.zeros((12, 9), np.complex64)), what, True)
+    whole = _geotiff(METRES, **rng.choice(({}, {"compression": "zlib"}, {"tile": (16, 16)})))
+    # Without its last cells the file is cut short; the order of its parts is the writer's.
+    return cut(rng, whole) if what == "cut" else at_random(rng, whole)
