@@ -1,0 +1,139 @@
+# ruff: noqa: T201 - tells where its pictures are
+"""A walk through every part of the viewer, in three sizes, light and dark.
+
+Run by hand: ``pytest tests/walks/walk_sizes.py -n 0 -s -o python_files=walk_*.py``. It prints a
+folder with the pictures and one sheet of all of them for each size. Look at each as a stranger
+would: is it plain what is shown, in which unit, and what to do next?
+"""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from math import ceil
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from app.viewer.server import Viewer
+from gpgrad_core.datasets import demo_path, load_dataset
+from gpgrad_core.pipeline import PipelineParams
+from tests.browser.chromium import ViewerPage, find_chromium, launch
+
+pytestmark = pytest.mark.browser
+SIZES = ((1280, 900), (1920, 1080), (390, 844))
+WIDE = 640
+"""Windows from this width on have panels beside the canvas."""
+SHEET = 4
+"""Pictures side by side on a sheet."""
+
+
+class Album:
+    """A page, and the pictures that were taken of it."""
+
+    def __init__(self, page: ViewerPage, viewer: Viewer, folder: Path) -> None:
+        self.page, self.viewer, self.folder = page, viewer, folder
+        self.pictures: list[Path] = []
+        folder.mkdir()
+
+    def take(self, name: str, act: Callable[[], object] = lambda: None) -> None:
+        """Act, wait until all is done, and take a picture."""
+        act()
+        self.page.page.wait_for_timeout(400)
+        assert self.viewer.wait_idle(300)
+        self.page.page.wait_for_timeout(900)
+        path = self.folder / f"{len(self.pictures):02d}_{name}.png"
+        self.page.page.screenshot(path=str(path))
+        self.pictures.append(path)
+
+    def sheet(self) -> Path:
+        """Put all pictures onto one sheet."""
+        pictures = [Image.open(path).convert("RGB") for path in self.pictures]
+        width, height = pictures[0].size
+        sheet = Image.new("RGB", (width * SHEET, height * ceil(len(pictures) / SHEET)))
+        for k, picture in enumerate(pictures):
+            sheet.paste(picture, (k % SHEET * width, k // SHEET * height))
+        path = self.folder.with_suffix(".png")
+        sheet.save(path)
+        return path
+
+
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
+def test_every_part(size: tuple[int, int], dark: bool) -> None:
+    executable = find_chromium()
+    if executable is None:
+        pytest.skip("no Chromium was found")
+    viewer = Viewer(load_dataset(demo_path()), PipelineParams(), port=0, source=str(demo_path()))
+    name = f"{size[0]}x{size[1]}_{'dark' if dark else 'light'}"
+    folder = Path(tempfile.mkdtemp(prefix="walk-sizes-")) / name
+    try:
+        with launch(executable) as browser:
+            page = ViewerPage(browser, viewer.url, size=size)
+            if dark:
+                desk = viewer.sessions[0].desk
+                desk.change(options=replace(desk.state.options, dark=True))
+            album = Album(page, viewer, folder)
+            (_walk_wide if size[0] >= WIDE else _walk_narrow)(album)
+            print(f"\n{album.sheet()}")
+            assert page.errors == []
+            assert page.outside == []
+    finally:
+        viewer.close()
+
+
+def _walk_wide(album: Album) -> None:
+    page, mouse = album.page, album.page.page.mouse
+    left, right = page.panel_edges()
+    across = right - left
+
+    def click(share_x: float, share_y: float) -> None:
+        height = page.page.viewport_size["height"]  # type: ignore[index]
+        page.shift_click(left + share_x * across, share_y * height)
+
+    album.take("open")
+    album.take("mask", lambda: page.drag("Variance mask", -25))
+    album.take("cannot_judge", lambda: page.type_value("Variance mask", "0.01"))
+    page.press("Reset parameters")
+    album.take("registered", lambda: page.key("l"))
+    album.take("agreement", lambda: page.choose("Layer", "agreement"))
+    album.take("from_above", lambda: page.choose("Layout", "gradient from above"))
+    mouse.move(left + 0.3 * across, 450)
+    album.take("cursor", lambda: mouse.move(left + 0.27 * across, 440))
+    page.choose("Layout", "side by side")
+    page.choose("Layer", "elevation")
+    page.tab("Inspect")
+    album.take("reading", lambda: click(0.45, 0.25))
+    page.tick("Ruler")
+    click(0.42, 0.25)
+    album.take("profile", lambda: click(0.52, 0.32))
+    page.tick("Ruler")
+    page.tab("All pairs")
+    album.take("all_pairs", lambda: page.press("Run all pairs"))
+    page.tab("Triage")
+    album.take("triage")
+    album.take("refused", lambda: page.key("x"))
+    page.tab("Data")
+    album.take("data")
+    page.tab("Save")
+    album.take("save")
+    page.tab("Nudge")
+    album.take("nudge")
+    page.page.get_by_text("Sensitivity", exact=True).click()
+    album.take("sweep", lambda: page.press("Sweep"))
+    album.take("explore", lambda: page.press("Explore"))
+    page.tab("Pose graph")
+    page.press("Find closures")
+    page.wait(lambda: "closures accepted" in page.say("graph-summary"), "closures", timeout=240)
+    album.take("closures")
+    album.take("optimised", lambda: page.press("Optimise"))
+    album.take("demo", lambda: page.press("Demo"))
+    album.take("full_screen", lambda: page.key("f"))
+
+
+def _walk_narrow(album: Album) -> None:
+    page = album.page
+    album.take("open")
+    album.take("registered", lambda: page.key("l"))
+    album.take("explore", lambda: page.press("Explore"))
+    album.take("demo", lambda: page.press("Demo"))
