@@ -26,7 +26,6 @@ from app.cli.inputs import (
     DatasetPath,
     ParamsFile,
     base_params,
-    built_first,
     load_sources,
     open_store,
     settled,
@@ -34,6 +33,7 @@ from app.cli.inputs import (
 )
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, say
+from app.recordings import built_first
 from gpgrad_core.datasets import outline_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.fitting import representative

@@ -1,8 +1,6 @@
 """What most verbs read: a dataset, a file of parameters, and the flags that they share."""
 
-import contextlib
-import shlex
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -11,9 +9,9 @@ from typing_extensions import Doc
 
 from app.cli.flags import Given
 from app.cli.terminal import count, progress_bar, say, warn
+from app.recordings import built_first
 from gpgrad_core.datasets import Outline, load_dataset, open_dataset
 from gpgrad_core.datasets.folder import MOST_LOADED
-from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.run.memo import Memo
@@ -54,24 +52,6 @@ Cache: TypeAlias = Annotated[
 ]
 AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)
-
-
-@contextlib.contextmanager
-def built_first(path: Path) -> Generator[None]:
-    """Say how to build submaps if a dataset that cannot be read is a recording of scans."""
-    try:
-        yield
-    except InputError as error:
-        from gpgrad_core.scans import is_recording  # noqa: PLC0415 - loads slowly
-
-        if not is_recording(path):
-            raise
-        given = shlex.quote(str(path))
-        out = shlex.quote(f"{path.resolve().stem}-submaps")
-        raise InputError(
-            f"{path}: is a recording, not a dataset: build its submaps first, and open these: "
-            f"gpgrad build {given} --out {out}"
-        ) from error
 
 
 def load(path: Path, *, most_bytes: int | None = None) -> Dataset:

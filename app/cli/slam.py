@@ -36,7 +36,8 @@ from app.cli.inputs import (
 )
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
-from gpgrad_core.datasets import outline_dataset
+from app.recordings import built_first
+from gpgrad_core.datasets import Outline, outline_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import check_directory
 from gpgrad_core.fitting import representative
@@ -141,7 +142,11 @@ class Slam:
         if self.search_radius is not None and not self.search_radius > 0:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
         store = open_store(self.cache)
-        joined = join_datasets([outline_dataset(path) for path in self.datasets])
+        outlines: list[Outline] = []
+        for path in self.datasets:
+            with built_first(path):
+                outlines.append(outline_dataset(path))
+        joined = join_datasets(outlines)
         self._check_out(joined)
         dataset = joined.outline.dataset
         odometry_poses(dataset)  # refuses what lacks it before the work

@@ -108,7 +108,11 @@ def test_a_recording_is_told_to_be_built_first(tmp_path: Path, inner: str, row: 
         path.write_bytes(b"#ROSBAG V2.0\n")
     else:
         with_poses(path, inner, row)
-    for verb in (("view", "--no-open"), ("detect", "--out", tmp_path / "c.json")):
+    for verb in (
+        ("view", "--no-open"),
+        ("detect", "--out", tmp_path / "c.json"),
+        ("slam", "--out", tmp_path / "map"),
+    ):
         assert run_here(verb[0], path, *verb[1:]).refusal == (
             f"{path}: is a recording, not a dataset: build its submaps first, and open these: "
             f"gpgrad build '{path}' --out 'my drive-submaps'"

@@ -5,6 +5,7 @@ import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from app.recordings import built_first
 from app.viewer.data.folders import check_inside, list_folder
 from app.viewer.data.panel import UP, Choices, DatasetPanel, FolderCalls
 from app.viewer.data.recent import recent_datasets, remember_dataset
@@ -156,7 +157,8 @@ class DataTab(Feature):
         else:
             source = request.path or demo_path()
         try:
-            dataset = load_dataset(source, loading, most_bytes=MOST_LOADED)
+            with built_first(source):
+                dataset = load_dataset(source, loading, most_bytes=MOST_LOADED)
         except BaseException:
             self._forget(request, source)
             raise

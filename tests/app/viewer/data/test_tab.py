@@ -242,3 +242,15 @@ def test_a_saved_session_is_restored_or_refused(
     assert opening.wait_idle(10)
     assert "no submap" in said(opening)
     assert len(opened) == 1
+
+
+def test_a_recording_is_told_to_be_built_first(
+    make: Make, tmp_path: Path, opened: list[Opened]
+) -> None:
+    bag = tmp_path / "drive.bag"
+    bag.write_bytes(b"#ROSBAG V2.0\n")
+    tab = make()
+    tab._open(str(bag))
+    assert tab.wait_idle(60)
+    assert "build its submaps first" in said(tab)
+    assert opened == []
