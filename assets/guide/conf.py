@@ -1,5 +1,6 @@
 """How the guide becomes a site: ``poe docs``. Nothing is asked of a network, then or later."""
 
+import logging
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,10 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import gpgrad_core  # noqa: E402 - found only now
+from gpgrad_core.datasets import demo_path, load_dataset  # noqa: E402
 from gpgrad_core.params.fields import Field, parameters_of, with_unit  # noqa: E402
+from gpgrad_core.pipeline import PipelineParams, register_pair, resolve_parameters  # noqa: E402
+from gpgrad_core.run.memo import Memo  # noqa: E402
 
 project = "gpgrad"
 author = "the gpgrad authors"
@@ -85,7 +89,23 @@ def visit_math_block(translator: Any, node: Any) -> None:
     raise nodes.SkipNode
 
 
+def write_live_page(app: Sphinx, error: Exception | None) -> None:
+    """Put a closure of the demo beside the pages, to be turned and moved without a server."""
+    if error is not None or app.builder.name != "html":
+        return
+    from app.viewer.demo.pages import write_closure  # noqa: PLC0415 - loads slowly
+    from app.viewer.state import open_dataset, with_pair  # noqa: PLC0415
+
+    logging.getLogger("app").setLevel(logging.WARNING)
+    dataset, memo = load_dataset(demo_path()), Memo()
+    params = resolve_parameters(dataset.submaps, PipelineParams(), memo)
+    state = with_pair(open_dataset(dataset, params), query_id="007", database_id="001")
+    result = register_pair(state.query, state.database, params, memo)
+    write_closure(state, result, Path(app.outdir) / "loop_closure.html")
+
+
 def setup(app: Sphinx) -> None:
     """Add what Sphinx does not bring."""
+    app.connect("build-finished", write_live_page)
     app.add_directive("parameters", ParameterTable)
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))

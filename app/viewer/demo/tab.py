@@ -1,15 +1,12 @@
 """The Demo tab: plays closures and pose graphs, flies cameras, and writes pages to take away."""
 
 import threading
-from collections.abc import Callable
 from functools import partial
-from math import degrees
-from pathlib import Path
 
 import numpy as np
 import viser
 
-from app.viewer.demo.page import Composed, save_page
+from app.viewer.demo.pages import gliding, write_closure, write_world
 from app.viewer.demo.panel import DemoCalls, DemoPanel, Playable
 from app.viewer.downloads import Downloads, safe_name
 from app.viewer.draw.animation import Animation, ease, play
@@ -18,15 +15,11 @@ from app.viewer.draw.placement import Camera
 from app.viewer.feature import Desk, Feature
 from app.viewer.pair import PairScene
 from app.viewer.runner import Runner
-from app.viewer.state import ViewState, registered, with_options
-from app.viewer.widgets.legend import legend_html
+from app.viewer.state import ViewState, registered
 from app.viewer.work import message_of
-from app.viewer.world import World, WorldScene, WorldTab, relaxation
+from app.viewer.world import WorldTab
 from gpgrad_core.pipeline import PairResult
-from gpgrad_core.run.progress import Progress
-from gpgrad_core.slam import OptimisedGraph
 
-GLIDING_SECONDS = 3.5
 FLIGHT_SECONDS = 1.2
 TOUR_SECONDS = 12.0
 
@@ -155,83 +148,15 @@ class DemoTab(Feature):
         world = self._world.world
         if self._world.scene.visible and world is not None:
             name = f"{world.dataset.name}_world"
-            write = partial(_write_world, world, self._world.graph)
+            write = partial(write_world, world, self._world.graph)
         elif shown is not None and not self._world.scene.visible:
             state = shown[0]
             name = f"{state.dataset.name}_{state.query_id}_{state.database_id}"
-            write = partial(_write_closure, *shown)
+            write = partial(write_closure, *shown)
         else:
             self._bar.failed("Wait for the picture first.")
             return
         self._downloads.order(client, f"{safe_name(name, 'page')}.html", write)
-
-
-def gliding(draw: Callable[[float], None]) -> Animation:
-    """Let a query glide into place."""
-    return Animation(GLIDING_SECONDS, lambda share: draw(ease(share)), rest=1.5)
-
-
-def _write_closure(state: ViewState, result: PairResult, path: Path, progress: Progress) -> None:
-    together = with_options(state, registered(state.options))
-
-    def compose(server: viser.ViserServer) -> Composed:
-        scene = PairScene(server)
-        shown = scene.show(together, result)
-        draw = scene.gliding(together, result)
-        moving = None if draw is None else gliding(draw)
-        camera = scene.camera(state, layout="side by side")
-        return Composed(camera, legend_html(shown.scale), moving)
-
-    title = f"{state.dataset.name}: submap {state.query_id} onto {state.database_id}"
-    content = save_page(
-        compose,
-        title=title,
-        caption=_verdict(result),
-        progress=progress,
-    )
-    path.write_bytes(content)
-
-
-def _write_world(
-    world: World, solved: OptimisedGraph | None, path: Path, progress: Progress
-) -> None:
-    graph = solved if world.options.poses == "corrected" else None
-
-    def compose(server: viser.ViserServer) -> Composed:
-        scene = WorldScene(server, visible=True)
-        scale = scene.show(world)
-        camera = scene.camera()
-        assert camera is not None
-        moving = None if graph is None else relaxation(graph, scene.mover())
-        return Composed(camera, legend_html(scale), moving)
-
-    count = len(world.poses)
-    words = {
-        "odometry": "at the poses from odometry",
-        "true": "at their true poses",
-        "in rows": "in rows, because they have no poses",
-        "corrected": "moving from odometry to the corrected poses",
-    }
-    content = save_page(
-        compose,
-        title=f"{world.dataset.name}: {count} submaps",
-        caption=f"All submaps {words[world.options.poses]}; coloured by {world.options.color}.",
-        progress=progress,
-    )
-    path.write_bytes(content)
-
-
-def _verdict(result: PairResult) -> str:
-    """Say in one line what was found."""
-    registration = result.registration
-    verdict = "Loop closure" if result.closure.accepted else "No loop closure"
-    motion = registration.T_database_query
-    if motion is None:
-        return f"{verdict}: no motion found."
-    return (
-        f"{verdict}: {registration.num_inliers} inliers, score {registration.score:.2f}; "
-        f"offset {motion.x:+.2f} m, {motion.y:+.2f} m, turn {degrees(motion.yaw):+.1f}°."
-    )
 
 
 def _nothing(job: Animation, result: None, seconds: float) -> None:
