@@ -1,7 +1,8 @@
 """Measures how far submaps truly overlap, by which every pair is judged."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -64,6 +65,14 @@ class TruePairs:
     def __len__(self) -> int:
         """Number of pairs."""
         return len(self.query)
+
+    @cached_property
+    def rows(self) -> Mapping[frozenset[str], int]:
+        """Index of each pair by the ids of its two submaps, in either order."""
+        return {
+            frozenset((self.ids[query], self.ids[database])): row
+            for row, (query, database) in enumerate(zip(self.query, self.database, strict=True))
+        }
 
     @property
     def relative_yaw(self) -> Float[Array, "p"]:

@@ -70,10 +70,6 @@ def rank_pairs(
         InputError: If a pair names a submap that the dataset does not have, pairs a submap with
             itself, is listed twice, or has a score that is not a finite number.
     """
-    rows = {
-        frozenset((pairs.ids[q], pairs.ids[d])): k
-        for k, (q, d) in enumerate(zip(pairs.query, pairs.database, strict=True))
-    }
     known = {submap.id for submap in dataset.submaps}
     score = np.full(len(pairs), -np.inf)
     num_inliers = np.zeros(len(pairs), dtype=np.intp)
@@ -84,7 +80,7 @@ def rank_pairs(
         both = frozenset((verdict.query, verdict.database))
         _check(verdict, both, known, listed, dataset.name, name)
         listed.add(both)
-        row = rows.get(both)
+        row = pairs.rows.get(both)
         if row is None:
             continue  # a submap without a true pose, which the notes of the true pairs name
         score[row], num_inliers[row] = verdict.score, verdict.num_inliers

@@ -180,7 +180,7 @@ def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> Jud
     errors = pose_errors(ranking.T_database_query, truth.T_database_query, max_turn=turn)
     classes = classify_motions(errors, truth.surface_overlap)
     check = _check(ranking, thresholds, rule, labels)
-    rows = _rows(truth, closures)
+    rows = tuple(truth.rows.get(frozenset((one.query_id, one.database_id))) for one in closures)
     outcomes = _outcomes(rows, closures, labels, classes)
     return JudgedPairs(compared, closures, check, outcomes, _truths(rows, labels))
 
@@ -208,15 +208,6 @@ def _check(ranking: Ranking, thresholds: ClosureParams, rule: Rule, labels: Labe
         right / total,
         average_precision(full),
     )
-
-
-def _rows(truth: TruePairs, closures: tuple[LoopClosure, ...]) -> tuple[int | None, ...]:
-    """Find each closure among the pairs of the truth; None where it is not known."""
-    rows = {
-        frozenset((truth.ids[query], truth.ids[database])): row
-        for row, (query, database) in enumerate(zip(truth.query, truth.database, strict=True))
-    }
-    return tuple(rows.get(frozenset((one.query_id, one.database_id))) for one in closures)
 
 
 def _outcomes(
