@@ -146,6 +146,8 @@ class SubmapNode:
             outer: Which way the other submap is not.
         """
         self._outer = outer
+        self._placement, self._before = Placement(), False
+        self._extent: Extent | None = None
         self.color = color
         self._role = role
         root = f"{parent}/{role}"
@@ -171,6 +173,8 @@ class SubmapNode:
         """Place the frame in the scene."""
         self._frame.position = placement.position
         self._frame.wxyz = placement.wxyz
+        self._placement = placement
+        self._put_label()
 
     def name(self, submap: Submap, extent: Extent, *, before: bool = False) -> None:
         """Write its name and size beside it, and draw its outline.
@@ -182,16 +186,27 @@ class SubmapNode:
         """
         width, depth, _ = extent.size
         self._label.text = f"{self._role} {submap.id} · {width:.1f} m x {depth:.1f} m"
-        # On the edge that a camera looking along y sees as the far one, at the outer corner, so
-        # that two names do not meet.
-        outer = extent.low if self._outer == "left" else extent.high
-        if self._outer == "left":
-            self._label.anchor = "top-left" if before else "bottom-left"
-        else:
-            self._label.anchor = "top-right" if before else "bottom-right"
-        y, z = (extent.low[1], extent.low[2]) if before else (extent.high[1], extent.high[2])
-        self._label.position = (outer[0], y, z)
+        self._extent, self._before = extent, before
+        self._put_label()
         self.outline.show(
             (submap,),
             lambda: outline(extent.corners),
         )
+
+    def _put_label(self) -> None:
+        """Write the name at that corner of the outline which is the outer one as it lies now.
+
+        It is on the edge that a camera looking along y sees as the far one, or else as the near
+        one, so that two names do not meet; and it runs inwards, so that no panel cuts it.
+        """
+        if self._extent is None:
+            return
+        corners = self._extent.corners
+        x, y, _ = self._placement.apply(corners).T
+        outwards = -x if self._outer == "left" else x
+        corner = corners[np.argmax(outwards + (-y if self._before else y))]
+        self._label.position = (float(corner[0]), float(corner[1]), float(corner[2]))
+        if self._outer == "left":
+            self._label.anchor = "top-left" if self._before else "bottom-left"
+        else:
+            self._label.anchor = "top-right" if self._before else "bottom-right"
