@@ -24,6 +24,8 @@ pytestmark = pytest.mark.browser
 SIZES = ((1280, 900), (1920, 1080), (390, 844))
 WIDE = 640
 """Windows from this width on have panels beside the canvas."""
+NO_NOTICE = "document.querySelectorAll('.mantine-Notifications-root').forEach(one => one.remove())"
+"""The client warns that there is no graphics card."""
 SHEET = 4
 """Pictures side by side on a sheet."""
 
@@ -69,10 +71,16 @@ def test_every_part(size: tuple[int, int], dark: bool) -> None:
     folder = Path(tempfile.mkdtemp(prefix="walk-sizes-")) / name
     try:
         with launch(executable) as browser:
-            page = ViewerPage(browser, viewer.url, size=size)
+            page = ViewerPage(browser, viewer.url, size=size if size[0] >= WIDE else SIZES[0])
             if dark:
                 desk = viewer.sessions[0].desk
                 desk.change(options=replace(desk.state.options, dark=True))
+            if size[0] < WIDE:  # anew, as a phone opens it
+                page.page.set_viewport_size({"width": size[0], "height": size[1]})
+                page.page.reload()
+                page.page.get_by_test_id("verdict").wait_for()
+                page.page.wait_for_timeout(3000)
+                page.page.evaluate(NO_NOTICE)
             album = Album(page, viewer, folder)
             (_walk_wide if size[0] >= WIDE else _walk_narrow)(album)
             print(f"\n{album.sheet()}")

@@ -146,7 +146,7 @@ class SubmapNode:
             outer: Which way the other submap is not.
         """
         self._outer = outer
-        self._placement, self._before = Placement(), False
+        self._placement = Placement()
         self._extent: Extent | None = None
         self.color = color
         self._role = role
@@ -157,7 +157,7 @@ class SubmapNode:
         self.keypoints = PointsNode(host, f"{root}/keypoints", shape="circle")
         self.outline = LinesNode(host, f"{root}/outline", color, thickness=2.0)
         self._label = host.scene.add_label(
-            f"{root}/label", role, anchor="bottom-left" if outer == "left" else "bottom-right"
+            f"{root}/label", role, anchor="bottom-left" if outer == "left" else "top-right"
         )
 
     @property
@@ -176,17 +176,11 @@ class SubmapNode:
         self._placement = placement
         self._put_label()
 
-    def name(self, submap: Submap, extent: Extent, *, before: bool = False) -> None:
-        """Write its name and size beside it, and draw its outline.
-
-        Args:
-            submap: Which it is.
-            extent: Its box.
-            before: Write the name before the near edge, because the other submap is behind.
-        """
+    def name(self, submap: Submap, extent: Extent) -> None:
+        """Write its name and size beside it, and draw its outline."""
         width, depth, _ = extent.size
         self._label.text = f"{self._role} {submap.id} · {width:.1f} m x {depth:.1f} m"
-        self._extent, self._before = extent, before
+        self._extent = extent
         self._put_label()
         self.outline.show(
             (submap,),
@@ -196,17 +190,12 @@ class SubmapNode:
     def _put_label(self) -> None:
         """Write the name at that corner of the outline which is the outer one as it lies now.
 
-        It is on the edge that a camera looking along y sees as the far one, or else as the near
-        one, so that two names do not meet; and it runs inwards, so that no panel cuts it.
+        For a camera that looks along y, this is the far one on the left, or else the near one on
+        the right, so that two names never meet; and it runs inwards, so that no panel cuts it.
         """
         if self._extent is None:
             return
         corners = self._extent.corners
         x, y, _ = self._placement.apply(corners).T
-        outwards = -x if self._outer == "left" else x
-        corner = corners[np.argmax(outwards + (-y if self._before else y))]
+        corner = corners[np.argmax(y - x if self._outer == "left" else x - y)]
         self._label.position = (float(corner[0]), float(corner[1]), float(corner[2]))
-        if self._outer == "left":
-            self._label.anchor = "top-left" if self._before else "bottom-left"
-        else:
-            self._label.anchor = "top-right" if self._before else "bottom-right"

@@ -299,8 +299,7 @@ class PairScene:
         for index, node in enumerate(nodes):
             submap, placement = (state.query, state.database)[index], ground.placements[index]
             node.move(placement)
-            in_front = self.tall and not registered and ROLES[index] == "database"
-            node.name(submap, boxes[index], before=in_front)
+            node.name(submap, boxes[index])
             if not self._blinker.on:
                 node.visible = not registered or ROLES[index] in shown_roles(state)
             self._show_cloud(node, submap, state)
