@@ -31,7 +31,7 @@ def open_page(browser: Any, viewer: Viewer, size: tuple[int, int], address: str 
     page = browser.new_page(viewport={"width": size[0], "height": size[1]})
     page.goto(f"{viewer.url}/?fixedDpr=1{address}")
     page.get_by_test_id("scale").wait_for(timeout=LOAD_MS)
-    wait(page, lambda: "inliers" in page.get_by_test_id("caption").inner_text())
+    wait(page, lambda: "score" in page.get_by_test_id("caption").inner_text())
     assert viewer.wait_idle(60)
     page.evaluate("document.querySelectorAll('.mantine-Notifications-root').forEach(e=>e.remove())")
     page.wait_for_timeout(1000)
