@@ -28,7 +28,8 @@ def viewer() -> Iterator[Viewer]:
 
 
 def open_page(browser: Any, viewer: Viewer, size: tuple[int, int], address: str = "") -> Any:
-    page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page = browser.new_page()
+    page.set_viewport_size({"width": size[0], "height": size[1]})
     page.goto(f"{viewer.url}/?fixedDpr=1{address}")
     page.get_by_test_id("scale").wait_for(timeout=LOAD_MS)
     wait(page, lambda: "score" in page.get_by_test_id("caption").inner_text())
