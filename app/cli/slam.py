@@ -1,5 +1,6 @@
 """``gpgrad slam``: correct a traverse by its loop closures."""
 
+import contextlib
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -37,7 +38,7 @@ from app.cli.inputs import (
 from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
 from app.recordings import built_first
-from gpgrad_core.datasets import Outline, outline_dataset
+from gpgrad_core.datasets import outline_dataset
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import check_directory
 from gpgrad_core.fitting import representative
@@ -142,14 +143,13 @@ class Slam:
         if self.search_radius is not None and not self.search_radius > 0:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
         store = open_store(self.cache)
-        outlines: list[Outline] = []
-        for path in self.datasets:
-            with built_first(path):
-                outlines.append(outline_dataset(path))
-        joined = join_datasets(outlines)
-        self._check_out(joined)
-        dataset = joined.outline.dataset
-        odometry_poses(dataset)  # refuses what lacks it before the work
+        with contextlib.ExitStack() as hints:
+            for path in self.datasets:
+                hints.enter_context(built_first(path))
+            joined = join_datasets([outline_dataset(path) for path in self.datasets])
+            self._check_out(joined)
+            dataset = joined.outline.dataset
+            odometry_poses(dataset)  # refuses what lacks it before the work
         report = read_closures(self.closures) if self.closures else None
         given = None if report is None else restore_closures(report)
         check_solver()

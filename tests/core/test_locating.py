@@ -70,6 +70,7 @@ def searched() -> tuple[list[Window], tuple[PipelineParams, PipelineParams]]:
     return windows, parameters_for([submap(12, 30, 2.0)], windows, CELL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("x", "y", "yaw"), [(12.0, 30.0, 2.0), (33.3, 9.2, -0.7)])
 def test_a_submap_is_found_where_it_is(x: float, y: float, yaw: float) -> None:
     windows, params = searched()
@@ -87,12 +88,14 @@ def test_a_submap_is_found_where_it_is(x: float, y: float, yaw: float) -> None:
     assert 0 <= place.runner_up < place.verdict.registration.score
 
 
+@pytest.mark.slow
 def test_other_ground_is_not_found() -> None:
     windows, params = searched()
     (place,) = locate([submap(20, 20, 0.3, seed=1)], windows, params)
     assert not place.verdict.accepted
 
 
+@pytest.mark.slow
 def test_the_score_pays_for_the_number_of_places() -> None:
     windows, params = searched()
     query = submap(12, 30, 2.0)

@@ -141,6 +141,7 @@ def test_only_a_raster_has_coordinates(
     assert "name a file that ends in .tif" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_several_traverses_are_placed_by_the_first(traverse: Path, tmp_path: Path) -> None:
     rows = np.loadtxt(traverse / "poses_odom.txt")
     for name, offset, origin in (("first", 120.0, ORIGIN), ("later", -4000.0, "10.0,20.0,0.0")):

@@ -155,6 +155,7 @@ def test_without_a_cache_the_results_of_many_lie_in_a_folder_that_goes_with_the_
     assert list(tmp_path.iterdir()) == [out]
 
 
+@pytest.mark.slow
 def test_images_are_counted_apart_and_may_veto(gpgrad: Run, traverse: Path, tmp_path: Path) -> None:
     data = shutil.copytree(traverse, tmp_path / "traverse")
     (data / "poses_gt.txt").write_text((traverse / "poses_odom.txt").read_text())

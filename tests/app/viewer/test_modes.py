@@ -9,7 +9,7 @@ import pytest
 import viser
 
 from app.viewer.capacity import Capacity
-from app.viewer.demo import tab as demo_module
+from app.viewer.demo import pages as demo_module
 from app.viewer.demo.tab import DemoTab
 from app.viewer.feature import Feature
 from app.viewer.nudge.tab import NudgeTab
