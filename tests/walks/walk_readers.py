@@ -66,7 +66,7 @@ def run(*words: str | Path) -> str:
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     """Simulate a drive there and back."""
     folder = tmp_path_factory.mktemp("drive") / "recording"
-    run("simulate", "--out", folder, *SIMULATED)
+    run("simulate", folder, *SIMULATED)
     recording = open_recording(folder)
     count = len(recording)
     scans = list(recording.read(0, count))
