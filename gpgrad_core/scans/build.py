@@ -359,7 +359,8 @@ def _write_rest(
     about = About(
         name=journal.directory.name,
         description=(
-            f"{len(odometry)} submaps of {len(recording):,} scans of {recording.name}, cut "
+            f"{len(odometry)} submap{'s' * (len(odometry) != 1)} of {len(recording):,} scans of "
+            f"{recording.name}, cut "
             f"{_limits(params)} (gpgrad build)."
         ),
         origin=recording.origin,

@@ -43,6 +43,7 @@ def count_lines(journal: Path) -> int:
     return len(journal.read_text().splitlines()) if journal.exists() else 0
 
 
+@pytest.mark.slow
 def test_killed_and_gone_on_with(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -42,6 +42,7 @@ def wait_for(ready: Callable[[], object], seconds: float = 60.0) -> None:
 # Told to end, or killed.
 
 
+@pytest.mark.slow
 @linux
 @pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGKILL])
 def test_simulate_scans_leaves_no_part_of_a_recording(tmp_path: Path, kill: int) -> None:

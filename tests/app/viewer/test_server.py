@@ -106,6 +106,7 @@ def test_separate_sessions_are_each_for_itself(serve: Serve, visit: Visit) -> No
     assert "pages share this session" not in first.html()
 
 
+@pytest.mark.slow
 def test_a_separate_session_ends_with_its_page(serve: Serve, visit: Visit) -> None:
     viewer = serve("separate")
     first, second = visit(viewer), visit(viewer)

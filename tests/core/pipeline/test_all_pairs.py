@@ -70,6 +70,7 @@ def alone() -> DetectionResult:
     return detect_loop_closures(DATASET, PARAMS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make",
     [lambda: ThreadPoolExecutor(1), lambda: ThreadPoolExecutor(4), in_one_process],

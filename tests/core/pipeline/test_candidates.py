@@ -110,6 +110,7 @@ def test_true_pairs_that_were_not_compared_are_missed(
     assert missed[1] == missed[0] + 1
 
 
+@pytest.mark.slow
 def test_the_loop_closer_compares_the_same(demo: Dataset, few: DetectionResult) -> None:
     with LoopCloser(PARAMS, candidates=FEW) as closer:
         steps = [closer.add(submap, solve=False) for submap in demo.submaps]

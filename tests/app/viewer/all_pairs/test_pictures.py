@@ -162,6 +162,7 @@ def test_the_worst_outcome_of_a_block_is_told() -> None:
     assert cell.num_pairs == 6
 
 
+@pytest.mark.slow
 def test_the_size_of_the_pictures_does_not_grow_with_the_number_of_submaps() -> None:
     for count in (120, 900):
         judged = many(count, 30)
