@@ -75,7 +75,8 @@ def address_of(state: ViewState, subject: Subject = "pair", camera: Camera | Non
             if value != get_path(base, field.path) and field.path not in PERSONAL:
                 entries.append((f"{group}.{field.path}", _text_of(value)))
     if camera is not None:
-        numbers = (*camera.position, *camera.look_at)
+        # Rounded, and never -0: what a camera's turns leave of a zero is no place.
+        numbers = (round(float(number), 4) + 0.0 for number in (*camera.position, *camera.look_at))
         entries.append(("camera", ",".join(f"{number:.4g}" for number in numbers)))
     text = "&".join(f"{key}={quote(value, safe='/:,.')}" for key, value in entries)
     return text if len(text) <= LONGEST else ""

@@ -86,3 +86,8 @@ def test_what_cannot_be_is_refused_in_one_line(text: str, says: str) -> None:
         read_address(text)
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith("the link")
+
+
+def test_a_rounding_error_of_the_camera_is_not_in_the_address() -> None:
+    camera = Camera((-1.3e-15, -23.341, 33.12), (0.0, -1.1e-16, -1.07))
+    assert address_of(STATE, camera=camera).endswith("camera=0,-23.34,33.12,0,0,-1.07")
