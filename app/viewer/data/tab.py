@@ -2,6 +2,7 @@
 
 import shutil
 import tempfile
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -157,7 +158,8 @@ class DataTab(Feature):
         else:
             source = request.path or demo_path()
         try:
-            with built_first(source):
+            # What was uploaded lies in a temporary folder, where nobody can build from it.
+            with built_first(source) if request.upload is None else nullcontext():
                 dataset = load_dataset(source, loading, most_bytes=MOST_LOADED)
         except BaseException:
             self._forget(request, source)
