@@ -91,9 +91,9 @@ SCRIPT = """
     own.cursor = data.cursor;
     if (!own.cursor) gpgrad.acts.marks({places: []});
   };
-  const rings = [0, 1].map(() => make(over, 'position:absolute;width:18px;height:18px;' +
-    'margin:-11px 0 0 -11px;border-radius:50%;border:2px solid;box-shadow:0 0 0 1.5px #000,' +
-    'inset 0 0 0 1.5px #000;visibility:hidden'));
+  const rings = [0, 1].map(() => make(over, 'position:absolute;width:20px;height:20px;' +
+    'margin:-13px 0 0 -13px;border-radius:50%;border:3px solid;box-shadow:0 0 0 2px #000,' +
+    'inset 0 0 0 2px #000;visibility:hidden'));
   for (const ring of rings) ring.dataset.testid = 'cursor-mark';
   gpgrad.acts.marks = data => rings.forEach((ring, k) => {
     const place = own.cursor && data.places[k];
@@ -102,7 +102,8 @@ SCRIPT = """
     ring.style.borderColor = data.color;
     ring.style.left = place[0] - own.left + 'px'; ring.style.top = place[1] - own.top + 'px';
   });
-  addEventListener('pointermove', event => {
+  // By its full name: in an inline handler, the short one is the element's own.
+  window.addEventListener('pointermove', event => {
     const canvas = document.querySelector('canvas');
     if (!own.cursor || !canvas) return;
     const box = canvas.getBoundingClientRect();
