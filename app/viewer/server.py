@@ -25,6 +25,7 @@ from gpgrad_core.pipeline import PipelineParams, resolve_parameters
 from gpgrad_core.run.helper import start_helper
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
+from gpgrad_core.run.threads import single_threaded_libraries
 from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.types import Dataset
 
@@ -80,6 +81,10 @@ class Viewer:
         Raises:
             InputError: If the dataset prefers parameters that there are not.
         """
+        # For as long as it serves: a BLAS that has worked in several threads lets them spin for
+        # many milliseconds more, on the processor that the helper needs.
+        self._quiet = contextlib.ExitStack()
+        self._quiet.enter_context(single_threaded_libraries())
         start = params if params is not None else preferred_parameters(dataset, PipelineParams())
         budget = default_budget() if memory is None else memory
         self._memo = Memo(round(MEMO_SHARE * budget), store)
@@ -157,6 +162,7 @@ class Viewer:
         if self._capacity.helper is not None:
             self._capacity.helper.close()
         self._uploads.cleanup()
+        self._quiet.close()
 
     # Called from the server's pool of threads, so in any order.
 
