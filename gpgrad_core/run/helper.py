@@ -36,8 +36,8 @@ R = TypeVar("R")
 LISTEN_EVERY = 0.02
 """Seconds between two progress reports while this process waits for the other."""
 PIPE_BYTES = 1 << 20
-"""Of each pipe, where the system lets it be chosen; with the usual 64 KiB, the maps of a submap took
-twice as long to send."""
+"""Of each pipe, where the system allows it. With the usual 64 KiB, the maps of a submap took twice as
+long to send."""
 CLOSE_SECONDS = 2.0
 """Time that the process has to end by itself [s]."""
 BEAT_EVERY = 0.5
@@ -294,13 +294,20 @@ def _start_process() -> "subprocess.Popen[bytes]":
     # Before they are loaded: threads of BLAS that have worked spin for many milliseconds more, on
     # the processor that the first process needs.
     single = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1")
-    return subprocess.Popen(
-        [sys.executable, "-c", "from gpgrad_core.run.helper import main; main()"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        pipesize=PIPE_BYTES,
-        env={**os.environ, **single, "PYTHONPATH": path},
-    )
+
+    def start(pipe_bytes: int) -> "subprocess.Popen[bytes]":
+        return subprocess.Popen(
+            [sys.executable, "-c", "from gpgrad_core.run.helper import main; main()"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pipesize=pipe_bytes,
+            env={**os.environ, **single, "PYTHONPATH": path},
+        )
+
+    try:
+        return start(PIPE_BYTES)
+    except PermissionError:  # a user may have so much in pipes, and no more
+        return start(-1)
 
 
 def start_helper() -> Helper | None:
