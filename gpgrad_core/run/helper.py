@@ -36,8 +36,8 @@ R = TypeVar("R")
 LISTEN_EVERY = 0.02
 """Seconds between two progress reports while this process waits for the other."""
 PIPE_BYTES = 1 << 20
-"""Of each pipe, where the system allows it. With the usual 64 KiB, the maps of a submap took twice as
-long to send."""
+"""Of each pipe, where the system allows it. With the usual 64 KiB, the maps of a submap took
+twice as long to send."""
 CLOSE_SECONDS = 2.0
 """Time that the process has to end by itself [s]."""
 BEAT_EVERY = 0.5
