@@ -4,6 +4,11 @@ from dataclasses import dataclass
 
 from gpgrad_core.errors import InputError
 
+DECADES_FROM = 20.0
+"""From this ratio of a slider's ends on, equal ways on it are equal factors."""
+DIGITS = 3
+"""Of the values of such a slider."""
+
 
 @dataclass(frozen=True)
 class Bounds:
@@ -12,7 +17,7 @@ class Bounds:
     Attributes:
         low: Smallest value allowed.
         high: Largest value allowed.
-        step: Step of a slider; slider values are rounded to it.
+        step: Step of a slider; slider values are rounded to it, unless they span decades.
         unit: Unit of the value, as printed; "" if it has none.
         slider: The range that a slider offers, within low and high; None means all of it.
     """
@@ -28,12 +33,28 @@ class Bounds:
         """Ends of the slider."""
         return self.slider or (self.low, self.high)
 
+    @property
+    def spans_decades(self) -> bool:
+        """Whether factors matter on the slider, and not differences.
+
+        >>> Bounds(0.01, 100.0, 0.01, "m", slider=(0.05, 2.0)).spans_decades
+        True
+        >>> Bounds(0.0, 12.0, 0.1).spans_decades
+        False
+        """
+        low, high = self.slider_range
+        return low > 0 and high >= DECADES_FROM * low
+
     def round(self, value: float) -> float:
-        """Round to the step, so that 0.30000000000000004 is not a new key.
+        """Round to the step, or to three digits, so that 0.30000000000000004 is not a new key.
 
         >>> Bounds(0.0, 1.0, 0.05).round(0.30000000000000004)
         0.3
+        >>> Bounds(0.01, 100.0, 0.01, "m", slider=(0.05, 2.0)).round(0.051234)
+        0.0512
         """
+        if self.spans_decades:
+            return float(f"{value:.{DIGITS}g}")
         return float(f"{round(value / self.step) * self.step:.12g}")
 
     def check(self, name: str, value: float) -> None:

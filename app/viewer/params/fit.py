@@ -94,8 +94,7 @@ def _same_submaps(first: ViewState, second: ViewState) -> bool:
 def _value(params: TerrainParams, name: str) -> float:
     """Round a fitted value to the digits that its slider shows."""
     bounds = bounds_of(TerrainParams)[name]
-    digits = len(f"{bounds.step:f}".rstrip("0").partition(".")[2])
-    value = round(float(getattr(params, name)), digits)
+    value = bounds.round(float(getattr(params, name)))
     return min(max(value, bounds.low), bounds.high)
 
 

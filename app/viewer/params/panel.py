@@ -1,5 +1,6 @@
 """A params dataclass -> sliders: bounds, unit, tooltip and default all come from its fields."""
 
+import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, Generic, TypeVar
 
@@ -7,8 +8,9 @@ import viser
 
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_choice, on_press
+from app.viewer.widgets.decades import spread_over_decades
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.bounds import DIGITS, Bounds
 from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path, with_unit
 
 P = TypeVar("P")
@@ -53,11 +55,13 @@ class ParamsPanel(Generic[P]):
         self._on_error = on_error
         self._inputs: dict[str, viser.GuiInputHandle[Any]] = {}
         self._automatic: dict[str, viser.GuiInputHandle[bool]] = {}
+        self._decades: list[viser.GuiSliderHandle[Any]] = []
         self._settings = {setting.path: setting for setting in parameters_of(type(value))}
         for path, name in main.items():
             self._add(self._settings[path], name)
         with host.gui.add_folder(folder, expand_by_default=False):
             self._add_groups(main)
+            spread_over_decades(host, self._decades)
 
     @property
     def value(self) -> P:
@@ -150,17 +154,20 @@ class ParamsPanel(Generic[P]):
         default: Any = get_path(self._default, setting.path)
         default_text = "automatic" if default is None else f"{default:g}{unit}"
         kind: Any = int if whole else float
-        return self._host.gui.add_slider(
+        handle = self._host.gui.add_slider(
             label,
             min=kind(low),
             max=kind(high),
-            step=kind(bounds.step),
+            step=kind(_finest(bounds, whole=whole)),
             initial_value=kind(start),
             marks=() if default is None else (kind(default),),
             disabled=current is None,
             hint=f"{setting.doc} Default: {default_text} (the mark). "
             f"Allowed: {bounds.low:g} to {bounds.high:g}{unit}.",
         )
+        if bounds.spans_decades:
+            self._decades.append(handle)
+        return handle
 
     def _add_automatic(self, setting: Field) -> None:
         current = get_path(self._value, setting.path)
@@ -240,7 +247,15 @@ def _is_too_wide(bounds: Bounds) -> bool:
     return high - low > MOST_STEPS * bounds.step
 
 
+def _finest(bounds: Bounds, *, whole: bool) -> float:
+    """Give the step of a slider: one over decades shows as many digits at its lower end."""
+    if whole or not bounds.spans_decades:
+        return bounds.step
+    return float(10.0 ** (math.floor(math.log10(bounds.slider_range[0])) + 1 - DIGITS))
+
+
 def _slider_start(bounds: Bounds) -> float:
     """Where the slider of an automatic parameter waits: low in its range, on a step."""
     low, high = bounds.slider_range
-    return max(low, bounds.round(low + 0.25 * (high - low)))
+    start = low * (high / low) ** 0.25 if bounds.spans_decades else low + 0.25 * (high - low)
+    return max(low, bounds.round(start))

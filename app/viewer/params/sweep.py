@@ -8,11 +8,10 @@ import numpy as np
 
 from app.viewer.widgets.bridge import say
 from app.viewer.widgets.html import BAD, FAINT, GOOD, QUIET
+from gpgrad_core.params.bounds import DECADES_FROM
 from gpgrad_core.params.fields import Field, with_unit
 
 NUM_VALUES = 15
-DECADES_FROM = 20.0
-"""From this ratio of the ends on, values are spaced evenly in their logarithm."""
 WIDTH, LEFT, RIGHT = 300.0, 34.0, 10.0
 SCORES, BETWEEN, INLIERS, BELOW = 84.0, 30.0, 34.0, 26.0
 """Heights of the scores, of the gap, of the inliers, and of the axis below them."""
@@ -50,7 +49,7 @@ def values_of(field: Field, current: float | None) -> tuple[float, ...]:
     if current is not None:
         low, high = min(low, current), max(high, current)
     low = max(low, bounds.step) if low == 0 and high > DECADES_FROM * bounds.step else low
-    spaced = np.geomspace if low > 0 and high > DECADES_FROM * low else np.linspace
+    spaced = np.geomspace if low > 0 and high >= DECADES_FROM * low else np.linspace
     chosen = {bounds.round(float(value)) for value in spaced(low, high, NUM_VALUES)}
     chosen = {min(max(value, bounds.low), bounds.high) for value in chosen}
     return tuple(sorted(chosen | ({current} if current is not None else set())))
@@ -180,7 +179,7 @@ class _Axis:
     @classmethod
     def over(cls, values: Sequence[float]) -> "_Axis":
         low, high = values[0], values[-1]
-        return cls(low, high, low > 0 and high > DECADES_FROM * low)
+        return cls(low, high, low > 0 and high >= DECADES_FROM * low)
 
     def __call__(self, value: float) -> float:
         low, high = self.low, self.high

@@ -4,6 +4,8 @@ viser has no setting for any of these, but its pages take a style sheet in HTML.
 here depends on how viser builds its pages, as the bridge does, and a browser test watches it.
 """
 
+from typing import Any
+
 import viser
 
 from app.viewer.host import Host
@@ -161,7 +163,9 @@ class Look:
         )
 
 
-def uuid_of(handle: viser.GuiButtonHandle | viser.GuiButtonGroupHandle) -> str:
+def uuid_of(
+    handle: viser.GuiInputHandle[Any] | viser.GuiButtonHandle | viser.GuiButtonGroupHandle,
+) -> str:
     """Give the name by which a page knows a widget."""
     return handle._impl.uuid  # pyright: ignore[reportPrivateUsage]
 

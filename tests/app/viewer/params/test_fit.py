@@ -82,20 +82,20 @@ def test_the_result_is_handed_on_and_told_before_and_after(
     run(fit, server)
     assert fitter.calls == [("003", "000")]
     # To the digits that the sliders show.
-    found = {"length_scale": 0.41, "signal_std": 0.3, "noise_std": 0.031}
+    found = {"length_scale": 0.412, "signal_std": 0.3, "noise_std": 0.0307}
     (state,) = recorder.states
     assert state.params == replace(STATE.params, map=with_fitted(STATE.params.map, found))
     for words in (
         "4,096 points of 003 and 000",
-        "0.3 → 0.41 m",
-        "0.05 → 0.031 m",
+        "0.3 → 0.412 m",
+        "0.05 → 0.0307 m",
         "automatic → 0.3 m",
         "-0.250 → 0.500",
     ):
         assert words in said(fit)
     params = MapParams(resolution=0.07)
     assert with_fitted(params, found).resolution == 0.07
-    assert with_fitted(params, found).noise_std == 0.031
+    assert with_fitted(params, found).noise_std == 0.0307
 
 
 def test_a_submap_beside_itself_counts_once(

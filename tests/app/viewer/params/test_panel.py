@@ -24,9 +24,10 @@ class Inner:
 @dataclass(frozen=True)
 class Params:
     width: Annotated[float, Bounds(0.0, 10.0, 0.1, "m", slider=(1.0, 5.0)), Doc("How wide.")] = 2.0
-    count: Annotated[int, Bounds(1, 100, 10), Doc("How many.")] = 11
+    count: Annotated[int, Bounds(1, 100, 10, slider=(10, 100)), Doc("How many.")] = 11
     limit: Annotated[float | None, Bounds(0.0, 1.0, 0.01), Doc("At most.")] = None
     strict: Annotated[bool, Doc("Whether.")] = True
+    reach: Annotated[float, Bounds(0.001, 10.0, 0.1, slider=(0.05, 2.0)), Doc("How far.")] = 0.3
     seed: Annotated[int, Doc("Random.")] = 0
     inner: Inner = field(default_factory=Inner)
 
@@ -84,6 +85,14 @@ def test_a_whole_number_stays_one(server: viser.ViserServer) -> None:
     user_sets(find(server, "count"), 21)
     assert made.reported[-1].count == 20
     assert type(made.reported[-1].count) is int
+
+
+def test_over_decades_a_value_has_three_digits(server: viser.ViserServer) -> None:
+    made = Panel(server, Params())
+    slider = find(server, "reach")
+    assert slider.step == pytest.approx(0.0001)
+    user_sets(slider, 0.06137)
+    assert made.reported[-1].reach == 0.0614
 
 
 def test_a_step_below_the_lowest_value_is_the_lowest_value(server: viser.ViserServer) -> None:
