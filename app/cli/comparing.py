@@ -2,9 +2,9 @@
 
 import math
 import sys
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -23,8 +23,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.run.whole import TemporaryFolder
-from gpgrad_core.shortlist import ALL_UP_TO, Candidates
+from gpgrad_core.shortlist import Candidates
 from gpgrad_core.types import Dataset, ImageVerdict, LoopClosure, SubmapSource
 
 SchedulerFlag: TypeAlias = Annotated[
@@ -35,8 +34,6 @@ SchedulerFlag: TypeAlias = Annotated[
     ),
     tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: this machine's cores)"),
 ]
-VIEW_BYTES = 2_000_000
-"""Room for what is kept of a submap and its pairs; 30,000 points take half of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,18 +114,6 @@ def workers_for(scheduler: str | None, num_pairs: int) -> AbstractContextManager
         num_pairs: Number of pairs to compare.
     """
     return workers(num_workers(), num_pairs) if scheduler is None else connected(scheduler)
-
-
-@contextmanager
-def at_least_for_now(store: Store | None, num_submaps: int) -> Generator[Store | None]:
-    """Give a store with room for a run; a temporary one if the results of many are not kept."""
-    if store is not None:
-        yield store.with_room(num_submaps * VIEW_BYTES)
-    elif num_submaps <= ALL_UP_TO:
-        yield None  # they fit into memory
-    else:
-        with TemporaryFolder("gpgrad-results-") as folder:
-            yield Store(Path(folder)).with_room(num_submaps * VIEW_BYTES)
 
 
 def shared(store: Store | None, executor: Executor, outline: Outline) -> Store | None:

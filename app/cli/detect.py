@@ -11,7 +11,6 @@ from typing_extensions import Doc
 
 from app.cli.comparing import (
     SchedulerFlag,
-    at_least_for_now,
     compare,
     kept_in_memory,
     shared,
@@ -39,7 +38,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.fitting import representative
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import check_apart, check_output
-from gpgrad_core.pipeline import check_affordable
+from gpgrad_core.pipeline import at_least_for_now, check_affordable
 from gpgrad_core.shortlist import num_wanted, read_candidates
 from gpgrad_core.slam import build_pose_graph, odometry_poses, write_graph
 from gpgrad_core.types import Dataset, SubmapSource

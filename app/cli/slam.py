@@ -14,7 +14,6 @@ from typing_extensions import Doc
 
 from app.cli.comparing import (
     SchedulerFlag,
-    at_least_for_now,
     compare,
     kept_in_memory,
     shared,
@@ -51,7 +50,12 @@ from gpgrad_core.outputs import (
     restore_closures,
     write_closures,
 )
-from gpgrad_core.pipeline import DetectionResult, PipelineParams, check_affordable
+from gpgrad_core.pipeline import (
+    DetectionResult,
+    PipelineParams,
+    at_least_for_now,
+    check_affordable,
+)
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers

@@ -18,7 +18,7 @@ from gpgrad_core.pipeline.detection import (
     judge_pair,
     register_pair,
 )
-from gpgrad_core.pipeline.kept import KeptDetector, keeping
+from gpgrad_core.pipeline.kept import KeptDetector, at_least_for_now, keeping
 from gpgrad_core.pipeline.params import PipelineParams
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "MapDetector",
     "PairResult",
     "PipelineParams",
+    "at_least_for_now",
     "check_affordable",
     "check_searchable",
     "describe_choice",

@@ -1,7 +1,9 @@
 """The pipeline's stages over a store: what an earlier run has made is not made again."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeVar
 
 from gpgrad_core.pipeline.all_pairs import SourceDetector
@@ -10,6 +12,8 @@ from gpgrad_core.registration import Prepared
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.store import Store, key_of
+from gpgrad_core.run.whole import TemporaryFolder
+from gpgrad_core.shortlist import ALL_UP_TO
 from gpgrad_core.types import (
     Features,
     GradientMap,
@@ -22,6 +26,8 @@ from gpgrad_core.types import (
 D = TypeVar("D", bound=LoopDetector)
 R = TypeVar("R")
 
+VIEW_BYTES = 2_000_000
+"""Room for what is kept of a submap and its pairs; 30,000 points take half of it."""
 LOADED = Memo(200_000_000)
 """Views that this process has loaded, by their keys: it gets a new detector with every job."""
 
@@ -145,3 +151,20 @@ def keeping(detector: D, store: Store | None) -> "D | KeptDetector":
         return detector
     is_own = detector.make_map is infer_map and detector.drawn_from is None
     return KeptDetector(detector, store) if is_own else detector
+
+
+@contextmanager
+def at_least_for_now(store: Store | None, num_submaps: int) -> Generator[Store | None]:
+    """Give a store with room for a run; a temporary one if the results of many are not kept.
+
+    Args:
+        store: Where results are kept; None if they are not.
+        num_submaps: Number of submaps of the run. Of few, the results fit into memory.
+    """
+    if store is not None:
+        yield store.with_room(num_submaps * VIEW_BYTES)
+    elif num_submaps <= ALL_UP_TO:
+        yield None
+    else:
+        with TemporaryFolder("gpgrad-results-") as folder:
+            yield Store(Path(folder)).with_room(num_submaps * VIEW_BYTES)

@@ -23,6 +23,7 @@ from gpgrad_core.datasets import SimulationParams, load_dataset, simulate_into
 from gpgrad_core.datasets.folder import MOST_LOADED
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from tests.browser.chromium import ViewerPage, find_chromium, launch
 
@@ -108,7 +109,8 @@ def test_every_job(dataset: Path) -> None:
         pytest.skip("no Chromium was found")
     folder = Path(tempfile.mkdtemp(prefix="walk-many-"))
     loaded = load_dataset(dataset, most_bytes=MOST_LOADED)
-    viewer = Viewer(loaded, PipelineParams(), port=0, source=str(dataset))
+    kept = Store(folder / "kept")  # empty, as for a user's first look
+    viewer = Viewer(loaded, PipelineParams(), port=0, source=str(dataset), store=kept)
     pulse = Pulse()
     print(f"\n{len(loaded.submaps)} submaps; pictures in {folder}")
     print("| job | seconds | page [s] | server [s] |\n|---|---|---|---|")

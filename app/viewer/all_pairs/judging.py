@@ -22,12 +22,23 @@ from gpgrad_core.evaluation.precision_recall import (
 )
 from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
+from gpgrad_core.fitting import representative
 from gpgrad_core.loop_closure import ClosureParams
-from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures, judge_pair
+from gpgrad_core.pipeline import (
+    DetectionResult,
+    MapDetector,
+    PipelineParams,
+    at_least_for_now,
+    detect_loop_closures,
+    judge_pair,
+    keeping,
+    resolve_parameters,
+)
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.shortlist import Candidates
+from gpgrad_core.shortlist import Candidates, num_wanted
 from gpgrad_core.types import Dataset, LoopClosure
 
 RULES: dict[str, Rule] = {rule.name: rule for rule in EvaluationParams().rules}
@@ -112,6 +123,11 @@ class JudgedPairs:
 
 IMAGES = Memo(200_000_000)
 """Keypoints of camera images, which are made when images are first asked for their verdict."""
+MANY_PAIRS = 1000
+"""From this number on, pairs are compared in processes of their own. That is faster, and leaves
+this one to the pages."""
+OF_A_PROCESS = 500_000_000
+"""Bytes of results that each of them keeps; views and registrations are in the store."""
 TRUE, APART, UNKNOWN = "true", "apart", "unknown"
 
 
@@ -135,19 +151,57 @@ def compare_pairs(
     Raises:
         InputError: If a submap's map cannot be made.
     """
+    num_pairs = sum(num_wanted(candidates, k) for k in range(len(dataset.submaps)))
+    detect = _detect_here if num_pairs < MANY_PAIRS else _detect_in_processes
+    result = detect(dataset, params, memo, part(progress, 0.0, 0.97), candidates)
+    truth = None
+    if sum(submap.pose_true is not None for submap in dataset.submaps) >= 2:
+        truth = measure_pairs(dataset, part(progress, 0.97, 1.0))
+    return ComparedPairs(dataset, params, result, truth)
+
+
+def _detect_here(
+    dataset: Dataset,
+    params: PipelineParams,
+    memo: Memo,
+    progress: Progress,
+    candidates: Candidates,
+) -> DetectionResult:
+    """Compare in threads, which leave what they make in the memo."""
     with ThreadPoolExecutor(num_workers(), thread_name_prefix="all-pairs") as executor:
-        result = detect_loop_closures(
+        return detect_loop_closures(
             dataset,
             params,
             candidates=candidates,
             executor=executor,
             memo=memo,
-            progress=part(progress, 0.0, 0.97),
+            progress=progress,
         )
-    truth = None
-    if sum(submap.pose_true is not None for submap in dataset.submaps) >= 2:
-        truth = measure_pairs(dataset, part(progress, 0.97, 1.0))
-    return ComparedPairs(dataset, params, result, truth)
+
+
+def _detect_in_processes(
+    dataset: Dataset,
+    params: PipelineParams,
+    memo: Memo,
+    progress: Progress,
+    candidates: Candidates,
+) -> DetectionResult:
+    """Compare as ``gpgrad detect`` does; what it has compared is taken from the same store."""
+    submaps = dataset.submaps
+    some = [submaps[k] for k in representative(len(submaps))]
+    params = resolve_parameters(some, params, memo)
+    with (
+        at_least_for_now(memo.store, len(submaps)) as store,
+        workers(num_workers(), MANY_PAIRS) as executor,
+    ):
+        return detect_loop_closures(
+            dataset,
+            params,
+            detector=keeping(MapDetector(params, Memo(OF_A_PROCESS)), store),
+            candidates=candidates,
+            executor=executor,
+            progress=progress,
+        )
 
 
 def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> JudgedPairs:

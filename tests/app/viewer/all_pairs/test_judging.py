@@ -1,8 +1,10 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from app.viewer.all_pairs import judging
 from app.viewer.all_pairs.cells import gather_all
 from app.viewer.all_pairs.judging import RULES, UNKNOWN, ComparedPairs, compare_pairs, judge
 from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
@@ -11,8 +13,10 @@ from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.evaluation.rules import Rule
 from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run import parallel
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.run.store import Store
 from tests.app.synthetic import MISPLACED, PAIR_SCORES, make_compared, make_dataset
 
 BOX = next(iter(RULES.values()))
@@ -129,6 +133,23 @@ def test_a_comparison_registers_all_pairs_and_measures_the_truth() -> None:
     np.testing.assert_array_equal(compared.truth.box_iou, measure_pairs(dataset).box_iou)
     assert told == sorted(told)
     assert told[-1] == pytest.approx(1.0, abs=0.03)
+
+
+def test_many_pairs_are_compared_in_processes_and_kept(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    params = PipelineParams(map=replace(PipelineParams().map, resolution=0.1))
+    here = compare_pairs(COMPARED.dataset, params, Memo())
+    monkeypatch.setattr(judging, "MANY_PAIRS", 6)
+    monkeypatch.setattr(parallel, "WORTH_PROCESSES", 6)
+    memo = Memo(store=Store(tmp_path / "store"))
+    there = compare_pairs(COMPARED.dataset, params, memo)
+    for one, other in zip(here.result.closures, there.result.closures, strict=True):
+        assert (one.query_id, one.database_id) == (other.query_id, other.database_id)
+        assert one.registration.score == pytest.approx(other.registration.score)
+    num_kept = sum(path.is_file() for path in (tmp_path / "store").rglob("*"))
+    assert num_kept >= 6
+    assert memo.num_bytes < 10_000_000  # the maps stay in the processes
 
 
 def test_a_comparison_can_be_cancelled() -> None:
