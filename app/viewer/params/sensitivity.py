@@ -44,12 +44,13 @@ class SensitivityTool(Feature):
         fields = {field.path: field for field in parameters_of(PipelineParams)}
         self._fields = {name: fields[path] for path, name in main.items()}
         self._done: tuple[_Sweep, tuple[Tried, ...]] | None = None
+        self._num_left = 0  # values that are still to be tried
         self._panel = SweepPanel(desk.host, tuple(self._fields), self.sweep, self._begin_anew)
         self._work: Work[_Sweep, tuple[Tried, ...]] = Work(
             self._panel.work_bar,
             lambda job: f"Sweeping {job.name.lower()}",
             self._register,
-            lambda job, tried, _: self._take(job, tried),
+            lambda job, tried, _: self._take(job, tried, 0),
             slots=desk.capacity.long,
             name="sensitivity",
         )
@@ -80,20 +81,20 @@ class SensitivityTool(Feature):
             found = result.registration
             tried.append(Tried(value, found.score, found.num_inliers, result.closure.accepted))
             if len(tried) > 1:
-                self._take(job, tuple(tried))
+                self._take(job, tuple(tried), len(values) - len(tried))
         return tuple(tried)
 
-    def _take(self, job: _Sweep, tried: tuple[Tried, ...]) -> None:
+    def _take(self, job: _Sweep, tried: tuple[Tried, ...], num_left: int) -> None:
         with self._lock:
             if not same_pair(job.state, self._state) or job.name != self._panel.name:
                 return
-            self._done = job, tried
+            self._done, self._num_left = (job, tried), num_left
         self._draw()
         self._desk.host.flush()
 
     def _draw(self) -> None:
         with self._lock:
-            done = self._done
+            done, num_left = self._done, self._num_left
         if done is None:
             return
         job, tried = done
@@ -107,6 +108,7 @@ class SensitivityTool(Feature):
                 tried,
                 current=now if on_axis else None,
                 threshold=job.state.params.closure.min_score,
+                num_left=num_left,
                 stale=stale,
             )
         )

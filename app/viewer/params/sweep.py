@@ -83,6 +83,7 @@ def sweep_html(
     *,
     current: float | None,
     threshold: float,
+    num_left: int = 0,
     stale: bool = False,
 ) -> str:
     """Draw score and inliers over the values of a parameter; a click on a value sets it.
@@ -93,6 +94,7 @@ def sweep_html(
         tried: What was found, by value; not empty.
         current: Where the slider stands; None if it is not on this axis.
         threshold: The lowest score of a loop closure.
+        num_left: Number of values that are still to be tried.
         stale: Whether other parameters, or the pair, have changed since.
     """
     unit = "" if field.bounds is None else field.bounds.unit
@@ -156,6 +158,8 @@ def sweep_html(
         f"{escape(with_unit(name, field.bounds))}</text>"
     )
     words = summary(tried, unit)
+    if num_left:  # what holds at some values need not hold at all
+        words = f"{len(tried)} of {len(tried) + num_left} values so far."
     note = "Something else has changed since. Sweep again." if stale else words
     dim = f";{FAINT}" if stale else ""
     return (

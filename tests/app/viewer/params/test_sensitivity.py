@@ -83,6 +83,14 @@ def test_the_picture_says_each_value_in_words_and_escapes_names() -> None:
     assert content.count("<circle") == 2
 
 
+def test_no_verdict_on_all_values_before_all_were_tried() -> None:
+    tried = [Tried(0.1, 4.0, 3, True), Tried(0.2, 4.0, 9, True)]
+    field = FIELDS["map.noise_std"]
+    content = sweep_html(field, "Noise", tried, current=None, threshold=3.0, num_left=13)
+    assert "2 of 15 values so far." in content
+    assert "at every value" not in content
+
+
 def test_a_sweep_is_drawn_and_a_click_sets_the_value(
     tool: SensitivityTool, server: viser.ViserServer, pipeline: FakePipeline
 ) -> None:
