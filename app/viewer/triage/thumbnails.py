@@ -52,16 +52,18 @@ def thumbnail(
     Args:
         query: Map of the query.
         database: Map of the database submap.
-        T_database_query: The motion by which the query is laid into the database's window; None
-            leaves it in its own.
+        T_database_query: The motion by which the query is laid beside the database, in a window
+            over both; None leaves each in its own.
         max_std_ratio: Of the variance mask; what it rejects stays transparent.
     """
-    window = _window(database)
-    left = (
-        _sample(query, _window(query), max_std_ratio)
-        if T_database_query is None
-        else _sample(query, T_database_query.inverse().apply(window), max_std_ratio)
-    )
+    if T_database_query is None:
+        left = _sample(query, _window(_corners(query)), max_std_ratio)
+        window = _window(_corners(database))
+    else:
+        # Over both, so that neither is cut however little they have in common.
+        laid = T_database_query.apply(_corners(query))
+        window = _window(np.concatenate([laid, _corners(database)]))
+        left = _sample(query, T_database_query.inverse().apply(window), max_std_ratio)
     right = _sample(database, window, max_std_ratio)
     known = np.concatenate([left[np.isfinite(left)], right[np.isfinite(right)]])
     high = float(np.quantile(known, 0.98)) if len(known) else 1.0
@@ -82,13 +84,18 @@ def to_uri(picture: UInt8[NDArray[np.uint8], "rows columns 4"]) -> str:
     return "data:image/png;base64," + base64.b64encode(png.tobytes()).decode("ascii")
 
 
-def _window(gradient_map: GradientMap) -> Float[Array, "n 2"]:
-    """Place the pixels over a map (n, 2) [m]: rows of rising y, as wide as the longer side."""
-    grid = gradient_map.grid
-    rows, columns = grid.shape
-    steps = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * max(rows, columns)
-    x, y = np.meshgrid(steps + 0.5 * (columns - 1), steps + 0.5 * (rows - 1))
-    return grid.to_position(np.column_stack([x.ravel(), y.ravel()]))
+def _corners(gradient_map: GradientMap) -> Float[Array, "4 2"]:
+    rows, columns = gradient_map.grid.shape
+    x, y = np.meshgrid([0.0, columns - 1.0], [0.0, rows - 1.0])
+    return gradient_map.grid.to_position(np.column_stack([x.ravel(), y.ravel()]))
+
+
+def _window(corners: Float[Array, "k 2"]) -> Float[Array, "n 2"]:
+    """Place the pixels over points (n, 2) [m]: rows of rising y, as wide as the longer side."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    steps = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * float((high - low).max())
+    x, y = np.meshgrid(*(steps + 0.5 * (low + high)[k] for k in (0, 1)))
+    return np.column_stack([x.ravel(), y.ravel()])
 
 
 def _sample(

@@ -12,7 +12,7 @@ from app.viewer.state import open_dataset
 from app.viewer.triage.listing import PASSES, list_pairs, next_undecided
 from app.viewer.triage.panel import ROWS
 from app.viewer.triage.tab import TriageTab
-from app.viewer.triage.thumbnails import SIDE, thumbnail
+from app.viewer.triage.thumbnails import GAP, SIDE, thumbnail
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.pipeline import PipelineParams
@@ -70,7 +70,7 @@ def test_the_next_undecided_pair_goes_round_the_end() -> None:
     assert next_undecided((), ("003", "000")) is None
 
 
-def test_a_small_picture_lays_the_query_into_the_window_of_the_database() -> None:
+def test_a_small_picture_lays_both_into_one_window() -> None:
     query, database = (make_map(COMPARED.dataset.submap(name)) for name in ("003", "000"))
     picture = thumbnail(query, database, T_DATABASE_QUERY, 0.9)
     left, right = picture[:, :SIDE], picture[:, -SIDE:]
@@ -82,6 +82,15 @@ def test_a_small_picture_lays_the_query_into_the_window_of_the_database() -> Non
     both = (apart[:, :SIDE, 3] > 0) & (apart[:, -SIDE:, 3] > 0)
     unlike = apart[:, :SIDE][both].astype(int) - apart[:, -SIDE:][both].astype(int)
     assert np.abs(unlike).mean() > 2 * difference
+
+
+def test_a_small_picture_cuts_neither_however_far_apart_they_lie() -> None:
+    query, database = (make_map(COMPARED.dataset.submap(name)) for name in ("003", "000"))
+    far = replace(T_DATABASE_QUERY, x=T_DATABASE_QUERY.x + 12.0)
+    tiles = np.split(thumbnail(query, database, far, 0.9)[..., 3] > 0, [SIDE, SIDE + GAP], axis=1)
+    left, right = float(tiles[0].mean()), float(tiles[2].mean())
+    assert min(left, right) > 0.01
+    assert left == pytest.approx(right, rel=0.4)  # of a size, so neither is cut
 
 
 @pytest.fixture
