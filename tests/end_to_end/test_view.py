@@ -42,6 +42,7 @@ def test_the_page_is_served_until_interrupted(traverse: Path, built_in: bool) ->
     assert err.splitlines() == ["gpgrad: interrupted"]
 
 
+@pytest.mark.slow
 def test_on_a_network_the_token_is_printed_and_asked_for() -> None:
     with start(
         *("view", "--host", "0.0.0.0", "--port", "0", "--no-open"),

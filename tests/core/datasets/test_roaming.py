@@ -52,6 +52,7 @@ def test_windows_agree_where_they_overlap(low, shift, size) -> None:  # noqa: AN
     np.testing.assert_allclose(one.height(inside), other.height(inside), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("largest", "coarseness"), [(16.0, 2), (5.0, 4), (40.0, 16)])
 def test_a_field_varies_as_much_everywhere(largest: float, coarseness: int) -> None:
     field = Field(3, 1, 1.2, largest, coarseness)
@@ -64,6 +65,7 @@ def test_a_field_varies_as_much_everywhere(largest: float, coarseness: int) -> N
     assert steps.max() < 3.0 * np.median(steps)
 
 
+@pytest.mark.slow
 def test_another_seed_is_another_ground() -> None:
     box = np.array([0.0, 0.0]), np.array([9.0, 9.0])
     other = EndlessGround(replace(GROUND.params, seed=6), GROUND.track)

@@ -135,6 +135,7 @@ def test_a_comparison_registers_all_pairs_and_measures_the_truth() -> None:
     assert told[-1] == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 def test_many_pairs_are_compared_in_processes_and_kept(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

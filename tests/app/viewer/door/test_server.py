@@ -320,6 +320,7 @@ def test_a_malformed_frame_ends_only_its_own_connection(
     assert "Traceback" not in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_page_that_floods_does_not_hold_up_another(served: Served, page: ProtocolPage) -> None:
     message = {"type": "GuiUpdateMessage", "uuid": served.uuid("Seed"), "updates": {"value": -1}}
     frame = msgspec.msgpack.encode(message)
