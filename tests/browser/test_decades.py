@@ -61,6 +61,8 @@ def test_a_drag_multiplies(open_viewer: Open) -> None:
     assert state.params.map.length_scale == page.value(NAME)
     page.drag(NAME, 400)
     assert page.value(NAME) == HIGH
+    assert not page.page.locator(".mantine-Tooltip-tooltip:visible").count()
+    page.page.mouse.move(5, 5)
     assert page.page.evaluate("document.documentElement.dataset.sliderHeld") is None
 
 

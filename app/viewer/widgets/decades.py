@@ -18,7 +18,7 @@ from app.viewer.widgets.look import uuid_of
 from gpgrad_core.params.bounds import DIGITS
 
 STYLE = "<style>[data-slider-held] .mantine-Tooltip-tooltip{visibility:hidden!important}</style>"
-"""What a slider is for is not written over the picture that it changes."""
+"""While a hand is on a slider, what it is for is not written over the picture that it changes."""
 
 # What a slider's own listeners would do with the same event must not happen: the script hears it
 # first, and goes no further with it. `whole` says whether a slider has whole numbers only.
@@ -88,7 +88,10 @@ SCRIPT = """
       document.documentElement.dataset.sliderHeld = '';
       drag(event);
     };
-    const release = () => { held = null; delete document.documentElement.dataset.sliderHeld; };
+    const release = () => { held = null; };
+    document.addEventListener('pointerover', event => {  // the hand looks at the picture until then
+      if (!held && !find(event.target)) delete document.documentElement.dataset.sliderHeld;
+    }, {passive: true});
     const options = {capture: true, passive: false};
     for (const name of ['mousedown', 'touchstart']) document.addEventListener(name, grab, options);
     for (const name of ['mousemove', 'touchmove']) {

@@ -29,6 +29,8 @@ STYLE = """
 }
 button.mantine-Button-root { min-height: 32px; }
 .mantine-Slider-root + .mantine-NumberInput-root { width: 3.9rem !important; }
+/* The number stands in the box beside the slider, and need not cover the slider above. */
+.mantine-Slider-label { display: none; }
 .mantine-Slider-thumb { width: .7rem !important; height: 1.1rem !important; }
 [data-dock-strip] { flex-wrap: nowrap !important; }
 [data-dock-strip] > [data-dock-tab] {
