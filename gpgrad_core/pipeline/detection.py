@@ -26,8 +26,10 @@ from gpgrad_core.pipeline.automatic import is_resolved, resolve_parameters
 from gpgrad_core.pipeline.params import PipelineParams
 from gpgrad_core.registration import (
     Prepared,
+    RegistrationParams,
     prepare,
     register_prepared,
+    search_motions,
 )
 from gpgrad_core.run.helper import Helper, beside
 from gpgrad_core.run.memo import Memo
@@ -219,13 +221,10 @@ def register_pair(
     query_map = infer_map(query, params, memo)
     database_map = infer_map(database, params, memo)
     matches = memo(match_features, query_features, database_features, params.matching)
-    registration = memo(
-        register_prepared,
-        memo(prepare, query_map, params.features.max_std_ratio),
-        memo(prepare, database_map, params.features.max_std_ratio),
-        matches,
-        params.registration,
-        progress=part(progress, 0.8, 1.0),
+    mask = params.features.max_std_ratio
+    sides = memo(prepare, query_map, mask), memo(prepare, database_map, mask)
+    registration = _register_sides(
+        sides, matches, params.registration, memo, part(progress, 0.8, 1.0)
     )
     closure = judge_pair(query, database, registration, params, memo)
     return PairResult(
@@ -237,6 +236,22 @@ def register_pair(
         registration,
         closure,
     )
+
+
+def _register_sides(
+    sides: tuple[Prepared, Prepared],
+    matches: Matches,
+    params: RegistrationParams,
+    memo: Memo,
+    progress: Progress,
+) -> Registration:
+    """Register; the memo keeps what the search finds, which is the same at any inlier radius."""
+    made_from = (*sides, matches, params)
+    found = None
+    if not memo.holds(register_prepared, *made_from):
+        query, database = (side.relief for side in sides)
+        found = memo(search_motions, query, database, params.searched)
+    return memo(register_prepared, *made_from, found=found, progress=progress)
 
 
 def judge_pair(

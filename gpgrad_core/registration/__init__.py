@@ -9,6 +9,7 @@ from gpgrad_core.registration.register import (
     register,
     register_prepared,
 )
+from gpgrad_core.registration.search import search_motions
 
 __all__ = [
     "Prepared",
@@ -18,4 +19,5 @@ __all__ = [
     "refine",
     "register",
     "register_prepared",
+    "search_motions",
 ]

@@ -1,5 +1,6 @@
 """Algorithm 1, and what gpgrad adds to it: more candidate motions, alignment, one score."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,14 +104,25 @@ def register_prepared(
     matches: Matches,
     params: RegistrationParams | None = None,
     progress: Progress = silent,
+    found: Sequence[SE2] | None = None,
 ) -> Registration:
-    """Do the same as `register` with maps that are already prepared."""
+    """Do the same as `register` with maps that are already prepared.
+
+    Args:
+        query: The map to be placed.
+        database: The map on which it is placed.
+        matches: The set of associations A.
+        params: Parameters of RANSAC and of the search.
+        progress: Called with the fraction done; may raise Cancelled.
+        found: What `search_motions` finds for the two reliefs, if that is known: it depends on
+            neither the associations nor the inlier radius.
+    """
     params = params or RegistrationParams()
     maps = query.relief, database.relief
     if not all(relief.trusted.any() for relief in maps):
         return _nothing(len(matches), progress, nothing_trusted=True)
     starts = find_motions(matches, params, params.radius(maps[1].scale))
-    starts += search_motions(*maps, params.searched)
+    starts += search_motions(*maps, params.searched) if found is None else found
     progress(0.3)
     best: _Candidate | None = None
     if starts:

@@ -8,7 +8,7 @@ from gpgrad_core.features import detect_features, select_trusted
 from gpgrad_core.gradient_map import fit_terrain, sample_map
 from gpgrad_core.matching import match_features
 from gpgrad_core.pipeline.coarse import fit_roughly, thin_evenly
-from gpgrad_core.registration import prepare, register_prepared
+from gpgrad_core.registration import prepare, register_prepared, search_motions
 from gpgrad_core.run.memo import Memo
 
 P = ParamSpec("P")
@@ -23,6 +23,7 @@ STAGE_OF: dict[Callable[..., Any], str] = {
     select_trusted: "features",
     match_features: "matching",
     prepare: "registration",
+    search_motions: "registration",
     register_prepared: "registration",
 }
 """The stage that each function belongs to which the pipeline asks its memo for."""
