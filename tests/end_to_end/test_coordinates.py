@@ -76,6 +76,7 @@ def test_noise_that_grows_with_the_range_is_the_same_in_coordinates(
     assert variances[1] == pytest.approx(variances[0], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_traverse_lies_where_its_true_positions_are(
     traverse: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -74,6 +74,7 @@ def test_what_was_found_can_be_judged_again_otherwise(
     assert first["pose_error"] == second["pose_error"]
 
 
+@pytest.mark.slow
 def test_the_least_file_of_the_leaderboard_is_judged(
     gpgrad: Run, known: Path, tmp_path: Path
 ) -> None:

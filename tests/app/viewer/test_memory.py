@@ -148,6 +148,7 @@ def test_it_is_measured_all_the_time(start: Callable[..., MemoryKeeper]) -> None
     wait(lambda: memo.num_bytes == 0, "the result to be dropped")
 
 
+@pytest.mark.slow
 def test_a_helper_that_hoards_is_replaced_and_the_memo_is_spared() -> None:
     helper, memo = Helper(), Memo()
     keeper = MemoryKeeper(10**12, memo, helper)

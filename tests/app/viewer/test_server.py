@@ -59,6 +59,7 @@ def test_nothing_is_printed_and_the_address_is_told(
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.slow
 def test_a_busy_port_moves_on_to_the_next() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -96,6 +96,7 @@ def test_a_model_without_a_place_begins_at_zero(tmp_path: Path) -> None:
     assert (read.corner, read.system) == ((0.0, 0.0), "")
 
 
+@pytest.mark.slow
 def test_a_rover_drives_over_it(tmp_path: Path) -> None:
     path = write_dem(tmp_path / "dem.tif")
     dataset = simulate_dataset(SMALL, terrain=ElevationModel(path))

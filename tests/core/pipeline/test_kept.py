@@ -222,6 +222,7 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(tmp_path: Path) -> None:
     assert ran() == (6 - before.count("pair")) * ["pair"]
 
 
+@pytest.mark.slow
 def test_damaged_views_are_made_anew_and_counted(tmp_path: Path) -> None:
     store = Store(tmp_path)
     run(store)
@@ -236,6 +237,7 @@ def test_damaged_views_are_made_anew_and_counted(tmp_path: Path) -> None:
     assert store.take_damaged() == 8
 
 
+@pytest.mark.slow
 def test_a_store_that_is_too_small_changes_nothing(tmp_path: Path) -> None:
     assert_same(run(Store(tmp_path, max_bytes=1_500_000)), run(None))
 

@@ -185,6 +185,7 @@ def test_when_it_is_stopped_the_work_is_done_here_and_it_is_replaced(
     helper.close()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_what_works_long_without_a_word_is_not_killed(
     helper: Helper, monkeypatch: pytest.MonkeyPatch
@@ -193,6 +194,7 @@ def test_what_works_long_without_a_word_is_not_killed(
     assert ask(helper, sleep, 2.5).wait() == 2.5
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_killed_while_it_rests_it_comes_back_and_leaves_no_zombie() -> None:
     helper = started()

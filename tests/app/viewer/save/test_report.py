@@ -67,6 +67,7 @@ def test_lines_below_a_picture_fit_on_it() -> None:
     assert "Command: gpgrad detect" in below
 
 
+@pytest.mark.slow
 def test_a_page_is_asked_for_its_address_and_gets_the_file(server: viser.ViserServer) -> None:
     tool, page = ReportTool(make_desk(server, STATE), Commands(server)), FakePage()
     for kind in ENDINGS:
