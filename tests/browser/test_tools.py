@@ -104,7 +104,7 @@ def test_a_server_that_was_gone_gets_the_parameters_back(browser: Any) -> None:
         assert again == url
         page.wait(lambda: page.say("connection").startswith("Connected"), "the server again")
         page.wait(lambda: page.value("Minimum score") == 4.5, "the parameters")
-        assert page.legend().startswith("Gradient")
+        page.wait(lambda: page.legend().startswith("Gradient"), "the layer")
         assert page.errors == []
     finally:
         page.close()
