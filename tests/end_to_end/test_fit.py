@@ -15,6 +15,7 @@ def ground(tmp_path: Path) -> Path:
     return tmp_path / "ground.npy"
 
 
+@pytest.mark.slow
 def test_what_is_found_is_told_and_serves_other_verbs(
     gpgrad: Run, ground: Path, tmp_path: Path
 ) -> None:

@@ -13,7 +13,8 @@ import pytest
 from tests.end_to_end.process import Run, run_here, start
 
 
-@pytest.mark.parametrize("built_in", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("built_in", [False, True])
 def test_the_page_is_served_until_interrupted(traverse: Path, built_in: bool) -> None:
     dataset = [] if built_in else [str(traverse), "--memory", "1.5GB"]
     with start(

@@ -125,6 +125,7 @@ def test_below_a_root_folders_are_browsed_and_nothing_else_is_opened(
 SUBMAPS = ("000.ply", "001.ply", "002.ply", "003.ply")
 
 
+@pytest.mark.slow
 def test_a_zipped_dataset_is_uploaded(
     make: Make, server: viser.ViserServer, data: Path, tmp_path: Path, opened: list[Opened]
 ) -> None:
