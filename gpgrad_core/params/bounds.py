@@ -46,14 +46,18 @@ class Bounds:
         return low > 0 and high >= DECADES_FROM * low
 
     def round(self, value: float) -> float:
-        """Round to the step, or to three digits, so that 0.30000000000000004 is not a new key.
+        """Round to the step, so that 0.30000000000000004 is not a new key.
+
+        Over decades, to three digits where that is finer.
 
         >>> Bounds(0.0, 1.0, 0.05).round(0.30000000000000004)
         0.3
         >>> Bounds(0.01, 100.0, 0.01, "m", slider=(0.05, 2.0)).round(0.051234)
         0.0512
+        >>> Bounds(3, 10_000_000, 1, "points", slider=(500, 30_000)).round(12_345)
+        12345.0
         """
-        if self.spans_decades:
+        if self.spans_decades and 0 < value < self.step * 10 ** (DIGITS - 1):
             return float(f"{value:.{DIGITS}g}")
         return float(f"{round(value / self.step) * self.step:.12g}")
 

@@ -104,7 +104,7 @@ SCRIPT = """
       window.addEventListener(name, release, true);
     }
     document.addEventListener('keydown', event => {
-      const root = event.target.getAttribute('role') === 'slider' ? find(event.target) : null;
+      const root = event.target.getAttribute?.('role') === 'slider' ? find(event.target) : null;
       if (!root || event.ctrlKey || event.metaKey || event.altKey) return;
       const slider = read(root);
       const factor = {ArrowRight: KEY, ArrowUp: KEY, ArrowLeft: 1 / KEY, ArrowDown: 1 / KEY,
