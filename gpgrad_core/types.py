@@ -17,6 +17,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.scale import std_at_scale
 from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.wild_points import find_wild_points
 
 Descriptors = NDArray[np.float32] | NDArray[np.uint8]
 """Vectors of float32, compared by L2 distance, or strings of bits, by Hamming distance."""
@@ -60,6 +61,8 @@ class Submap:
             viewer use it.
         pose_odometry: The pose in the world according to the robot's odometry.
         num_dropped: Number of rows that were dropped because they were not finite.
+        num_wild: Number of points that were left out because no ground around them could explain
+            them; see `gpgrad_core.wild_points`.
         colors: Red, green and blue of each point (n, 3) in [0, 1], for methods that use them.
         images: Image files that a camera took there, for methods that use them.
         noise_std: Standard deviation of each point's height (n,) [m], if the source gives it.
@@ -72,6 +75,7 @@ class Submap:
     pose_true: Pose | None = None
     pose_odometry: Pose | None = None
     num_dropped: int = 0
+    num_wild: int = 0
     colors: Float[Array, "n 3"] | None = None
     images: tuple[Path, ...] = ()
     noise_std: Float[Array, "n"] | None = None
@@ -104,7 +108,7 @@ class Submap:
         noise_std: Float[NDArray[np.floating], "n"] | None = None,
         ranges: Float[NDArray[np.floating], "n"] | None = None,
     ) -> "Submap":
-        """Make a submap from points; rows that are not finite are dropped.
+        """Make a submap from points; rows that are not finite, and wild points, are left out.
 
         Args:
             points: Positions (n, 3) [m]; z points up.
@@ -124,20 +128,24 @@ class Submap:
         if rows.ndim != 2 or rows.shape[1] != 3:
             raise InputError(f"{id}: points must be an (n, 3) array, got shape {rows.shape}")
         _check_coordinates(rows, id)
-        finite = np.asarray(np.isfinite(rows).all(axis=1))
-        kept = _frozen_copy(rows, finite)
+        taken = np.asarray(np.isfinite(rows).all(axis=1))
+        kept = _frozen_copy(rows, taken)
+        num_finite, wild = len(kept), find_wild_points(kept)
+        if wild.any():
+            taken[taken] = ~wild
+            kept = _frozen_copy(rows, taken)
         _check_spans_area(kept, len(rows), id)
         digest = hashlib.blake2b(kept.tobytes(), digest_size=16)
         if colors is not None:
-            colors = _frozen_copy(colors, finite)
+            colors = _frozen_copy(colors, taken)
             digest.update(colors.tobytes())
         if noise_std is not None:
-            noise_std = _frozen_copy(noise_std, finite)
+            noise_std = _frozen_copy(noise_std, taken)
             allowed = (noise_std > 0) & (noise_std <= MAX_COORDINATE)
             _check_each(noise_std, allowed, f"{id}: noise_std must be above 0 m")
             digest.update(noise_std.tobytes())
         if ranges is not None:
-            ranges = _frozen_copy(ranges, finite)
+            ranges = _frozen_copy(ranges, taken)
             allowed = (ranges >= 0) & (ranges <= MAX_COORDINATE)
             _check_each(ranges, allowed, f"{id}: range must be 0 m or more")
             digest.update(b"ranges" + ranges.tobytes())
@@ -147,7 +155,8 @@ class Submap:
             digest.hexdigest(),
             pose_true,
             pose_odometry,
-            num_dropped=int(np.sum(~finite)),
+            num_dropped=len(rows) - num_finite,
+            num_wild=num_finite - len(kept),
             colors=colors,
             noise_std=noise_std,
             ranges=ranges,

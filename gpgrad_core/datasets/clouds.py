@@ -26,7 +26,7 @@ def load_cloud(path: Path | str) -> Submap:
     """Load one gravity-aligned cloud: .ply .pcd .npz .npy .xyz .csv .las .laz .bin.
 
     float64 files keep their precision. Rows that are not finite are dropped and counted in
-    ``Submap.num_dropped``.
+    ``Submap.num_dropped``; wild points are left out and counted in ``Submap.num_wild``.
 
     Args:
         path: The file; its name without the ending becomes the submap's id.
@@ -68,6 +68,7 @@ def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
     if submap.num_dropped:
         verb = "is not finite and was" if submap.num_dropped == 1 else "are not finite and were"
         notes.append(f"{path.name}: {submap.num_dropped:,} of {len(points):,} rows {verb} dropped")
+    notes += wild_note(submap, path.name)
     furthest = float(np.abs(submap.points).max())
     if points.dtype.itemsize < 8 and np.spacing(np.float32(furthest)) > COARSE_STEP:
         notes.append(
@@ -75,6 +76,15 @@ def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
             f"{np.spacing(np.float32(furthest)):.2g} m; save it with 64 bits or in a local frame"
         )
     return submap, tuple(notes)
+
+
+def wild_note(submap: Submap, name: str) -> list[str]:
+    """Say how many wild points were left out of a cloud; nothing if there were none."""
+    count, total = submap.num_wild, submap.num_points + submap.num_wild
+    if not count:
+        return []
+    verb, them = ("was", "it") if count == 1 else ("were", "them")
+    return [f"{name}: {count:,} of {total:,} points {verb} left out: no ground explains {them}"]
 
 
 def read_points(path: Path) -> Points:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gpgrad_core.datasets.about import About, read_about, write_about
-from gpgrad_core.datasets.clouds import READERS, load_cloud_with_notes
+from gpgrad_core.datasets.clouds import READERS, load_cloud_with_notes, wild_note
 from gpgrad_core.datasets.cpet import PosedScan, find_posed_scans
 from gpgrad_core.datasets.headings import poses_at
 from gpgrad_core.datasets.ply import write_ply
@@ -124,7 +124,9 @@ def _load(path: Path, sensor: Pose | None) -> tuple[Submap, tuple[str, ...]]:
         level = Submap.from_points(sensor.apply(submap.points), submap.id)
     except InputError as error:  # a wall, for instance, is a line from above
         raise InputError(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
-    return replace(level, num_dropped=submap.num_dropped), notes
+    notes += tuple(wild_note(level, path.name))
+    num_wild = submap.num_wild + level.num_wild
+    return replace(level, num_dropped=submap.num_dropped, num_wild=num_wild), notes
 
 
 def _completed(submap: Submap, known: Submap) -> Submap:

@@ -109,7 +109,7 @@ def test_written_points_come_back_within_float32(offsets: np.ndarray, tmp_path: 
 
 
 def test_rows_that_are_not_finite_are_dropped_and_counted(tmp_path: Path) -> None:
-    points = np.random.default_rng(0).normal(size=(30_000, 3))
+    points = np.random.default_rng(0).uniform(size=(30_000, 3))
     points[:7, 2] = np.nan
     points[7:12, 0] = np.inf
     np.save(tmp_path / "003.npy", points)
@@ -121,6 +121,20 @@ def test_rows_that_are_not_finite_are_dropped_and_counted(tmp_path: Path) -> Non
     np.save(tmp_path / "003.npy", points)
     _, notes = load_cloud_with_notes(tmp_path / "003.npy")
     assert notes == ("003.npy: 1 of 30,000 rows is not finite and was dropped",)
+
+
+def test_wild_points_are_left_out_counted_and_told(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(size=(3000, 3))
+    np.save(tmp_path / "clean.npy", points)
+    np.save(tmp_path / "one.npy", np.vstack([points, [[0.5, 0.5, 1e3]]]))
+    np.save(tmp_path / "two.npy", np.vstack([[[0.5, 0.5, -40.0], [900.0, 0.0, 0.5]], points]))
+    clean = load_cloud(tmp_path / "clean.npy")
+    one, notes = load_cloud_with_notes(tmp_path / "one.npy")
+    assert (one.fingerprint, one.num_wild) == (clean.fingerprint, 1)
+    assert notes == ("one.npy: 1 of 3,001 points was left out: no ground explains it",)
+    two, notes = load_cloud_with_notes(tmp_path / "two.npy")
+    assert (two.fingerprint, two.num_wild) == (clean.fingerprint, 2)
+    assert notes == ("two.npy: 2 of 3,002 points were left out: no ground explains them",)
 
 
 def test_world_coordinates_in_float32_are_told(tmp_path: Path, world_points: np.ndarray) -> None:

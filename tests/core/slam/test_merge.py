@@ -122,12 +122,12 @@ def test_lonely_points_are_told_of(tmp_path: Path) -> None:
     (tmp_path / "tiles").mkdir()
     (tmp_path / "layers").mkdir()
     rng = np.random.default_rng(0)
-    xy = np.vstack([rng.uniform(0, 1, (400, 2)), [[40.0, 0.0], [40.1, 0.0]]])
+    xy = np.vstack([rng.uniform(0, 1, (400, 2)), [[40.05 + 0.1 * k, 0.0] for k in range(4)]])
     cloud = Submap.from_points(np.column_stack([xy, GROUND.height(xy)]), "000")
     poses = {"000": Pose.from_planar(SE2())}
     gathered = gather([cloud], poses, TERRAIN, tmp_path / "tiles", count=1, voxel=0.1)
     merged = merge_maps(gathered, TERRAIN, PARAMS, tmp_path / "layers")
-    assert any("2 points near x 40.0 m" in note for note in merged.notes)
+    assert any("4 points near x 40.2 m" in note for note in merged.notes)
     assert np.isfinite(merged.layers["elevation"]).any()
 
 
