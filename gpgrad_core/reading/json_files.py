@@ -18,7 +18,7 @@ LARGEST = 256_000_000
 DEEPEST = 32
 """Brackets within brackets; the parser follows them by recursion."""
 
-_STRINGS = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+"?', re.DOTALL)
+_STRINGS = re.compile(rb'"[^"]*"?')
 _NOT_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 _DIGITS = re.compile(rb"[0-9]{%d,}" % (LONGEST_NUMBER + 1))
 MAX_COUNT = 2**53
@@ -68,7 +68,9 @@ def parse_json(text: str, where: str) -> object:
 
 
 def _check_shape(data: bytes, where: str) -> None:
-    bare = _STRINGS.sub(b"", data)
+    # Without its escaped backslashes, then quotes, a string ends at the next quote. Where a
+    # backslash is outside of a string, the parser goes no further.
+    bare = _STRINGS.sub(b"", data.replace(b"\\\\", b"").replace(b'\\"', b""))
     marks = np.frombuffer(bare.translate(None, _NOT_BRACKETS), np.uint8)
     steps = np.where((marks == ord("[")) | (marks == ord("{")), 1, -1)
     if len(steps) and int(np.cumsum(steps, dtype=np.int64).max()) > DEEPEST:

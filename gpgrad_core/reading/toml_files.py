@@ -13,16 +13,17 @@ DEEPEST = 20
 """Brackets within brackets, and parts of a dotted key. The parser follows brackets by recursion,
 and for a key of 49,000 parts it needs ten gigabytes."""
 
-_STRINGS = re.compile(
-    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"""(?:"{0,2})|\Z)'
-    r"|'''(?:[^']|'(?!''))*+(?:'''(?:'{0,2})|\Z)"
-    r'|"(?:[^"\\\n]|\\.)*+"?'
-    r"|'[^'\n]*+'?"
-    r"|\#[^\n]*+",
-    re.DOTALL,
-)
+_OPENING = re.compile(r'"""|\'\'\'|["\'#]')
+_CLOSING = {
+    '"""': re.compile(r'\\.|"{3,5}', re.DOTALL),
+    "'''": re.compile(r"'{3,5}"),
+    '"': re.compile(r'\\.|"|(?=\n)', re.DOTALL),
+    "'": re.compile(r"'|(?=\n)"),
+    "#": re.compile(r"(?=\n)"),
+}
+"""What ends each kind of string, and a comment; a backslash takes the next character with it."""
 _BRACKET = re.compile(r"[\[\]{}]")
-_KEY = re.compile(r"[\w\-. \t]++")
+_KEY = re.compile(r"[\w\-. \t]+")
 _DIGITS = re.compile(rf"[0-9A-Fa-f_]{{{LONGEST_NUMBER + 1},}}")
 
 
@@ -59,8 +60,7 @@ def parse_toml(content: str | bytes, where: str, most_bytes: int = LARGEST) -> d
 
 
 def _check_shape(text: str, where: str) -> None:
-    # Strings become a letter each, since a key may be quoted; then brackets, dots and digits count.
-    bare = _STRINGS.sub(_shortened, text)
+    bare = _without_strings(text)
 
     def line(position: int) -> str:
         return f"{where}, line {bare.count(chr(10), 0, position) + 1}"
@@ -81,6 +81,18 @@ def _check_shape(text: str, where: str) -> None:
         )
 
 
-def _shortened(found: re.Match[str]) -> str:
-    """Replace a comment by nothing and a string by a letter; line ends stay, for their number."""
-    return "" if found[0][0] == "#" else "s" + "\n" * found[0].count("\n")
+def _without_strings(text: str) -> str:
+    """Leave out comments, and put a letter for each string, since a key may be quoted.
+
+    Then brackets, dots and digits count. Line ends stay, for their number. No pattern repeats a
+    group, which would remember each turn or, if possessive, be wrong before Python 3.11.5.
+    """
+    pieces: list[str] = []
+    end = 0
+    while opening := _OPENING.search(text, end):
+        pieces.append(text[end : opening.start()])
+        marks = _CLOSING[opening[0]].finditer(text, opening.end())
+        end = next((mark.end() for mark in marks if mark[0][:1] != "\\"), len(text))
+        if opening[0] != "#":
+            pieces.append("s" + "\n" * text.count("\n", opening.start(), end))
+    return "".join([*pieces, text[end:]])

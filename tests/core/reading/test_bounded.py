@@ -40,14 +40,18 @@ def test_no_toml_takes_long(text: str) -> None:
 def test_what_toml_may_hold() -> None:
     text = 'a.b."c.d.e" = [[1.5, 2.5], ["[[[[", \'{{{\']] # [[[[[[[[[[[[[[[[[[[[[[[[\n'
     text += f'x = """\n{"[" * 30}\n{"1." * 30}\n"""'
+    text += "\n" + r"""w = ['C:\', "\\", "\"[[", "#" ] # '[[[ " """
+    text += "\nv = ['''[''[''''', " + r'"""[\"""[["[""" ]'
     table = parse_toml("\ufeff" + text, "a.toml")
     assert table["a"] == {"b": {"c.d.e": [[1.5, 2.5], ["[[[[", "{{{"]]}}
-    line = "a.toml, line 6: is nested more than 20 deep"
+    line = "a.toml, line 8: is nested more than 20 deep"
     assert_refused(lambda: parse_toml(f"{text}\ny = {'[' * 21}", "a.toml"), line)
 
 
 def test_json_is_bounded_and_strict() -> None:
     assert parse_json('{"a": "[[[[\\"]]", "b": [1, {}]}', "a") == {"a": '[[[["]]', "b": [1, {}]}
+    assert parse_json(r'{"\\": ["\\\"[[", "[\\"]}', "a") == {"\\": ['\\"[[', "[\\"]}
+    assert_refused(lambda: parse_json("[" * 33 + "\\", "a"), "a", "nested")
     for text, said in {
         "[" * 33: "nested",
         "NaN": "not JSON",
