@@ -4,6 +4,7 @@
     .ci/versions.py                     newest and lowest releases, on every Python that is found
     .ci/versions.py --python 3.13       on this one only
     .ci/versions.py --newer --start     the newest Python found, newest releases, no tests
+    .ci/versions.py --system PATH …     the system's own Python, newest releases, these tests
 
 For each it makes an environment, starts the viewer, detects the loop closures of a small simulated
 dataset and runs the tests; then it prints one line. The lowest releases are those that a resolver
@@ -26,15 +27,17 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 OLDEST = (3, 11)
+SYSTEM = Path("/usr/bin/python3")
+"""A distribution keeps its Python's patch release for years."""
 SHOWN = ("numpy", "scipy", "opencv-contrib-python-headless", "open3d", "viser")
 START_SECONDS = 120
 
 
 @dataclass(frozen=True)
 class Python:
-    """An interpreter of this machine."""
+    """An interpreter of this machine, and its version with the patch release."""
 
-    version: tuple[int, int]
+    version: tuple[int, int, int]
     path: Path
 
 
@@ -45,19 +48,24 @@ def find_pythons() -> list[Python]:
     candidates += sorted(Path.home().glob(".pyenv/versions/*/bin/python"))
     candidates += sorted(Path.home().glob(".local/share/uv/python/*/bin/python"))
     candidates.append(Path(sys.executable))
-    found: dict[tuple[int, int], Python] = {}
-    for path in candidates:
-        asked = subprocess.run(
-            [path, "-c", "import sys, venv; print(*sys.version_info[:2])"],
+    pythons = [python for path in candidates if (python := ask_version(path))]
+    found = {python.version[:2]: python for python in reversed(pythons)}
+    return [found[version] for version in sorted(found)]
+
+
+def ask_version(path: Path) -> Python | None:
+    """Ask an interpreter for its version; None if gpgrad cannot be installed with it."""
+    try:
+        said = subprocess.run(
+            [path, "-c", "import sys, venv; print(*sys.version_info[:3])"],
             capture_output=True,
             text=True,
-            check=False,
-        )
-        if asked.returncode == 0:
-            major, minor = map(int, asked.stdout.split())
-            if (major, minor) >= OLDEST:
-                found.setdefault((major, minor), Python((major, minor), path))
-    return [found[version] for version in sorted(found)]
+            check=True,
+        ).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    major, minor, patch = map(int, said.split())
+    return Python((major, minor, patch), path) if (major, minor) >= OLDEST else None
 
 
 def fetch_page(gpgrad: Path, folder: Path) -> str:
@@ -96,12 +104,19 @@ def fetch_page(gpgrad: Path, folder: Path) -> str:
 
 @dataclass(frozen=True)
 class Trial:
-    """One Python with one choice of releases."""
+    """One Python with one choice of releases.
+
+    Attributes:
+        python: The interpreter.
+        resolution: The newest or the lowest releases, in the words of `uv`.
+        folder: Where the environment is made.
+        tests: Those to run; empty for all of the default ones, None for none.
+    """
 
     python: Python
     resolution: str
     folder: Path
-    tests: bool
+    tests: tuple[str, ...] | None
 
     def run(self, *command: object, **options: object) -> subprocess.CompletedProcess[str]:
         """Run a command in the folder; its output is kept."""
@@ -131,7 +146,7 @@ class Trial:
         self.run(uv, "venv", "-q", "--seed", "--python", self.python.path, self.folder / "venv")
         python = self.bin / "python"
         resolve = ["--resolution", self.resolution, "--only-binary", ":all:"]
-        extras = ["--extra", "dev"] if self.tests else []
+        extras = [] if self.tests is None else ["--extra", "dev"]
         self.run(
             *(uv, "pip", "compile", "-q", ROOT / "pyproject.toml", *extras, *resolve),
             *("--python", python, "-o", pins),
@@ -163,7 +178,9 @@ class Trial:
 
     def test(self) -> str:
         """Run the tests; their last line."""
-        finished = self.run(self.bin / "python", "-m", "pytest", "-q", cwd=ROOT)
+        finished = self.run(
+            self.bin / "python", "-m", "pytest", "-q", *(self.tests or ()), cwd=ROOT
+        )
         return finished.stdout.strip().splitlines()[-1]
 
     def report(self) -> bool:
@@ -171,7 +188,7 @@ class Trial:
         name = f"Python {'.'.join(map(str, self.python.version))}, {self.resolution}"
         said: list[str] = []
         steps = [self.install, self.versions, self.start, self.detect]
-        for step in [*steps, self.test] if self.tests else steps:
+        for step in steps if self.tests is None else [*steps, self.test]:
             try:
                 said += [line for line in [step()] if line]
             except subprocess.CalledProcessError as error:
@@ -190,6 +207,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--newer", action="store_true", help="only the newest Python found")
     parser.add_argument("--python", action="append", help="only this version, such as 3.13")
+    parser.add_argument(
+        "--system", nargs="+", metavar="PATH", help=f"only {SYSTEM}, and of the tests only these"
+    )
     parser.add_argument("--start", action="store_true", help="install, start, detect; no tests")
     parser.add_argument(
         "--resolution",
@@ -200,23 +220,32 @@ def main() -> int:
     asked = parser.parse_args()
     pythons = find_pythons()
     if asked.newer:
-        pythons = [python for python in pythons[-1:] if python.version > sys.version_info[:2]]
+        pythons = [python for python in pythons[-1:] if python.version[:2] > sys.version_info[:2]]
         if not pythons:
             here = ".".join(map(str, sys.version_info[:2]))
             print(f"no Python newer than {here} was found: nothing newer was tried")
             return 0
+    if asked.system:
+        own = ask_version(SYSTEM)
+        pythons = [own] if own and own.version < sys.version_info[:3] else []
+        if not pythons:
+            print(f"{SYSTEM} is no older than this Python: nothing older was tried")
+            return 0
     if asked.python:
         wanted = {tuple(map(int, version.split("."))) for version in asked.python}
-        pythons = [python for python in pythons if python.version in wanted]
+        pythons = [python for python in pythons if python.version[:2] in wanted]
         if len(pythons) < len(wanted):
             print(f"not all found: {', '.join(asked.python)}")
             return 1
-    resolutions = asked.resolution or (["highest"] if asked.newer else ["highest", "lowest-direct"])
+    resolutions = asked.resolution or (
+        ["highest"] if asked.newer or asked.system else ["highest", "lowest-direct"]
+    )
+    tests = None if asked.start else tuple(asked.system or ())
     well = True
     for python in pythons:
         for resolution in resolutions:
             with tempfile.TemporaryDirectory(prefix="gpgrad-versions-") as folder:
-                trial = Trial(python, resolution, Path(folder), tests=not asked.start)
+                trial = Trial(python, resolution, Path(folder), tests)
                 well = trial.report() and well
     return 0 if well else 1
 
