@@ -17,6 +17,8 @@ def main() -> None:
     except KeyboardInterrupt as stopped:
         sys.stderr.write(f"gpgrad: {reason_of(stopped)}\n")
         code = code_of(stopped)
+    except SystemExit:  # after help was printed
+        code = 0
     leave(code)
 
 

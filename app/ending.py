@@ -6,6 +6,7 @@ loads nothing that takes time.
 """
 
 import contextlib
+import os
 import signal
 import sys
 import threading
@@ -14,6 +15,8 @@ from types import FrameType
 from typing import Any
 
 INTERRUPTED = 130
+UNREAD = 141
+"""As shells count SIGPIPE, which ends other commands before ``| head``."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -73,10 +76,28 @@ def stopped_by() -> KeyboardInterrupt | None:
 
 
 def leave(code: int) -> None:
-    """Leave with an exit code; a signal that comes later ends the process without a word."""
+    """Leave with an exit code; a signal that comes later ends the process without a word.
+
+    If nobody reads the output to its end, the code is `UNREAD`.
+    """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        if sys.stdout is not None:  # None where it was closed from the start
+            sys.stdout.flush()
+    except BrokenPipeError:
+        code = stop_printing()
     sys.exit(code)
+
+
+def stop_printing() -> int:
+    """Let standard output go nowhere, because nobody reads it any more; gives the exit code."""
+    if sys.stdout is not None:
+        # What is still to be flushed would make the interpreter complain at its end.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+    return UNREAD
 
 
 def code_of(stopped: KeyboardInterrupt) -> int:

@@ -4,7 +4,7 @@ import contextlib
 import sys
 from collections.abc import Callable, Generator
 
-from app.ending import code_of, reason_of, stopped_by, termination_raised
+from app.ending import code_of, reason_of, stop_printing, stopped_by, termination_raised
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, silent
 
@@ -20,7 +20,7 @@ def exit_code(work: Callable[[], None]) -> int:
 
     Returns:
         0, or 2 after one line on standard error that says what was wrong, or 130 if interrupted
-        and 143 if terminated.
+        and 143 if terminated, or 141 without a word if nobody reads its output to the end.
     """
     try:
         with termination_raised():
@@ -33,6 +33,8 @@ def exit_code(work: Callable[[], None]) -> int:
             return _tell_end(stopped)
         if isinstance(error, InputError):
             warn(one_line(str(error)))
+        elif isinstance(error, BrokenPipeError):
+            return stop_printing()
         elif isinstance(error, OSError):
             what = error.strerror or str(error)
             warn(one_line(f"{error.filename}: {what}" if error.filename else what))

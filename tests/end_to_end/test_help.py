@@ -1,5 +1,6 @@
 """What the command says about itself, and how it refuses wrong usage."""
 
+import os
 import re
 import subprocess
 import sys
@@ -78,6 +79,24 @@ def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
 )
 def test_wrong_usage_is_one_line(arguments: tuple[str, ...], said: str) -> None:
     assert said in run_here(*arguments).refusal
+
+
+@pytest.mark.parametrize("arguments", [("detect", "--help"), ("--help",), ("--version",)])
+def test_who_stops_reading_is_told_nothing(arguments: tuple[str, ...]) -> None:
+    unread, output = os.pipe()
+    os.close(unread)  # as `| head` does, once it has enough
+    try:
+        finished = subprocess.run(
+            [sys.executable, "-m", "app", *arguments],
+            stdout=output,
+            stderr=subprocess.PIPE,
+            cwd=ROOT,
+            env=environment(),
+            check=False,
+        )
+    finally:
+        os.close(output)
+    assert (finished.returncode, finished.stderr) == (141, b"")
 
 
 def test_wrong_usage_ends_the_process_with_2(gpgrad: Run) -> None:
