@@ -1,5 +1,6 @@
 """The Data tab: wires its panel to a loader, and the loader to the session."""
 
+import os
 import shutil
 import tempfile
 from contextlib import nullcontext
@@ -161,9 +162,11 @@ class DataTab(Feature):
             # What was uploaded lies in a temporary folder, where nobody can build from it.
             with built_first(source) if request.upload is None else nullcontext():
                 dataset = load_dataset(source, loading, most_bytes=MOST_LOADED)
-        except BaseException:
+        except BaseException as error:
             self._forget(request, source)
-            raise
+            if request.upload is None or not isinstance(error, InputError | OSError):
+                raise
+            raise InputError(_as_uploaded(error, request.upload[0], source)) from error
         dataset = replace(dataset, notes=(*notes, *dataset.notes))
         if request.saved is not None:
             request.saved.check(dataset)
@@ -229,3 +232,17 @@ class DataTab(Feature):
             for old in self._uploads.iterdir():
                 if not Path(opened.source).is_relative_to(old):
                     shutil.rmtree(old, ignore_errors=True)
+
+
+def _as_uploaded(error: Exception, name: str, source: Path) -> str:
+    """Say what is wrong with an upload: the page knows the names of its files, not where they lie.
+
+    Args:
+        error: What loading it raised.
+        name: Of the file that was uploaded.
+        source: Where it was unpacked.
+    """
+    if isinstance(error, OSError):
+        return f"{name}: {error.strerror or error}"
+    within = "" if source.name == CLOUDS else f"{name}: "
+    return str(error).replace(f"{source}{os.sep}", within).replace(str(source), name)

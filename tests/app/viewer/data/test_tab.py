@@ -83,6 +83,11 @@ def zipped(folder: Path) -> bytes:
     return buffer.getvalue()
 
 
+def assert_no_place_is_told(message: str, tmp_path: Path) -> None:
+    """Check that a message about an upload does not say where its files lie for a while."""
+    assert str(tmp_path) not in message
+
+
 def test_a_path_is_opened_and_remembered(
     make: Make, server: viser.ViserServer, data: Path, tmp_path: Path, opened: list[Opened]
 ) -> None:
@@ -140,16 +145,25 @@ def test_a_zipped_dataset_is_uploaded(
     assert not Path(opened[0].source).exists()  # it is no longer open
     upload(server, opening, "broken.zip", b"PK\x03\x04")
     assert "broken.zip: is not a complete zip archive" in said(opening)
+    assert_no_place_is_told(said(opening), tmp_path)
+    broken = io.BytesIO()
+    with zipfile.ZipFile(broken, "w") as archive:
+        archive.writestr("hills/submaps/000.ply", b"ply\nbroken")
+        archive.writestr("hills/dataset.toml", b"")
+    upload(server, opening, "two hills.zip", broken.getvalue())
+    assert "two hills.zip: submaps/000.ply: " in said(opening)
+    assert_no_place_is_told(said(opening), tmp_path)
 
 
 def test_clouds_gather_in_one_dataset(
-    make: Make, server: viser.ViserServer, data: Path, opened: list[Opened]
+    make: Make, server: viser.ViserServer, data: Path, tmp_path: Path, opened: list[Opened]
 ) -> None:
     opening = make()
     clouds = data / "hills" / "submaps"
     upload(server, opening, "000.ply", (clouds / "000.ply").read_bytes())
     upload(server, opening, "001.ply", b"ply\nbroken")
-    assert "001.ply" in said(opening)
+    assert ">001.ply: " in said(opening)
+    assert_no_place_is_told(said(opening), tmp_path)
     upload(server, opening, "001.ply", (clouds / "001.ply").read_bytes())
     assert [[submap.id for submap in one.dataset.submaps] for one in opened] == [
         ["000"],
