@@ -43,6 +43,7 @@ class Work(Generic[Job, Result]):
         slots: threading.Semaphore | None = None,
         on_cancel: Callable[[Job], None] | None = None,
         watch: Callable[[float | None, str], None] = nobody,
+        even_from: float = 0.0,
     ) -> None:
         """Start the worker.
 
@@ -55,6 +56,7 @@ class Work(Generic[Job, Result]):
             slots: One is held while a job runs; None shares the processors with nobody.
             on_cancel: Told of a job that a user has cancelled, before the bar says so.
             watch: Given how far a job is; and None with the message once it has ended.
+            even_from: The fraction from which on it goes on evenly; see `WorkBar.running`.
         """
         self._bar = bar
         self._what = what
@@ -62,6 +64,7 @@ class Work(Generic[Job, Result]):
         self._on_result = on_result
         self._after_cancel = on_cancel
         self._watch = watch
+        self._even_from = even_from
         self._runner: Runner[Job, Result] = Runner(
             self._run,
             self._finish,
@@ -104,7 +107,7 @@ class Work(Generic[Job, Result]):
     def _report(self, job: Job, fraction: float) -> None:
         what = self._what(job)
         if what:
-            self._bar.running(what, fraction)
+            self._bar.running(what, fraction, self._even_from)
             self._watch(fraction, "")
 
     def _finish(self, job: Job, result: Result, seconds: float) -> None:

@@ -26,6 +26,8 @@ CHOICE_SHARE = 0.1
 """Part of the progress that choosing the pairs takes."""
 STAGES = {"maps": (0.0, 0.4), "features": (0.4, 0.5), "pairs": (0.5, 1.0)}
 """Part of the progress that each stage takes."""
+EVEN_FROM = STAGES["pairs"][0] + CHOICE_SHARE
+"""From this fraction on only pairs are compared, each taking about as long as the others."""
 BLOCKS_A_WORKER = 12
 """Pairs are compared in blocks. There are many blocks, so that no worker waits long for the last
 one, and they are square, so that few submaps are sent to another process for many pairs."""

@@ -35,6 +35,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
 from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.pipeline.all_pairs import EVEN_FROM
 from gpgrad_core.run.progress import Progress
 
 
@@ -82,6 +83,7 @@ class AllPairsTab(Feature):
             slots=desk.capacity.long,
             name="all pairs",
             watch=lambda fraction, message: desk.tell(Feature.comparing, fraction, message),
+            even_from=EVEN_FROM,
         )
         self._judge: Runner[_Judging, _Judged] = Runner(
             self._judge_all,

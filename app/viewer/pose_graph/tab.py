@@ -19,6 +19,7 @@ from app.viewer.widgets.legend import legend_html
 from app.viewer.work import Work
 from app.viewer.world import SCORE_MAP, Correction, Loop, WorldTab
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
+from gpgrad_core.pipeline.all_pairs import EVEN_FROM
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.slam import OptimisedGraph, build_pose_graph, optimise_pose_graph
 from gpgrad_core.slam.truth import trajectory_error, true_poses
@@ -127,7 +128,7 @@ class PoseGraphTab(Feature):
         if fraction is None:
             self._bar.done(message)
         else:
-            self._bar.running("Comparing all pairs", fraction)
+            self._bar.running("Comparing all pairs", fraction, EVEN_FROM)
 
     def use_motion(self, query_id: str, database_id: str, registration: Registration) -> None:
         """Take a registration set by hand, and accept it."""

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable
 
+import numpy as np
 import viser
 
 from app.viewer.host import Host
@@ -12,6 +13,10 @@ from app.viewer.widgets.html import BAD, BUSY, message_line
 
 TOLD_AFTER, LEAST_DONE = 2.0, 0.03
 """From so many seconds and such a share of the work on, the time left is told."""
+LATELY = 6.0
+"""The pace is that of so many seconds, or of the second half of the time if that is longer."""
+STEADY = 2.0
+"""Nothing is told while the pace changes by more than this factor."""
 
 
 class WorkBar:
@@ -42,7 +47,7 @@ class WorkBar:
         self._test_id = test_id
         self._starts = starts
         self._done_color = done_color
-        self._began: tuple[float, float] | None = None  # when [s], and at which fraction
+        self._time_left = TimeLeft()
 
     def on_cancel(self, act: Callable[[], None]) -> None:
         """Call something when a user cancels the work."""
@@ -53,22 +58,20 @@ class WorkBar:
         """The message as HTML."""
         return self._message.content
 
-    def running(self, what: str, fraction: float) -> None:
-        """Show what runs and how far it is."""
+    def running(self, what: str, fraction: float, even_from: float = 0.0) -> None:
+        """Show what runs and how far it is.
+
+        Args:
+            what: As a person calls it.
+            fraction: Of the work that is done.
+            even_from: The fraction from which on the work goes on evenly. Before it, no time left
+                is told.
+        """
         self._set_running(True)
         self._bar.value = 100 * min(max(fraction, 0.0), 1.0)
-        self._say(f"{what} … {100 * fraction:.0f} %{self._time_left(fraction)}", BUSY)
-
-    def _time_left(self, fraction: float) -> str:
-        """Say how long it still takes, once that can be told."""
-        now = time.monotonic()
-        if self._began is None or fraction < self._began[1]:
-            self._began = now, fraction
-        began, first = self._began
-        if now - began < TOLD_AFTER or fraction - first < LEAST_DONE:
-            return ""
-        left = (1.0 - fraction) * (now - began) / (fraction - first)
-        return f", {time_in_words(left)} left"
+        left = self._time_left.at(fraction, time.monotonic(), even_from)
+        told = "" if left is None else f", {time_in_words(left)} left"
+        self._say(f"{what} … {100 * fraction:.0f} %{told}", BUSY)
 
     def idle(self) -> None:
         """Show that nothing runs, without a message."""
@@ -96,9 +99,44 @@ class WorkBar:
     def _set_running(self, running: bool) -> None:
         self._cancel.visible = self._bar.visible = running
         if not running:
-            self._began = None
+            self._time_left.forget()
         for button in self._starts:
             button.visible = not running
+
+
+class TimeLeft:
+    """How long work still takes, by its pace of late, and only while that is steady."""
+
+    def __init__(self) -> None:
+        """Begin."""
+        self._times: list[float] = []
+        self._fractions: list[float] = []
+
+    def forget(self) -> None:
+        """Begin anew with what comes next."""
+        self._times, self._fractions = [], []
+
+    def at(self, fraction: float, now: float, even_from: float = 0.0) -> float | None:
+        """Give the time left [s]; None if it cannot be told.
+
+        Args:
+            fraction: Of the work that is done.
+            now: The time [s].
+            even_from: The fraction from which on the work goes on evenly.
+        """
+        if fraction < even_from or (self._fractions and fraction < self._fractions[-1]):
+            self.forget()
+        self._times.append(now)
+        self._fractions.append(fraction)
+        began = self._times[0]
+        if now - began < TOLD_AFTER or fraction - self._fractions[0] < LEAST_DONE:
+            return None
+        start = max(began, now - max(LATELY, (now - began) / 2))
+        at_start, at_middle = np.interp((start, (start + now) / 2), self._times, self._fractions)
+        first, second = at_middle - at_start, fraction - at_middle
+        if second <= 0 or not 1 / STEADY <= first / second <= STEADY:
+            return None
+        return (1.0 - fraction) * (now - start) / float(fraction - at_start)
 
 
 def time_in_words(seconds: float) -> str:

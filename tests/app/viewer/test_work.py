@@ -6,7 +6,7 @@ import pytest
 import viser
 
 from app.viewer.downloads import Downloads, safe_name
-from app.viewer.widgets.work_bar import WorkBar
+from app.viewer.widgets.work_bar import TimeLeft, WorkBar
 from app.viewer.work import Work
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress
@@ -100,6 +100,36 @@ def test_a_failure_is_one_escaped_line(
     assert work.wait_idle(10)
     assert "&lt;b&gt;: no such file" in bar.said
     assert told[-1] == (None, "<b>: no such file")
+
+
+def told_times(
+    paces: list[tuple[float, float]], even_from: float = 0.0
+) -> list[tuple[float, float | None]]:
+    """Give what is told, and how long it truly takes, for work of these shares and seconds."""
+    left, now, fraction, told = TimeLeft(), 0.0, 0.0, list[tuple[float, float | None]]()
+    total = sum(seconds for _, seconds in paces)
+    for share, seconds in paces:
+        for _ in range(round(100 * share)):
+            told.append((total - now, left.at(fraction, now, even_from)))
+            now, fraction = now + seconds / (100 * share), fraction + 0.01
+    return told
+
+
+def test_the_time_left_of_even_work_is_told_soon_and_right() -> None:
+    told = told_times([(1.0, 50.0)])
+    assert all(said is None for true, said in told if true > 48.1)
+    assert all(said == pytest.approx(true) for true, said in told if true < 47.9)
+
+
+@pytest.mark.parametrize("even_from", [0.0, 0.6])
+def test_no_time_left_is_told_from_the_pace_of_other_work(even_from: float) -> None:
+    # The first stages are quick, because what they make was kept; their pace promised 5 seconds.
+    told = told_times([(0.6, 4.0), (0.4, 240.0)], even_from)
+    late = [(true, said) for true, said in told if said is not None and true < 240.0]
+    assert len(late) > 25
+    assert all(0.65 < said / true < 1.5 for true, said in late)
+    if even_from:
+        assert all(said is None for true, said in told if true > 235.0)
 
 
 def test_a_quick_job_shows_no_bar(
