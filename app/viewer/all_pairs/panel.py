@@ -130,7 +130,8 @@ class AllPairsPanel:
             rules,
             initial_value=rules[0],
             visible=False,
-            hint="By which rule the true poses say that a pair shows the same place.",
+            hint="By which rule the true poses say that a pair shows the same place. A pair that "
+            "touches without being true is left out: its motion may still be right.",
         )
         self._narrow: viser.GuiDropdownHandle[str] = gui.add_dropdown(
             "List",
@@ -138,7 +139,7 @@ class AllPairsPanel:
             initial_value=ALL,
             visible=False,
             hint="Narrows the list below. Right pairs are accepted, and their motion is right. "
-            "Missed pairs are the same place, but refused.",
+            "Missed pairs are the same place by the rule, but refused.",
         )
         self._pairs = PairList(
             host,

@@ -182,7 +182,7 @@ def scores_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
     )
     drawn = _bars(histogram, base, axis) + ("" if curve is None else _curve(points, top))
     return (
-        f'<div style="padding:.2em .75em">{_key(histogram)}'
+        f'<div style="padding:.2em .75em">{_key(judged, histogram)}'
         f'<svg data-scores="" data-testid="scores" data-left="{LEFT:g}" data-span="{span:g}" '
         f'data-high="{histogram.high:g}" data-step="{bounds.step:g}" data-low="{bounds.low:g}" '
         f'data-most="{bounds.high:g}" data-value="{ClosureParams().min_score:g}" '
@@ -264,9 +264,13 @@ def disagreements_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
     )
 
 
-def _key(histogram: ScoreHistogram) -> str:
-    """Say what the colours of the bars mean."""
+def _key(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
+    """Say what the colours of the bars mean, and by which rule."""
     names = {TRUE: "the same place", APART: "apart", UNKNOWN: "not judged"}
+    lead = ""
+    if judged.check is not None:
+        names[UNKNOWN] = "left out"
+        lead = f"By the rule {escape(judged.check.rule.name)}, whatever motion was found: "
     colors = {TRUE: TRUE_COLOR, APART: APART_COLOR, UNKNOWN: UNKNOWN_COLOR}
     square = '<span style="color:{}">■</span> {} {:,}'
     entries = "".join(
@@ -275,7 +279,7 @@ def _key(histogram: ScoreHistogram) -> str:
         for truth, counts in histogram.counts.items()
         if counts.any()
     )
-    return f'<div style="font-size:.85em;line-height:1.5">{entries}</div>'
+    return f'<div style="font-size:.85em;line-height:1.5">{lead}{entries}</div>'
 
 
 def _bars(histogram: ScoreHistogram, base: float, axis: float) -> str:

@@ -261,7 +261,7 @@ def _by_motion(judged: JudgedPairs) -> str:
     return ", ".join(
         f"{judged.outcomes.count(outcome)} {name}"
         for outcome, name in (
-            (RIGHT, "right"),
+            (RIGHT, "with the right motion"),
             (WRONG_MOTION, "with a wrong motion"),
             (NO_OVERLAP, "without overlap"),
         )

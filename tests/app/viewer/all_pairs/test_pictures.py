@@ -180,6 +180,9 @@ def test_scores_are_counted_by_what_the_truth_says() -> None:
         "apart": 1,
         "unknown": 4,  # neighbours on the way and what barely touches: the rule leaves them out
     }
+    html = scores_html(judged_at(3.0), histogram)  # beside them stands what the motions say
+    assert "By the rule box IoU &gt; 0.3, whatever motion was found" in html
+    assert "left out 4" in html
     assert histogram.high >= 6.0
     (place,) = np.flatnonzero(histogram.counts["true"])
     assert place == int(5.0 / histogram.high * len(histogram.counts["true"]))
