@@ -35,17 +35,22 @@ def write_closure_table(path: Path | str, report: ClosureReport) -> None:
         writer.writerow(COLUMNS)
         for pair in report.pairs:
             motion = pair.T_database_query
-            place = ("", "", "") if motion is None else (motion.x, motion.y, motion.yaw)
+            place = () if motion is None else (motion.x, motion.y, motion.yaw)
             writer.writerow(
                 (
                     pair.query,
                     pair.database,
                     str(pair.accepted).lower(),
-                    pair.score,
+                    _number(pair.score),
                     pair.num_inliers,
-                    pair.overlap_area,
-                    pair.dissimilarity,
-                    *place,
+                    _number(pair.overlap_area),
+                    _number(pair.dissimilarity),
+                    *(map(_number, place) if place else ("", "", "")),
                     pair.reason,
                 )
             )
+
+
+def _number(value: float) -> str:
+    """Write nine digits, as ``closures.json`` has them: 9.94881405e+11, not 994881405000.0."""
+    return f"{value:z.9g}"

@@ -462,4 +462,4 @@ def _is_square(rows: object) -> bool:
 
 def _rounded(value: float) -> float:
     """Round to nine digits, a nanometre in a metre; further digits are arithmetic noise."""
-    return float(f"{value:.9g}")
+    return float(f"{value:z.9g}")

@@ -75,8 +75,19 @@ class Bounds:
         if not self.low <= value <= self.high:
             unit = f" {self.unit}" if self.unit else ""
             raise InputError(
-                f"{name} must be from {self.low:.10g} to {self.high:.10g}{unit}, got {value!r}"
+                f"{name} must be from {self.low:.10g} to {self.high:.10g}{unit}, "
+                f"got {number_text(value)}"
             )
+
+
+def number_text(value: float) -> str:
+    """Write a number in a message: a whole one without a point, and no negative zero.
+
+    >>> number_text(994881405000.0), number_text(-0.0), number_text(0.25)
+    ('994881405000', '0', '0.25')
+    """
+    whole = isinstance(value, float) and value.is_integer() and abs(value) < 1e15
+    return f"{value:z.0f}" if whole else str(value)
 
 
 SEEDS = Bounds(0, 2**32 - 1, 1)

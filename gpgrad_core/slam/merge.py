@@ -275,8 +275,8 @@ def _add_tile(
     except InputError:  # fewer than three points, or all on one line
         middle = near[:, :2].mean(axis=0)
         return [
-            f"{len(near)} point{'' if len(near) == 1 else 's'} near x {middle[0]:.1f} m, "
-            f"y {middle[1]:.1f} m span no ground: there the merged map is empty"
+            f"{len(near)} point{'' if len(near) == 1 else 's'} near x {middle[0]:z.1f} m, "
+            f"y {middle[1]:z.1f} m span no ground: there the merged map is empty"
         ]
     posterior = fit_terrain(submap, terrain, progress)
     origin = (float(grid.x[columns.start] - low[0]), float(grid.y[rows.start] - low[1]))

@@ -101,5 +101,5 @@ def _verdict(result: PairResult) -> str:
         return f"{verdict}: no motion found."
     return (
         f"{verdict}: {registration.num_inliers} inliers, score {registration.score:.2f}; "
-        f"offset {motion.x:+.2f} m, {motion.y:+.2f} m, turn {degrees(motion.yaw):+.1f}°."
+        f"offset {motion.x:+z.2f} m, {motion.y:+z.2f} m, turn {degrees(motion.yaw):+z.1f}°."
     )

@@ -17,6 +17,8 @@ import msgspec
 import viser
 from viser import _messages as messages
 
+from gpgrad_core.params.bounds import number_text
+
 LONGEST_NAME = 1000
 """Characters of what names a thing: a widget, a node, a file."""
 LONGEST_TEXT = 4096
@@ -154,7 +156,7 @@ def shown(value: object) -> str:
     """Write a value in a message, in few words whatever it is."""
     if isinstance(value, int) and abs(value) > LARGEST_NUMBER:
         return "a number beyond all bounds"
-    text = repr(value)
+    text = number_text(value) if isinstance(value, float) else repr(value)
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 

@@ -104,7 +104,7 @@ def label_text(reading: Reading) -> str:
     """Write a reading as a short label for the point itself."""
     digits = significant_digits(reading.std)
     return (
-        f"{reading.elevation:.{digits}f} ± {reading.std:.{digits}f} m · slope {reading.slope:.1f}°"
+        f"{reading.elevation:z.{digits}f} ± {reading.std:.{digits}f} m · slope {reading.slope:.1f}°"
     )
 
 

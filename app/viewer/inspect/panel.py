@@ -168,4 +168,4 @@ def key_html(key: tuple[Key, ...]) -> str:
 
 
 def _position(xy: tuple[float, float]) -> str:
-    return f"x {xy[0]:+.2f} m, y {xy[1]:+.2f} m"
+    return f"x {xy[0]:+z.2f} m, y {xy[1]:+z.2f} m"

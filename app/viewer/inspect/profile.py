@@ -72,9 +72,9 @@ def ruler_rows(ruler: Ruler) -> tuple[tuple[str, str], ...]:
     if not np.isfinite(ruler.rise):
         return (*rows, ("height difference", "unknown: one end is masked"))
     digits = significant_digits(ruler.rise_std)
-    rows.append(("height difference", f"{ruler.rise:+.{digits}f} ± {ruler.rise_std:.{digits}f} m"))
+    rows.append(("height difference", f"{ruler.rise:+z.{digits}f} ± {ruler.rise_std:.{digits}f} m"))
     if np.isfinite(ruler.slope):
-        rows.append(("slope", f"{ruler.slope:+.1f}°"))
+        rows.append(("slope", f"{ruler.slope:+z.1f}°"))
     return tuple(rows)
 
 

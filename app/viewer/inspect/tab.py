@@ -188,8 +188,8 @@ def reading_rows(reading: Reading) -> tuple[tuple[str, str], ...]:
     digits = significant_digits(reading.std)
     aspect = "level" if reading.aspect is None else f"falls towards {reading.aspect:.0f}°"
     return (
-        ("x, y", f"{reading.x:.3f} m, {reading.y:.3f} m"),
-        ("elevation", f"{reading.elevation:.{digits}f} ± {reading.std:.{digits}f} m"),
+        ("x, y", f"{reading.x:z.3f} m, {reading.y:z.3f} m"),
+        ("elevation", f"{reading.elevation:z.{digits}f} ± {reading.std:.{digits}f} m"),
         ("slope", f"{reading.slope:.1f}°"),
         ("aspect", f"{aspect}" + ("" if reading.aspect is None else " (from +y, clockwise)")),
     )
@@ -214,7 +214,7 @@ def _other_rows(
     difference = query.elevation + offset - database.elevation
     std = float(np.hypot(query.std, database.std))
     digits = significant_digits(std)
-    return (("query minus database", f"{difference:+.{digits}f} ± {std:.{digits}f} m"),)
+    return (("query minus database", f"{difference:+z.{digits}f} ± {std:.{digits}f} m"),)
 
 
 def match_figures(state: ViewState, result: PairResult) -> MatchFigures | None:

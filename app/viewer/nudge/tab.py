@@ -220,8 +220,8 @@ def _onto_each_other(state: ViewState) -> SE2:
 
 def _motion_rows(motion: SE2) -> tuple[tuple[str, str], ...]:
     return (
-        ("offset", f"{motion.x:+.2f} m, {motion.y:+.2f} m"),
-        ("yaw", f"{degrees(motion.yaw):+.1f}°"),
+        ("offset", f"{motion.x:+z.2f} m, {motion.y:+z.2f} m"),
+        ("yaw", f"{degrees(motion.yaw):+z.1f}°"),
     )
 
 
@@ -231,5 +231,5 @@ def _rows(motion: SE2, registration: Registration) -> tuple[tuple[str, str], ...
         ("score", f"{registration.score:.2f}"),
         ("inliers", f"{registration.num_inliers}"),
         ("overlap", f"{registration.overlap_area:.1f} m²"),
-        ("correlation", f"{registration.correlation:.2f}"),
+        ("correlation", f"{registration.correlation:z.2f}"),
     )

@@ -170,4 +170,4 @@ def statistics_rows(statistics: Statistics) -> tuple[tuple[str, str], ...]:
 def describe_pose(pose: Pose) -> str:
     """Write a pose's position and heading."""
     x, y, z = pose.translation
-    return f"{x:.2f}, {y:.2f}, {z:.2f} m; {degrees(pose.planar.yaw):+.1f}°"
+    return f"{x:z.2f}, {y:z.2f}, {z:z.2f} m; {degrees(pose.planar.yaw):+z.1f}°"

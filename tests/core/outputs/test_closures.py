@@ -18,6 +18,7 @@ from gpgrad_core.outputs import (
     restore_closures,
     write_closures,
 )
+from gpgrad_core.outputs.closure_table import write_closure_table
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, ImageVerdict
@@ -300,3 +301,20 @@ def test_what_images_say_is_kept_counted_and_checked(
     path.write_text(json.dumps(content))
     with pytest.raises(InputError, match="'verdict' must be one of confirmed, contradicted, sil"):
         read_closures(path)
+
+
+def test_a_table_has_no_digits_that_nobody_knows_and_no_negative_zero(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    lost, found, _ = result.closures
+    motion = SE2(-0.0, 4.9, 0.0)
+    registration = replace(
+        found.registration, dissimilarity=994881405123.0, T_database_query=motion
+    )
+    closures = (lost, replace(found, registration=registration))
+    report = report_closures(dataset, replace(result, closures=closures), PipelineParams())
+    write_closure_table(tmp_path / "closures.csv", report)
+    _, _, row = (tmp_path / "closures.csv").read_text().splitlines()
+    assert row == "004,000,true,44,9,20,9.94881405e+11,0,4.9,0,9 inliers >= 8"
+    write_closures(tmp_path / "closures.json", report)
+    assert "-0.0" not in (tmp_path / "closures.json").read_text()

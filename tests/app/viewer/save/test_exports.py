@@ -83,7 +83,7 @@ def test_closures_in_every_format(exports: Exports) -> None:
     rows = page.files["closures.csv"].decode().splitlines()
     assert rows[0].startswith("query,database,accepted,score,num_inliers")
     assert len(rows) == 7
-    assert rows[4].startswith("003,000,true,5.0,20,10.0,0.5,1.0,-0.5,1.57079633,")
+    assert rows[4].startswith("003,000,true,5,20,10,0.5,1,-0.5,1.57079633,")
     poses = page.files["poses_corrected.txt"].decode().splitlines()
     assert [row.split()[0] for row in poses] == ["#", "0", "1", "2", "3"]
     assert page.files["graph.g2o"].startswith(b"VERTEX_SE3:QUAT 0 ")
