@@ -8,7 +8,7 @@ from typing_extensions import Doc
 
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
-from gpgrad_core.types import ImageVerdict, LoopClosure, Registration
+from gpgrad_core.types import Agreement, ImageVerdict, LoopClosure, Registration
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,8 @@ def with_images(
 SMALL_OVERLAP = 8.0
 """An overlap of fewer patches of 2π scale² holds too few features to decide [patches]."""
 IMPOSSIBLE = 1.5
-"""If the heights differ by more than this many times what the uncertainty explains, they speak
-against the motion."""
+"""If the heights differ by more than this many times the standard deviation that the uncertainty
+explains, they speak against the motion."""
 SMOOTH = 4.0
 """Ground whose relief is less than this many times the maps' uncertainty looks alike everywhere."""
 
@@ -135,11 +135,11 @@ def _why(registration: Registration) -> str:
     found, area, scale = registration.agreement, registration.overlap_area, registration.scale
     if found is None or scale is None:
         return f": the maps share only {area:.2g} m² of ground" if area > 0 else ""
-    if found.difference > IMPOSSIBLE * found.possible:
+    if found.difference > explained(found):
         return (
             f": over {area:.0f} m² of common ground the heights differ by "
-            f"{describe_length(found.difference)}, and their uncertainty explains only "
-            f"{describe_length(found.possible)}"
+            f"{describe_length(found.difference)}, and their uncertainty explains at most "
+            f"{describe_length(explained(found))}"
         )
     if area < SMALL_OVERLAP * 2 * np.pi * scale**2:
         return f": the maps share only {area:.2g} m² of ground, too little to decide"
@@ -156,6 +156,17 @@ def _why(registration: Registration) -> str:
     )
 
 
+def explained(agreement: Agreement) -> float:
+    """Give the largest difference of the heights [m] that does not speak against the motion."""
+    return IMPOSSIBLE * agreement.possible
+
+
 def describe_length(metres: float) -> str:
-    """Write a small length [m] in millimetres or centimetres."""
+    """Write a length [m] in millimetres, centimetres or metres.
+
+    >>> describe_length(0.0072), describe_length(0.045), describe_length(1234.5)
+    ('7.2 mm', '4.5 cm', '1,234.5 m')
+    """
+    if metres >= 0.995:
+        return f"{metres:,.1f} m"
     return f"{1e3 * metres:.2g} mm" if metres < 0.01 else f"{100 * metres:.2g} cm"

@@ -85,7 +85,7 @@ def test_fewer_inliers_than_none_are_no_threshold() -> None:
         (
             Agreement(0.09, 0.03, 0.4),
             40.0,
-            "the heights differ by 9 cm, and their uncertainty explains only 3 cm",
+            "the heights differ by 9 cm, and their uncertainty explains at most 4.5 cm",
         ),
         (
             Agreement(0.03, 0.03, 0.4),

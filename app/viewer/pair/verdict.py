@@ -21,7 +21,7 @@ from app.viewer.widgets.html import (
     QUIET,
     badge,
 )
-from gpgrad_core.loop_closure import IMPOSSIBLE, SMALL_OVERLAP, SMOOTH, describe_length
+from gpgrad_core.loop_closure import SMALL_OVERLAP, SMOOTH, describe_length, explained
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.types import ImageSays, Registration
 
@@ -227,7 +227,7 @@ def _why(registration: Registration) -> str:
     found, scale = registration.agreement, registration.scale
     if found is None or scale is None:
         return "The maps share too little ground to compare."
-    if found.difference > IMPOSSIBLE * found.possible:
+    if found.difference > explained(found):
         return "The heights differ by more than the uncertainty of the maps allows."
     if _is_small(registration):
         return "The maps agree, but share too little ground to decide."
@@ -255,7 +255,7 @@ def rows_of(state: ViewState, result: PairResult) -> list[Row]:
         Row(
             _side(share),
             f"{name} waves",
-            f"{SAID[_side(share)]} ({share:+.1f}), {first * 2 * pi * scale:.1f} to "
+            f"{SAID[_side(share)]} ({share:+z.1f}), {first * 2 * pi * scale:.1f} to "
             f"{2 * first * 2 * pi * scale:.1f} m",
         )
         for name, first, share in zip(("short", "long"), (1, 2), bands, strict=False)
@@ -270,15 +270,16 @@ def rows_of(state: ViewState, result: PairResult) -> list[Row]:
         Row(
             "against" if too_few else _side(inliers),
             "inliers",
-            count + (f" ({inliers:+.1f})" if registration.evidence else ""),
+            count + (f" ({inliers:+z.1f})" if registration.evidence else ""),
         )
     )
     if found is not None:
         rows.append(
             Row(
-                "against" if found.difference > IMPOSSIBLE * found.possible else "for",
+                "against" if found.difference > explained(found) else "for",
                 "heights differ",
-                f"{describe_length(found.difference)}, {describe_length(found.possible)} possible",
+                f"{describe_length(found.difference)}, up to {describe_length(explained(found))} "
+                "explained",
             )
         )
     if (images := result.closure.images) is not None:
@@ -286,14 +287,14 @@ def rows_of(state: ViewState, result: PairResult) -> list[Row]:
         rows.append(Row(BY_IMAGES[images.verdict], "images", f"{images.verdict}, {count}"))
     if motion is None:
         return [*rows, Row(None, "motion", "none found")]
-    area = f"{registration.overlap_area:.1f} m² · correlation {registration.correlation:.2f}"
+    area = f"{registration.overlap_area:.1f} m² · correlation {registration.correlation:z.2f}"
     return [
         *rows,
         Row("against" if _is_small(registration) else "for", "overlap", area),
         Row(
             None,
             "motion",
-            f"{motion.x:+.2f} m, {motion.y:+.2f} m, {degrees(motion.yaw):+.1f}°",
+            f"{motion.x:+z.2f} m, {motion.y:+z.2f} m, {degrees(motion.yaw):+z.1f}°",
         ),
     ]
 

@@ -18,6 +18,7 @@ from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.status import CANCEL, HEIGHT, StatusLine, status_html
 from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.pipeline import PairResult, PipelineParams
+from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Dataset, Submap
 from tests.app.synthetic import make_dataset, make_result, needing
 from tests.app.widgets import find, html_says, user_presses, user_sets
@@ -108,12 +109,37 @@ def test_the_card_tells_what_spoke_for_and_against() -> None:
         "long waves",
         "disagree (-4.2), 2.5 to 5.0 m",
         "12 of 17 (+7.7)",
-        "3 cm, 1 cm possible",
+        "3 cm, up to 1.5 cm explained",
     ):
         assert words in html
     assert html.count("▲") == 2  # short waves, inliers
     assert html.count("▼") == 3  # long waves, heights, a small overlap
     assert "say little (+0.1)" in verdict_html(STATE, with_evidence(7.7, 0.1, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("difference", "value", "mark"),
+    [(0.0072, "7.2 mm", "▲"), (0.0078, "7.8 mm", "▼"), (250.0, "250.0 m", "▼")],
+)
+def test_the_heights_speak_as_their_figures_do(difference: float, value: str, mark: str) -> None:
+    result = with_evidence(7.7)
+    agreement = Agreement(difference, 0.005, 0.2)
+    registration = replace(result.registration, agreement=agreement)
+    html = verdict_html(STATE, replace(result, registration=registration))
+    before, after = html.split("heights differ", 1)
+    assert f"{value}, up to 7.5 mm explained" in after
+    assert before.rindex(mark) > before.rindex("<tr>")
+
+
+def test_no_figure_is_a_negative_zero() -> None:
+    result = with_evidence(-0.01, -0.04)
+    registration = replace(
+        result.registration, T_database_query=SE2(-0.001, -0.004, -1e-4), correlation=-0.001
+    )
+    html = verdict_html(STATE, replace(result, registration=registration))
+    assert "+0.00 m, +0.00 m, +0.0°" in html
+    assert "correlation 0.00" in html
+    assert "-0.0" not in html
 
 
 def test_the_bar_shows_score_and_threshold() -> None:
