@@ -116,7 +116,7 @@ class ProtocolPage:
         """Return all text in the panels."""
         return "".join(str(one["props"].get("content", "")) for one in [*self.widgets.values()])
 
-    def wait(self, condition: Callable[[], bool], what: str, timeout: float = 20.0) -> None:
+    def wait(self, condition: Callable[[], bool], what: str, timeout: float = 60.0) -> None:
         """Wait until a condition holds."""
         end = time.monotonic() + timeout
         while True:

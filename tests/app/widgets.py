@@ -31,7 +31,7 @@ def user_sets(handle: Any, value: object) -> None:
     event = viser.GuiEvent(client=None, client_id=1, target=handle)  # type: ignore[arg-type]
     for callback in handle._impl.update_cb:
         asyncio.run_coroutine_threadsafe(callback(event), handle._impl.gui_api._event_loop).result(
-            timeout=10
+            timeout=60
         )
 
 

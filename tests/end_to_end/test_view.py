@@ -32,11 +32,11 @@ def test_the_page_is_served_until_interrupted(traverse: Path, built_in: bool) ->
             memory = process.stdout.readline()
             size = r"[\d.]+ [GM]B" if built_in else r"1\.5 GB"
             assert re.fullmatch(rf"Memory: up to {size} \(--memory changes it\)\n", memory)
-            with urllib.request.urlopen(address[0], timeout=30) as page:
+            with urllib.request.urlopen(address[0], timeout=120) as page:
                 assert page.status == 200
                 assert b"<html" in page.read().lower()
             process.send_signal(signal.SIGINT)
-            _, err = process.communicate(timeout=30)
+            _, err = process.communicate(timeout=120)
         finally:
             process.kill()
     assert process.returncode == 130
@@ -55,11 +55,11 @@ def test_on_a_network_the_token_is_printed_and_asked_for() -> None:
             said = next((line for line in process.stdout if "http://" in line), "")
             link = re.search(r"(http://localhost:\d+)/\?token=(\S+)", said)
             assert link
-            with urllib.request.urlopen(link[0], timeout=30) as page:
+            with urllib.request.urlopen(link[0], timeout=120) as page:
                 assert page.status == 200
                 assert link[2] in page.headers["Set-Cookie"]
             with pytest.raises(urllib.error.HTTPError, match="403"):
-                urllib.request.urlopen(link[1], timeout=30)
+                urllib.request.urlopen(link[1], timeout=120)
         finally:
             process.kill()
 

@@ -22,12 +22,12 @@ def skip_without_its_library(name: str) -> None:
 @pytest.mark.parametrize("name", CORPUS)
 def test_what_once_failed_is_refused(name: str, tmp_path: Path) -> None:
     failure = CORPUS[name]
-    begin = time.perf_counter()
+    begin = time.process_time()
     result = try_case(failure.format, Case(failure.content, name, damaged=True), tmp_path)
     assert result.outcome == "refused", result
     assert failure.said in result.said
     assert len(result.said) < 2100
-    assert time.perf_counter() - begin < SECONDS
+    assert time.process_time() - begin < SECONDS
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.run.helper import Answer, Helper
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
+from tests.waiting import until
 
 MB = 1_000_000
 _hoard: list[Array] = []
@@ -33,17 +34,10 @@ def hoard(megabytes: int, progress: Progress) -> int:
     return os.getpid()
 
 
-def wait(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + 30
-    while not condition():
-        assert time.monotonic() < end, f"waited for {what}"
-        time.sleep(0.02)
-
-
 def answer_of(helper: Helper, function: Callable[..., int], megabytes: int) -> int:
     """Ask as soon as it is free."""
     asked: list[Answer[int] | None] = []
-    wait(lambda: asked.append(helper.ask(function, megabytes)) or asked[-1] is not None, "it")
+    until(lambda: asked.append(helper.ask(function, megabytes)) or asked[-1] is not None, "it")
     assert asked[-1] is not None
     return asked[-1].wait()
 
@@ -145,7 +139,7 @@ def test_it_is_measured_all_the_time(start: Callable[..., MemoryKeeper]) -> None
     memo = Memo()
     start(1 * MB, memo, None)
     memo(ones, 5, 0)
-    wait(lambda: memo.num_bytes == 0, "the result to be dropped")
+    until(lambda: memo.num_bytes == 0, "the result to be dropped")
 
 
 @pytest.mark.slow
@@ -178,7 +172,7 @@ def test_what_cannot_be_kept_is_told_once(
     memo = Memo()
     memo(ones, 5, 0)
     start(1 * MB, memo, None, told.append)
-    wait(lambda: bool(told), "the message")
+    until(lambda: bool(told), "the message")
     time.sleep(0.3)
     assert len(told) == 1
     assert "can give nothing back: this dataset needs more than --memory 1 MB" in told[0]

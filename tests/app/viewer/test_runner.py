@@ -1,12 +1,14 @@
 import threading
 import time
 from collections.abc import Callable
+from itertools import count
 from typing import Any
 
 import pytest
 
 from app.viewer.runner import Runner
 from gpgrad_core.run.progress import Cancelled, Progress
+from tests.waiting import PATIENCE, until
 
 
 class Record:
@@ -47,6 +49,18 @@ def slow(seconds: float, ticks: int = 20) -> Callable[[int, Progress], int]:
     return work
 
 
+def endless_before(last: int) -> Callable[[int, Progress], int]:
+    """Work that goes on until it is told to stop, for all jobs but the last."""
+
+    def work(job: int, progress: Progress) -> int:
+        while job < last:
+            time.sleep(0.002)
+            progress(0.5)
+        return job
+
+    return work
+
+
 def test_a_job_is_run_and_its_time_told() -> None:
     told: list[float] = []
     runner: Runner[str, str] = Runner(
@@ -55,10 +69,10 @@ def test_a_job_is_run_and_its_time_told() -> None:
         lambda job, error: None,  # noqa: ARG005
     )
     runner.submit("a")
-    assert runner.wait_idle(5)
+    assert runner.wait_idle(PATIENCE)
     runner.close()
     assert len(told) == 1
-    assert 0 <= told[0] < 5
+    assert 0 <= told[0] < PATIENCE
 
 
 @pytest.mark.parametrize("work_seconds", [0.0, 0.02, 0.3])
@@ -71,65 +85,61 @@ def test_the_last_value_always_wins_and_nothing_overtakes(work_seconds: float) -
     for job in range(200):
         runner.submit(job)
         time.sleep(0.002)
-    assert runner.wait_idle(10)
+    assert runner.wait_idle(PATIENCE)
     runner.close()
     assert record.shown[-1] == 199
     assert record.shown == sorted(record.shown)
     assert not record.errors
 
 
-def test_patience_shows_pictures_while_a_slider_is_dragged() -> None:
-    record = Record()
-    runner = record.make(slow(0.04, ticks=4))
-    for job in range(100):
-        runner.submit(job)
-        time.sleep(0.005)
-    assert runner.wait_idle(5)
-    runner.close()
-    assert len(record.shown) >= 5  # 0.5 s over work of 0.04 s; without patience: 1
-    assert record.shown[-1] == 99
+@pytest.mark.parametrize(("patience", "shown"), [(60.0, [0, 1, 2, 3, 4, 5]), (0.0, [5])])
+def test_a_run_is_let_finish_while_it_is_younger_than_patience(
+    patience: float, shown: list[int]
+) -> None:
+    record, go = Record(), threading.Semaphore(0)
 
+    def work(job: int, progress: Progress) -> int:
+        assert go.acquire(timeout=PATIENCE)
+        progress(0.5)
+        return job
 
-def test_impatience_shows_the_last_only() -> None:
-    record = Record()
-    runner = record.make(slow(0.2), patience=0.0, longest_blind=60.0)
-    for job in range(50):
-        runner.submit(job)
-        time.sleep(0.01)
-    assert runner.wait_idle(5)
+    runner = record.make(work, patience=patience, longest_blind=600.0)
+    runner.submit(0)
+    for job in range(5):
+        until(lambda job=job: job in record.started, "the run")
+        runner.submit(job + 1)  # waits while the other is asked to go on
+        go.release()
+    go.release()
+    assert runner.wait_idle(PATIENCE)
     runner.close()
-    assert record.shown == [49]
+    assert record.shown == shown
 
 
 def test_a_superseded_run_older_than_patience_is_cancelled() -> None:
     record = Record()
-    runner = record.make(slow(2.0, ticks=200), patience=0.05)
+    runner = record.make(endless_before(2), patience=0.05)
     runner.submit(1)
-    time.sleep(0.1)
-    start = time.monotonic()
+    until(lambda: record.started == [1], "the run")
     runner.submit(2)
-    while 1 not in record.cancelled:
-        assert time.monotonic() - start < 1.0, "the first run was not stopped"
-        time.sleep(0.005)
-    assert runner.wait_idle(10)
+    assert runner.wait_idle(PATIENCE)
     runner.close()
-    assert record.shown == [2]
+    assert (record.cancelled, record.shown) == ([1], [2])
 
 
 def test_a_long_drag_over_long_work_is_not_blind() -> None:
     record = Record()
     runner = record.make(slow(0.2), patience=0.02, longest_blind=0.2)
-    start = time.monotonic()
-    job = 0
-    while time.monotonic() - start < 1.5:
-        runner.submit(job)
-        job += 1
-        time.sleep(0.01)
-    during_the_drag = len(record.shown)
-    assert runner.wait_idle(5)
+    jobs = count()
+
+    def drag_on() -> bool:
+        runner.submit(next(jobs))
+        return len(record.shown) >= 2
+
+    until(drag_on, "pictures during the drag")
+    last = next(jobs) - 1
+    assert runner.wait_idle(PATIENCE)
     runner.close()
-    assert during_the_drag >= 2
-    assert record.shown[-1] == job - 1
+    assert record.shown[-1] == last
 
 
 def rough(job: int, progress: Progress) -> int | None:
@@ -143,25 +153,20 @@ def test_a_preview_comes_first() -> None:
     runner = record.make(slow(0.02), preview=rough)
     for job in (1, 0, 2):
         runner.submit(job)
-        assert runner.wait_idle(5)
+        assert runner.wait_idle(PATIENCE)
     runner.close()
     assert record.shown == [-1, 1, 0, -2, 2]
 
 
 def test_a_drag_over_long_work_shows_previews_and_ends_on_the_last_result() -> None:
     record = Record()
-    runner = record.make(slow(1.0, ticks=100), preview=rough, patience=0.02)
+    runner = record.make(endless_before(39), preview=rough, patience=0.02)
     for job in range(1, 40):
         runner.submit(job)
-        time.sleep(0.02)
-    assert runner.wait_idle(10)
+        until(lambda job=job: -job in record.shown, "the preview")
+    assert runner.wait_idle(PATIENCE)
     runner.close()
-    *previews, last = record.shown
-    assert last == 39
-    assert previews[-1] == -39
-    assert len(previews) >= 10
-    assert all(shown < 0 for shown in previews)
-    assert previews == sorted(previews, reverse=True)
+    assert record.shown == [*range(-1, -40, -1), 39]
 
 
 def test_what_a_preview_raises_is_told_and_the_work_is_left() -> None:
@@ -172,7 +177,7 @@ def test_what_a_preview_raises_is_told_and_the_work_is_left() -> None:
 
     runner = record.make(slow(0.0), preview=broken)
     runner.submit(1)
-    assert runner.wait_idle(5)
+    assert runner.wait_idle(PATIENCE)
     runner.close()
     assert [str(error) for _, error in record.errors] == ["no preview of 1"]
     assert record.shown == []
@@ -181,19 +186,18 @@ def test_what_a_preview_raises_is_told_and_the_work_is_left() -> None:
 def test_cancelling_stops_what_runs_and_only_that() -> None:
     record = Record()
     told: list[int] = []
-    runner = record.make(slow(60.0, ticks=6000), on_cancel=told.append)
+    runner = record.make(endless_before(2), on_cancel=told.append)
     runner.cancel()  # nothing runs: nothing happens
     runner.submit(1)
-    while not record.started:
-        time.sleep(0.005)
+    until(lambda: record.started, "the run")
     runner.submit(2)
     runner.cancel()  # the waiting one is forgotten too
-    assert runner.wait_idle(5)
+    assert runner.wait_idle(PATIENCE)
     assert (told, record.started, record.shown) == ([1], [1], [])
     quick = record.make(slow(0.0), on_cancel=told.append)
     quick.cancel()
     quick.submit(3)
-    assert quick.wait_idle(5)
+    assert quick.wait_idle(PATIENCE)
     assert (told, record.shown) == ([1], [3])
     runner.close()
     quick.close()
@@ -211,7 +215,7 @@ def test_a_job_cancelled_before_the_worker_took_it_is_told_of() -> None:
     for job in range(200):  # at whatever moment the worker is
         runner.submit(job)
         runner.cancel()
-        assert runner.wait_idle(5)
+        assert runner.wait_idle(PATIENCE)
         assert told == list(range(job + 1))
     runner.close()
 
@@ -226,9 +230,9 @@ def test_an_error_is_a_value_and_the_worker_lives() -> None:
 
     runner = record.make(work)
     runner.submit(-1)
-    assert runner.wait_idle(5)
+    assert runner.wait_idle(PATIENCE)
     runner.submit(7)
-    assert runner.wait_idle(5)
+    assert runner.wait_idle(PATIENCE)
     runner.close()
     assert [(job, str(error)) for job, error in record.errors] == [(-1, "-1 is below zero")]
     assert record.shown == [7]
@@ -246,9 +250,9 @@ def test_an_error_while_showing_is_a_value_too() -> None:
         lambda job, error: errors.append(error),  # noqa: ARG005
     )
     runner.submit(1)
-    assert runner.wait_idle(5)
+    assert runner.wait_idle(PATIENCE)
     runner.submit(2)
-    assert runner.wait_idle(5)
+    assert runner.wait_idle(PATIENCE)
     runner.close()
     assert [str(error) for error in errors] == ["no such node"] * 2
 
@@ -270,9 +274,9 @@ def test_even_a_broken_error_callback_leaves_the_worker_alive(
         broken,
     )
     runner.submit(0)
-    assert runner.wait_idle(5)
+    assert runner.wait_idle(PATIENCE)
     runner.submit(1)
-    assert runner.wait_idle(5)
+    assert runner.wait_idle(PATIENCE)
     runner.close()
     assert shown == [1]
     assert "reporting an error failed" in caplog.text
@@ -280,13 +284,10 @@ def test_even_a_broken_error_callback_leaves_the_worker_alive(
 
 def test_close_stops_a_running_job_and_joins() -> None:
     record = Record()
-    runner = record.make(slow(60.0, ticks=6000))
+    runner = record.make(endless_before(2))
     runner.submit(1)
-    while not record.started:
-        time.sleep(0.005)
-    start = time.monotonic()
+    until(lambda: record.started, "the run")
     runner.close()
-    assert time.monotonic() - start < 2.0
     assert record.cancelled == [1]
     assert record.shown == []
     assert not any(thread.name == "runner" for thread in threading.enumerate())
@@ -302,10 +303,12 @@ def test_a_closed_runner_takes_no_jobs_and_closes_twice() -> None:
 
 
 def test_submitting_never_waits_for_the_work() -> None:
-    record = Record()
-    runner = record.make(slow(0.5, ticks=1))
-    start = time.monotonic()
+    record, go = Record(), threading.Event()
+    runner = record.make(lambda job, _: job if go.wait(PATIENCE) else -1)
     for job in range(1000):
         runner.submit(job)
-    assert time.monotonic() - start < 0.4
+    assert record.shown == []
+    go.set()
+    assert runner.wait_idle(PATIENCE)
     runner.close()
+    assert record.shown[-1] == 999

@@ -1,4 +1,3 @@
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +23,7 @@ from gpgrad_core.pipeline.coarse import COARSER
 from gpgrad_core.run.memo import Memo
 from tests.app.synthetic import FakePipeline, make_dataset, make_result, needing
 from tests.app.widgets import find, user_presses, user_sets
+from tests.waiting import PATIENCE, until
 
 START = needing(8)
 
@@ -167,15 +167,13 @@ def test_what_takes_long_is_announced_though_it_reports_nothing(
     announced: list[bool] = []
 
     def make(state: ViewState) -> PairResult:
-        end = time.monotonic() + 20
-        while "Computing" not in said(session.pair._status.line) and time.monotonic() < end:
-            time.sleep(0.02)
-        announced.append(time.monotonic() < end)
+        until(lambda: "Computing" in said(session.pair._status.line), "the announcement")
+        announced.append(True)
         return make_result(state)
 
     pipeline.make = make
     user_sets(find(gui(session), "Minimum inliers"), 20)
-    assert session.wait_idle(30)
+    assert session.wait_idle(2 * PATIENCE)
     assert announced == [True]
     assert "Up to date" in said(session.pair._status.line)
 

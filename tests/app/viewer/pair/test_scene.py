@@ -1,4 +1,3 @@
-import time
 from dataclasses import replace
 from typing import Any
 
@@ -27,6 +26,7 @@ from app.viewer.state import (
 )
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.synthetic import T_DATABASE_QUERY, make_dataset, make_map, make_result, needing
+from tests.waiting import until
 
 STATE = open_dataset(make_dataset(), PipelineParams())
 RESULT = make_result(STATE)
@@ -199,11 +199,12 @@ def test_blinking_shows_one_after_the_other_until_it_ends(
     frames = node(server, "/pair/query"), node(server, "/pair/database")
     scene.show(seeing(layout="registered", compare="blink"), RESULT)
     seen: set[tuple[bool, bool]] = set()
-    end = time.monotonic() + 5
-    while len(seen & {(True, False), (False, True)}) < 2 and time.monotonic() < end:
+
+    def both_seen() -> bool:
         seen.add((frames[0].visible, frames[1].visible))
-        time.sleep(0.005)
-    assert {(True, False), (False, True)} <= seen
+        return {(True, False), (False, True)} <= seen
+
+    until(both_seen, "one after the other")
     scene.show(seeing(layout="registered"), RESULT)
     assert all(frame.visible for frame in frames)
     scene.show(seeing(layout="registered", compare="blink"), RESULT)
