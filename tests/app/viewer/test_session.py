@@ -125,6 +125,7 @@ def test_a_gp_slider_shows_coarse_surfaces_first(
     faded: bool,
 ) -> None:
     monkeypatch.setattr(status, "LATE", late)
+    monkeypatch.setattr(status, "LONG", 600.0)
     before: list[tuple[str, str, float]] = []
 
     def make(state: ViewState) -> PairResult:
@@ -145,8 +146,10 @@ def test_a_gp_slider_shows_coarse_surfaces_first(
 
 
 def test_sliders_of_later_stages_need_no_coarse_surfaces(
-    session: Session, pipeline: FakePipeline
+    session: Session, pipeline: FakePipeline, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for name in ("NOTICED", "LATE", "LONG"):  # on a busy machine all may take long
+        monkeypatch.setattr(status, name, 600.0)
     before: list[str] = []
 
     def make(state: ViewState) -> PairResult:
