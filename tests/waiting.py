@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-PATIENCE = 60.0
+PATIENCE = 120.0
 """After so long nothing more is expected to happen [s]; on an idle machine all comes at once."""
 
 

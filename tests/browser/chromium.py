@@ -15,6 +15,7 @@ from playwright.sync_api import Browser, BrowserContext, Locator, Page, Playwrig
 
 from app.viewer.modes.tab import PANEL_WIDTH
 from gpgrad_core.arrays import NDArray
+from tests.waiting import PATIENCE
 
 # Software rendering works without a graphics card. The browser must make no requests of its own.
 FLAGS = [
@@ -31,8 +32,6 @@ FLAGS = [
     "--disable-dev-shm-usage",
     "--mute-audio",
 ]
-PATIENCE = 60.0
-"""Software rendering on a loaded machine may take this long to show a change [s]."""
 BETWEEN_INPUTS_MS = 80
 """Pause between two inputs [s]. It is longer than the 50 ms in which the client sends only one
 change, the last."""
@@ -92,6 +91,7 @@ class ViewerPage:
         self.errors: list[str] = []
         self.outside: list[str] = []
         self.page: Page = browser.new_page()
+        self.page.set_default_timeout(1000 * PATIENCE)
         self.page.set_viewport_size({"width": size[0], "height": size[1]})
         if script is not None:
             self.page.add_init_script(script)

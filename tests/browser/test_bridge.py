@@ -1,10 +1,13 @@
 """The bridge from the viewer's own HTML to Python, in a real page of viser's."""
 
+import time
+
 import pytest
 import viser
 
 from app.viewer.widgets.actions import on_choice
 from app.viewer.widgets.bridge import Bridge, Data, say
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.browser
 
@@ -25,17 +28,17 @@ def test_what_html_says_arrives_once_and_in_order(browser: object) -> None:
     )
     try:
         page = browser.new_page()  # type: ignore[attr-defined]
+        page.set_default_timeout(1000 * PATIENCE)
         page.goto(f"http://127.0.0.1:{server.get_port()}/")
         cell = page.get_by_test_id("cell")
-        cell.click(timeout=60_000)
+        cell.click()
         cell.click()  # the same words again are another message
         page.evaluate("for (let k = 0; k < 9; k++) gpgrad.say('drag', {to: k}, true)")
         page.evaluate("gpgrad.say('nobody hears this', {})")
         page.evaluate("gpgrad.say('cell', {query: 'last', row: 0})")
-        end = 100
-        while not (heard and heard[-1][1].get("query") == "last") and end:
+        end = time.monotonic() + PATIENCE
+        while not (heard and heard[-1][1].get("query") == "last") and time.monotonic() < end:
             page.wait_for_timeout(100)
-            end -= 1
         cells = [data for what, data in heard if what == "cell"]
         assert cells == [{"query": name, "row": 3}, {"query": name, "row": 3}, cells[-1]]
         drags = [data["to"] for what, data in heard if what == "drag"]

@@ -15,6 +15,7 @@ import viser
 from app.viewer.door.admission import Admission
 from app.viewer.door.limits import Limits
 from app.viewer.door.server import Told, open_server
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.browser
 
@@ -112,6 +113,7 @@ SMALL: Any = {"width": 800, "height": 300}
 @pytest.fixture
 def tab(chromium: Any) -> Iterator[Any]:
     context = chromium.new_context(viewport=SMALL)
+    context.set_default_timeout(1000 * PATIENCE)
     yield context.new_page()
     context.close()
 
@@ -120,6 +122,7 @@ def tab(chromium: Any) -> Iterator[Any]:
 def own(chromium: Any, viewer: viser.ViserServer) -> Iterator[Any]:
     """The viewer's own page, for several tests: it takes seconds to open."""
     context = chromium.new_context(viewport=SMALL)
+    context.set_default_timeout(1000 * PATIENCE)
     page = context.new_page()
     is_served(page, f"{at(viewer, name='localhost')}/?fixedDpr=1")
     yield page
@@ -131,7 +134,7 @@ def is_served(tab: Any, link: str) -> None:
     said: list[str] = []
     tab.on("console", lambda message: said.append(message.text))
     tab.goto(link)
-    tab.get_by_test_id("verdict").wait_for(timeout=60_000)
+    tab.get_by_test_id("verdict").wait_for()
     assert not [text for text in said if "Content Security Policy" in text]
 
 
@@ -209,6 +212,8 @@ def test_with_the_token_two_pages_are_served_and_without_it_none(
     chromium: Any, guarded: viser.ViserServer, evil: int
 ) -> None:
     holder, stranger = chromium.new_context(viewport=SMALL), chromium.new_context()
+    for context in (holder, stranger):
+        context.set_default_timeout(1000 * PATIENCE)
     first, second, other = holder.new_page(), holder.new_page(), stranger.new_page()
     is_served(first, f"{at(guarded)}/?token=a-token-to-share")
     is_served(second, at(guarded))  # the browser has the token as a cookie now
@@ -231,10 +236,9 @@ def test_a_value_that_cannot_be_goes_back_in_the_box(own: Any) -> None:
     box = slider.locator("xpath=..//input[not(@type='hidden')]").last
     box.fill("99999999999999999999")
     status = own.get_by_test_id("status")
-    status.filter(has_text="Minimum inliers: must be").wait_for(timeout=20_000)
+    status.filter(has_text="Minimum inliers: must be").wait_for()
     own.wait_for_function(
         "(id) => document.getElementById(id).parentElement.querySelector("
         "'input:not([type=hidden])').value === '8'",
         arg=label.get_attribute("for"),
-        timeout=20_000,
     )
