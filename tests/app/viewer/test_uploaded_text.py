@@ -59,12 +59,12 @@ def test_while_a_file_is_parsed_other_pages_are_served(
 
     def parse(*args: Any) -> Any:  # noqa: ARG001
         begun.set()
-        assert done.wait(20)
+        assert done.wait(120)
         return {}
 
     monkeypatch.setattr(parser, parse)
     one.upload(button, "slow.toml", b"x = 1")
-    assert begun.wait(10)
+    assert begun.wait(120)
     try:
         for page, value in ((other, 3), (one, 4)):
             page.set("Slider", value)

@@ -110,18 +110,18 @@ def test_it_switches_to_the_best_closure_and_says_so(
     begin: Callable[..., tuple[Session, Held]],
 ) -> None:
     session, held = begin(CLOSURES)
-    assert held.begun.wait(20)
+    assert held.begun.wait(120)
     assert pair(session) == OPENED
     assert "This pair is no loop closure" in note(session)
     held.free.set()
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert pair(session) == ("006", "002")
     assert "Switched to 006 → 002, the best loop closure so far" in note(session)
     assert "005 → 000, with which the dataset opened, is none" in note(session)
     assert "gpgrad" in session.pair._title._script.content
     assert "006 \\u2192 002 \\u00b7 loop" in session.pair._title._script.content
     page_says(session, "show-pair", query="005", database="000")
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert pair(session) == OPENED  # and it stays there
     assert note(session) == ""
 
@@ -130,7 +130,7 @@ def test_it_does_nothing_where_the_first_pair_is_a_closure(
     begin: Callable[..., tuple[Session, Held]],
 ) -> None:
     session, held = begin({OPENED: 4.0, **CLOSURES})
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert not held.begun.is_set()
     assert pair(session) == OPENED
     assert note(session) == ""
@@ -139,7 +139,7 @@ def test_it_does_nothing_where_the_first_pair_is_a_closure(
 def test_it_says_that_nothing_was_found(begin: Callable[..., tuple[Session, Held]]) -> None:
     session, held = begin({})
     held.free.set()
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert pair(session) == OPENED
     assert "No loop closure so far" in note(session)
     page_says(session, "close-note")
@@ -151,7 +151,7 @@ def test_it_never_switches_once_somebody_has_acted(
     begin: Callable[..., tuple[Session, Held]], act: str
 ) -> None:
     session, held = begin(CLOSURES)
-    assert held.begun.wait(20)
+    assert held.begun.wait(120)
     search = best_pair(session)
     if act == "slider":
         user_sets(find(session.desk.host, "Minimum inliers"), 3)  # type: ignore[arg-type]
@@ -165,7 +165,7 @@ def test_it_never_switches_once_somebody_has_acted(
         session.desk.change(pair=("003", "001"))
     expected = ("003", "001") if act == "pair" else OPENED
     held.free.set()
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert pair(session) == expected
     assert note(session) == ""
 
@@ -173,28 +173,28 @@ def test_it_never_switches_once_somebody_has_acted(
 def test_a_saved_session_opens_as_it_was_saved(begin: Callable[..., tuple[Session, Held]]) -> None:
     saved = SavedSession(query_id="003", database_id="001")
     session, held = begin(CLOSURES, saved=saved)
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert not held.begun.is_set()
     assert pair(session) == ("003", "001")
 
 
 def test_another_dataset_is_searched_anew(begin: Callable[..., tuple[Session, Held]]) -> None:
     session, held = begin(CLOSURES)
-    assert held.begun.wait(20)
+    assert held.begun.wait(120)
     held.begun.clear()
     session.desk.open(Opened(replace(DATASET, name="again"), PipelineParams(), ""))
     held.free.set()
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert held.begun.is_set()
     assert pair(session) == ("006", "002")
 
 
 def test_what_goes_wrong_is_told(begin: Callable[..., tuple[Session, Held]]) -> None:
     session, held = begin(CLOSURES)
-    assert held.begun.wait(20)
+    assert held.begun.wait(120)
     held.pipeline.error = InputError("003 spans 10 km")
     held.free.set()
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert "could not be scored: 003 spans 10 km" in note(session)
 
 
@@ -203,7 +203,7 @@ def test_the_best_of_all_pairs_is_shown_when_asked(
 ) -> None:
     compared = make_compared()
     session, _ = begin({OPENED: 4.0, ("003", "000"): 4.0}, dataset=compared.dataset)
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     button: Any = find(session.desk.host, "Show best")  # type: ignore[arg-type]
     assert button.disabled
     accepted = tuple(
@@ -213,5 +213,5 @@ def test_the_best_of_all_pairs_is_shown_when_asked(
     session.desk.tell(Feature.judged, compared.dataset, accepted)
     assert not button.disabled
     user_presses(button)
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert pair(session) == ("003", "000")

@@ -65,7 +65,7 @@ def session(
     del pages
     monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
     made = Session(server, Opened(DATASET, needing(8), "/data/set"), Memo(), Capacity())
-    assert made.wait_idle(20)
+    assert made.wait_idle(120)
     yield made
     made.close()
 
@@ -77,7 +77,7 @@ def arrive(session: Session, pages: dict[int, Any]) -> Callable[..., FakePage]:
         pages[len(pages)] = made.page
         resize(session, made, canvas)
         session.desk.bridge._acts["arrived"](made.page, {"text": link})
-        assert session.wait_idle(20)
+        assert session.wait_idle(120)
         return made
 
     return come
@@ -85,7 +85,7 @@ def arrive(session: Session, pages: dict[int, Any]) -> Callable[..., FakePage]:
 
 def resize(session: Session, page: FakePage, canvas: Canvas) -> None:
     session.desk.bridge._acts["canvas"](page.page, dict(vars(canvas)))
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
 
 
 def test_a_page_that_comes_sees_all_of_it_and_is_told_what(
@@ -106,21 +106,21 @@ def test_the_camera_follows_layout_pair_and_size_until_it_is_moved_by_hand(
     page = arrive()
     apart = page.camera
     session.desk.change(options=replace(session.state.options, layout="registered"))
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     together = page.camera
     assert together != apart
     resize(session, page, replace(WIDE, width=1000.0))
     assert page.camera not in (apart, together)
     by_hand = page.move()
     session.desk.change(params=needing(9))
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     resize(session, page, WIDE)
     assert page.camera == by_hand
     session.desk.tell(Feature.frame, page.page)
     assert page.camera == together
     page.move()
     session.desk.change(pair=("002", "000"))
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert page.camera == session.pair.scene.camera(session.state, WIDE)
 
 
@@ -156,7 +156,7 @@ def test_a_shape_that_only_the_camera_tells_counts(
     page = arrive(TALL)
     page.page.camera.aspect = 2.0
     session.desk.canvases.measure(page.page)
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert not session.pair.scene.tall
     assert session.desk.canvases.of(page.page).aspect == pytest.approx(2.0)
 
@@ -168,7 +168,7 @@ def test_a_caption_says_that_it_is_out_of_date(
     session.desk.tell(Feature.outdated)
     assert "Out of date" in [text for text in page.told if '"caption"' in text][-1]
     session.desk.change()
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert "Out of date" not in [text for text in page.told if '"caption"' in text][-1]
 
 

@@ -72,7 +72,7 @@ def said(opening: DataTab) -> str:
 def upload(server: viser.ViserServer, opening: DataTab, name: str, content: bytes) -> None:
     file: Any = viser.UploadedFile(name, content)
     user_sets(find(server, "Upload clouds"), file)
-    assert opening.wait_idle(10)
+    assert opening.wait_idle(120)
 
 
 def zipped(folder: Path) -> bytes:
@@ -94,11 +94,11 @@ def test_a_path_is_opened_and_remembered(
     opening = make()
     user_sets(find(server, "Folder"), str(data / "hills"))
     user_sets(find(server, "Open"), "Load")
-    assert opening.wait_idle(10)
+    assert opening.wait_idle(120)
     assert (opened[0].dataset.name, opened[0].source) == ("hills", str(data / "hills"))
     assert recent_datasets(tmp_path / "config") == (str(data / "hills"),)
     user_sets(find(server, "Recent"), str(data / "hills"))
-    assert opening.wait_idle(10)
+    assert opening.wait_idle(120)
     assert len(opened) == 2
 
 
@@ -110,19 +110,19 @@ def test_below_a_root_folders_are_browsed_and_nothing_else_is_opened(
     user_sets(find(server, "Browse"), "submaps/")
     assert find(server, "Browse").options == ("choose …", "↑ up", *SUBMAPS)
     user_sets(find(server, "Browse"), SUBMAPS[1])
-    assert opening.wait_idle(10)
+    assert opening.wait_idle(120)
     assert [submap.id for submap in opened[-1].dataset.submaps] == ["001"]
     user_sets(find(server, "Browse"), "↑ up")
     user_presses(find(server, "Use this folder"))
-    assert opening.wait_idle(10)
+    assert opening.wait_idle(120)
     assert opened[-1].dataset.name == "hills"
     for path in (str(data / "others"), "../others", "/etc"):
         user_sets(find(server, "Folder"), path)
         user_sets(find(server, "Open"), "Load")
-        assert opening.wait_idle(10)
+        assert opening.wait_idle(120)
         assert "outside of" in said(opening)
     opening.restore(SavedSession(dataset=data / "others"))
-    assert opening.wait_idle(10)
+    assert opening.wait_idle(120)
     assert "outside of" in said(opening)
     assert len(opened) == 2
 
@@ -232,16 +232,16 @@ def test_loading_is_told_and_cancelled(
     opening = make()
     user_sets(find(server, "Folder"), str(data / "hills"))
     user_sets(find(server, "Open"), "Load")
-    assert begun.wait(10)
+    assert begun.wait(120)
     assert find(server, "Cancel loading").visible
     user_presses(find(server, "Cancel loading"))
-    assert opening.wait_idle(10)
+    assert opening.wait_idle(120)
     assert "Cancelled" in said(opening)
     assert not find(server, "Cancel loading").visible
     assert opened == []
     go.set()
     user_sets(find(server, "Open"), "Load")
-    assert opening.wait_idle(10)
+    assert opening.wait_idle(120)
     assert len(opened) == 1
 
 
@@ -250,11 +250,11 @@ def test_a_saved_session_is_restored_or_refused(
 ) -> None:
     opening = make()
     opening.restore(SavedSession(dataset=data / "hills", query_id="002"))
-    assert opening.wait_idle(10)
+    assert opening.wait_idle(120)
     assert opened[0].saved is not None
     assert opened[0].saved.query_id == "002"
     opening.restore(SavedSession(dataset=data / "hills", query_id="999"))
-    assert opening.wait_idle(10)
+    assert opening.wait_idle(120)
     assert "no submap" in said(opening)
     assert len(opened) == 1
 

@@ -64,10 +64,10 @@ def test_the_flat_picture_is_drawn_with_its_legend(inspection: InspectTab) -> No
     image = inspection._matches._image
     assert not image.visible
     inspection.show(STATE, RESULT)
-    assert inspection.wait_idle(20)
+    assert inspection.wait_idle(120)
     assert not image.visible  # nobody has it in view
     html_says(inspection._desk.bridge, SEEN, seen=True)
-    assert inspection.wait_idle(20)
+    assert inspection.wait_idle(120)
     assert image.visible
     assert image.image.shape[1] == WIDTH
     for words in (

@@ -22,7 +22,7 @@ from tests.app.widgets import find
 def session(server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:
     monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
     made = Session(server, Opened(make_dataset(300), needing(8), ""), Memo(), Capacity())
-    assert made.wait_idle(20)
+    assert made.wait_idle(120)
     yield made
     made.close()
 
@@ -87,17 +87,17 @@ def test_keys_change_what_is_shown_and_the_widgets_follow(
     press(server, "O")
     assert session.state.options.outlier_lines is not before
     assert find(server, "Outlier lines").value is not before
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
 
 
 def test_keys_step_through_matches_and_pairs(server: viser.ViserServer, session: Session) -> None:
     press(server, "N")
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     press(server, "N")
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert session.state.match == 2
     press(server, "P")
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     assert session.state.match == 1
     press(server, "J")
     assert session.state.query_id != "003"
@@ -116,12 +116,12 @@ def test_a_click_is_read_until_it_is_cleared(server: viser.ViserServer, session:
     probe = session.state.probe
     assert probe is not None
     assert (probe.role, probe.x, probe.y) == ("database", pytest.approx(0.3), pytest.approx(0.4))
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
     session.inspect.clicked(click(above, 1.0))
     assert session.state.probe == probe
     press(server, "U")
     assert session.state.probe is None
-    assert session.wait_idle(20)
+    assert session.wait_idle(120)
 
 
 def test_the_camera_moves_on_the_page_that_asks_only(

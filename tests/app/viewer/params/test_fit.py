@@ -69,7 +69,7 @@ def fit(
 
 def run(fit: FitTool, server: viser.ViserServer) -> None:
     user_presses(find(server, "Fit to these submaps"))
-    assert fit.wait_idle(10)
+    assert fit.wait_idle(120)
 
 
 def said(fit: FitTool) -> str:
@@ -113,7 +113,7 @@ def test_it_is_cancelled(
     user_presses(find(server, "Fit to these submaps"))
     assert find(server, "Cancel fit").visible
     user_presses(find(server, "Cancel fit"))
-    assert fit.wait_idle(10)
+    assert fit.wait_idle(120)
     assert "Cancelled" in said(fit)
     assert find(server, "Fit to these submaps").visible
     assert recorder.states == []
@@ -125,7 +125,7 @@ def test_another_pair_ends_it(
     fitter.go.clear()
     user_presses(find(server, "Fit to these submaps"))
     fit.follow(with_pair(STATE, query_id="001"))
-    assert fit.wait_idle(10)
+    assert fit.wait_idle(120)
     fitter.go.set()
     assert recorder.states == []
     run(fit, server)

@@ -70,7 +70,7 @@ def said(exports: Exports) -> str:
 def order(exports: Exports, page: FakePage, kind: str, *arguments: str) -> None:
     # Through the panel's callbacks, but with a page of our own for the file to go to.
     getattr(exports, f"_order_{kind}")(*arguments, page)
-    assert exports.wait_idle(20)
+    assert exports.wait_idle(120)
 
 
 def test_closures_in_every_format(exports: Exports) -> None:
@@ -129,7 +129,7 @@ def test_an_export_is_cancelled(
     exports._order_closures("JSON", page)
     assert find(server, "Cancel export").visible
     user_presses(find(server, "Cancel export"))
-    assert exports.wait_idle(10)
+    assert exports.wait_idle(120)
     assert page.files == {}
     assert "Cancelled" in said(exports)
 
