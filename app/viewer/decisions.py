@@ -151,6 +151,8 @@ def read_decisions(records: Sequence[Record]) -> Decisions:
     decisions = Decisions()
     for record in records:
         pair = record.text("query"), record.text("database")
+        if pair[0] == pair[1]:
+            raise record.wrong("database", "another submap than the query")
         if "motion" in record.values:
             values = {**record.record("motion").values, "query": pair[0], "database": pair[1]}
             found = closure_of(read_pair(Record(values, f"{record.where}, motion")))

@@ -34,7 +34,7 @@ from app.viewer.widgets.canvas import Canvases
 from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.types import Dataset, LoopClosure, Registration
+from gpgrad_core.types import Dataset, GradientMap, LoopClosure, Registration
 
 Subject: TypeAlias = Literal["pair", "world"]
 """What the scene shows."""
@@ -57,6 +57,12 @@ class Feature:
 
     def show(self, state: ViewState, result: PairResult) -> None:
         """Take what the pipeline found for a state, after the scene has shown it."""
+
+    def alone(self, state: ViewState, gradient_map: GradientMap) -> None:
+        """Take the map of the one submap there is, after the scene has shown it: there is no pair.
+
+        It comes in place of `show`.
+        """
 
     def moved(self, by_hand: bool) -> None:
         """Take whether the query of the pair lies where a hand has put it, and is not judged."""
@@ -185,7 +191,7 @@ class Desk:
     def change(
         self,
         *,
-        pair: tuple[str, str] | None = None,
+        pair: tuple[str | None, str | None] | None = None,
         params: PipelineParams | None = None,
         options: ViewOptions | None = None,
         match: int | None = None,
@@ -195,7 +201,7 @@ class Desk:
         """Change the state, and tell all features; without arguments it is only told again.
 
         Args:
-            pair: (query, database) to show.
+            pair: (query, database) to show; of these, None stays as it is.
             params: Of the pipeline.
             options: Of the view.
             match: Number of the association to point at, from 1; 0 for none.

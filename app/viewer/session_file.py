@@ -9,7 +9,14 @@ import tomli_w
 
 from app.viewer.decisions import MOST_DECISIONS, Decisions, read_decisions, tables_of
 from app.viewer.draw.placement import Camera
-from app.viewer.state import ViewOptions, ViewState, with_options, with_pair, with_params
+from app.viewer.state import (
+    ViewOptions,
+    ViewState,
+    check_pair,
+    with_options,
+    with_pair,
+    with_params,
+)
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import to_tables, with_tables
@@ -58,6 +65,7 @@ class SavedSession:
         for name in (self.query_id, self.database_id):
             if name is not None:
                 dataset.submap(name)
+        check_pair(dataset, self.query_id, self.database_id)
         known = {submap.id for submap in dataset.submaps}
         for pair in self.decisions.pairs:
             for name in pair:
@@ -86,7 +94,9 @@ def session_text(
     table: dict[str, object] = {}
     if Path(state.source) != demo_path():
         table["dataset"] = str(Path(state.source).absolute())
-    table |= {"query": state.query_id, "database": state.database_id}
+    table["query"] = state.query_id
+    if state.is_pair:
+        table["database"] = state.database_id
     table["view"] = to_tables(state.options)
     if camera is not None:
         table["camera"] = {

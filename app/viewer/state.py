@@ -5,6 +5,7 @@ from typing import Annotated, Literal, TypeAlias, get_args
 
 import numpy as np
 
+from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.pipeline import PipelineParams
@@ -38,6 +39,8 @@ COMPARED: tuple[Layer, ...] = ("difference", "agreement")
 """Layers that show both maps against each other, under the registration."""
 FROM_ABOVE: Layout = "gradient from above"
 """Side by side like two maps, whatever the layer."""
+NEEDS_TWO = "A loop closure needs two submaps. Add a cloud, or open another dataset, in Data."
+"""What is said where one submap is all there is."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,8 @@ class ViewState:
     Attributes:
         dataset: The open dataset.
         query_id: Submap that is registered.
-        database_id: Submap that it is registered to.
+        database_id: Submap that it is registered to. It is another one, unless the dataset has no
+            other: then there is no pair, and the one submap is shown alone.
         params: Of the pipeline.
         options: Of the view.
         source: Path that the dataset was read from; empty if it was made otherwise.
@@ -118,6 +122,15 @@ class ViewState:
     match: int = 0
     probe: Probe | None = None
 
+    def __post_init__(self) -> None:
+        """Check that a pair is made of two submaps."""
+        check_pair(self.dataset, self.query_id, self.database_id)
+
+    @property
+    def is_pair(self) -> bool:
+        """Whether there is a pair, and not one submap alone."""
+        return self.query_id != self.database_id
+
     @property
     def query(self) -> Submap:
         """The query submap."""
@@ -127,6 +140,32 @@ class ViewState:
     def database(self) -> Submap:
         """The database submap."""
         return self.dataset.submap(self.database_id)
+
+    @property
+    def names(self) -> str:
+        """The pair in short, or the one submap there is."""
+        return f"{self.query_id} → {self.database_id}" if self.is_pair else self.query_id
+
+    @property
+    def pair(self) -> tuple[Submap, Submap]:
+        """The query and the database submap.
+
+        Raises:
+            InputError: If there is one submap alone.
+        """
+        if not self.is_pair:
+            raise InputError(NEEDS_TWO)
+        return self.query, self.database
+
+
+def check_pair(dataset: Dataset, query_id: str | None, database_id: str | None) -> None:
+    """Check that a pair is made of two submaps; the one submap of a dataset may stand alone.
+
+    Raises:
+        InputError: If it names one twice.
+    """
+    if query_id is not None and query_id == database_id and len(dataset.submaps) > 1:
+        raise InputError(f"{query_id} beside itself is no pair; name two different submaps")
 
 
 def open_dataset(
@@ -145,14 +184,17 @@ def with_pair(
 ) -> ViewState:
     """Choose the query, the database submap, or both; nothing is pointed at then.
 
+    If the one that is named had the other role, the two change places.
+
     Raises:
-        InputError: If the dataset has no such submap.
+        InputError: If the dataset has no such submap, or both names are the same.
     """
-    chosen = replace(
-        state,
-        query_id=state.query_id if query_id is None else query_id,
-        database_id=state.database_id if database_id is None else database_id,
-    )
+    if query_id is None:
+        query_id = state.database_id if database_id == state.query_id else state.query_id
+    elif database_id is None and query_id == state.database_id:
+        database_id = state.query_id
+    database_id = state.database_id if database_id is None else database_id
+    chosen = replace(state, query_id=query_id, database_id=database_id)
     _ = chosen.query, chosen.database
     if same_pair(chosen, state):
         return chosen

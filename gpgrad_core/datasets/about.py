@@ -105,6 +105,12 @@ def _check_preferred(value: object, path: Path, submap_ids: frozenset[str]) -> d
             raise InputError(
                 f"{path}: preferred.{key} must be a table of parameters, got {entry!r}"
             )
+    pair = preferred.get("query"), preferred.get("database")
+    if pair[0] is not None and pair[0] == pair[1] and len(submap_ids) > 1:
+        raise InputError(
+            f"{path}: preferred.query and preferred.database must be two different submaps, got "
+            f"{pair[0]!r} twice"
+        )
     return preferred
 
 

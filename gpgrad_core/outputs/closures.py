@@ -370,6 +370,8 @@ def read_pair(pair: Record) -> PairRecord:
         else read_decision(pair.record("decision")),
         images=None if pair.values.get("images") is None else _read_images(pair.record("images")),
     )
+    if found.query == found.database:
+        raise pair.wrong("database", "another submap than the query")
     if found.is_confirmed and found.T_database_query is None:
         raise InputError(
             f"{pair.where}: 'decision' accepts the pair, but it has no motion, T_database_query"

@@ -389,9 +389,15 @@ def detect_loop_closures(
         The verdict on every compared pair, sorted by query and then by database.
 
     Raises:
-        InputError: If a submap's map cannot be made, if the number of candidates is none that is
-            allowed, or if the detector has no keypoints to choose them by.
+        InputError: If a submap's map cannot be made, if ``only`` pairs a submap with itself, if the
+            number of candidates is none that is allowed, or if the detector has no keypoints to
+            choose them by.
     """
+    for query_id, database_id in only or ():
+        if query_id == database_id:
+            raise InputError(
+                f"{query_id} beside itself is no pair; name two different submaps in 'only'"
+            )
     params = params or PipelineParams()
     submaps: Sequence[SubmapSource] = dataset.submaps if sources is None else sources
     check_searchable(candidates, detector)
@@ -458,7 +464,7 @@ class _Listed:
 
     def __init__(self, ids: list[str], only: Collection[tuple[str, str]]) -> None:
         places = {name: place for place, name in enumerate(ids)}
-        pairs = ((places[a], places[b]) for a, b in only if a in places and b in places and a != b)
+        pairs = ((places[a], places[b]) for a, b in only if a in places and b in places)
         self._pairs = sorted({(max(pair), min(pair)) for pair in pairs})
 
     def __call__(self, _: list[Any], progress: Progress) -> list[Pair]:

@@ -135,6 +135,7 @@ class AllPairsTab(Feature):
                 self._judge.submit(_Judging(compared, state, self._rule))
 
     def _compare(self, state: ViewState, progress: Progress) -> ComparedPairs:
+        _ = state.pair  # refuses one submap alone
         return compare_pairs(
             state.dataset, state.params, self._desk.memo, progress, self._panel.candidates
         )

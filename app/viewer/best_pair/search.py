@@ -12,7 +12,7 @@ from app.viewer.best_pair.panel import BestPairNote, ShowBestButton
 from app.viewer.feature import Desk, Feature, Subject
 from app.viewer.opened import Opened
 from app.viewer.runner import Runner
-from app.viewer.state import ViewState
+from app.viewer.state import NEEDS_TWO, ViewState
 from app.viewer.widgets.bridge import Data
 from app.viewer.widgets.commands import Commands
 from app.viewer.work import message_of
@@ -167,6 +167,8 @@ class BestPair(Feature):
         best = self._best_judged()
         if best is not None:
             self._desk.tune(best.query_id, best.database_id)
+        elif not self._desk.state.is_pair:
+            self._note.say(NEEDS_TWO)
         elif not self._searching:
             self._begin(self._desk.state, asked=True)
 

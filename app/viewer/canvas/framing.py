@@ -15,9 +15,10 @@ from app.viewer.host import pages
 from app.viewer.opened import Opened
 from app.viewer.pacer import Pacer
 from app.viewer.pair import BY_HAND, PairScene, headline_of
-from app.viewer.state import FROM_ABOVE, ViewState, same_pair
+from app.viewer.state import FROM_ABOVE, NEEDS_TWO, ViewState, same_pair
 from app.viewer.world import WorldTab
 from gpgrad_core.pipeline import PairResult
+from gpgrad_core.types import GradientMap
 
 BETWEEN = 0.08
 """Pause between two updates of what is written over the canvas [s]."""
@@ -66,6 +67,14 @@ class Framing(Feature):
         with self._lock:
             self._shown = state, result
             self._outdated = False
+        self._frame_if_new(state)
+        self._say()
+
+    def alone(self, state: ViewState, gradient_map: GradientMap) -> None:
+        """Say what is needed for a pair."""
+        del gradient_map
+        with self._lock:
+            self._shown, self._outdated = None, False
         self._frame_if_new(state)
         self._say()
 
@@ -203,6 +212,13 @@ class Framing(Feature):
             count = len(state.dataset.submaps)
             title = f"{state.dataset.name}: {count} {'submap' if count == 1 else 'submaps'}"
             return {"title": title, "line": "", "frame": "frame of the poses", "cursor": ""}
+        if not state.is_pair:
+            return {
+                "title": f"Submap {state.query_id}",
+                "line": NEEDS_TWO,
+                "frame": "frame of the submap",
+                "cursor": "followed" if state.options.layout == FROM_ABOVE else "",
+            }
         line = ""
         if self._shown is not None and same_pair(self._shown[0], state):
             result = self._shown[1]

@@ -15,10 +15,11 @@ from app.viewer.draw.placement import Camera
 from app.viewer.feature import Desk, Feature
 from app.viewer.pair import PairScene
 from app.viewer.runner import Runner
-from app.viewer.state import ViewState, registered
+from app.viewer.state import NEEDS_TWO, ViewState, registered
 from app.viewer.work import message_of
 from app.viewer.world import WorldTab
 from gpgrad_core.pipeline import PairResult
+from gpgrad_core.types import GradientMap
 
 FLIGHT_SECONDS = 1.2
 TOUR_SECONDS = 12.0
@@ -78,6 +79,12 @@ class DemoTab(Feature):
             self._bar.idle()
             self._player.submit(gliding(draw))
 
+    def alone(self, state: ViewState, gradient_map: GradientMap) -> None:
+        """Forget the pair: there is none to play."""
+        del state, gradient_map
+        with self._lock:
+            self._shown, self._playing = None, False
+
     def _play(self, client: viser.ClientHandle | None, playable: Playable) -> None:
         if playable == "pose graph":
             if self._world.graph is None:
@@ -86,6 +93,9 @@ class DemoTab(Feature):
             self._bar.idle()
             self._desk.tell(Feature.turn_to, "world")
             self._world.relax()
+            return
+        if not self._desk.state.is_pair:
+            self._bar.failed(NEEDS_TWO)
             return
         self._desk.tell(Feature.turn_to, "pair")
         if client is not None:
@@ -154,7 +164,8 @@ class DemoTab(Feature):
             name = f"{state.dataset.name}_{state.query_id}_{state.database_id}"
             write = partial(write_closure, *shown)
         else:
-            self._bar.failed("Wait for the picture first.")
+            alone = not (self._world.scene.visible or self._desk.state.is_pair)
+            self._bar.failed(NEEDS_TWO if alone else "Wait for the picture first.")
             return
         self._downloads.order(client, f"{safe_name(name, 'page')}.html", write)
 

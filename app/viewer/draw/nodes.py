@@ -149,7 +149,6 @@ class SubmapNode:
         self._placement = Placement()
         self._extent: Extent | None = None
         self.color = color
-        self._role = role
         root = f"{parent}/{role}"
         self._frame = host.scene.add_frame(root, show_axes=False)
         self.surface = PointsNode(host, f"{root}/surface")
@@ -176,10 +175,10 @@ class SubmapNode:
         self._placement = placement
         self._put_label()
 
-    def name(self, submap: Submap, extent: Extent) -> None:
-        """Write its name and size beside it, and draw its outline."""
+    def name(self, submap: Submap, extent: Extent, role: str) -> None:
+        """Write its role, name and size beside it, and draw its outline."""
         width, depth, _ = extent.size
-        self._label.text = f"{self._role} {submap.id} · {width:.1f} m x {depth:.1f} m"
+        self._label.text = f"{role} {submap.id} · {width:.1f} m x {depth:.1f} m"
         self._extent = extent
         self._put_label()
         self.outline.show(

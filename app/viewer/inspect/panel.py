@@ -127,6 +127,13 @@ class MatchesPanel:
         self._title.content = paragraph(title, FAINT)
         self._key.content = key_html(key)
 
+    def show_nothing(self, why: str) -> None:
+        """Show neither an association nor a picture, because there is no pair."""
+        self.show_match(0, None)
+        self._image.visible = False
+        self._title.content = paragraph(why, FAINT)
+        self._key.content = ""
+
     def failed(self, message: str) -> None:
         """Say why there is no new picture; the last one stays."""
         self._title.content = paragraph(message, f"color:{BAD}")

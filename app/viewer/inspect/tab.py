@@ -19,11 +19,12 @@ from app.viewer.inspect.panel import SEEN, Key, MatchesPanel, MatchFigures
 from app.viewer.inspect.profile import RulerPanel
 from app.viewer.inspect.reading import ReadingPanel
 from app.viewer.runner import Runner
-from app.viewer.state import COMPARED, Layer, Probe, Role, ViewState, same_pair
+from app.viewer.state import COMPARED, NEEDS_TWO, Layer, Probe, Role, ViewState, same_pair
 from app.viewer.widgets.bridge import Data
 from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.run.progress import Progress
+from gpgrad_core.types import GradientMap
 
 _ShownPair = tuple[ViewState, PairResult]
 COMPARED_TITLES: dict[Layer, str] = {
@@ -86,6 +87,20 @@ class InspectTab(Feature):
         self._show_reading(state, result)
         figures = match_figures(state, result)
         self._matches.show_match(state.match if figures is not None else 0, figures)
+
+    def alone(self, state: ViewState, gradient_map: GradientMap) -> None:
+        """Read the one submap there is; of a pair shown before, nothing is left."""
+        with self._lock:
+            self._shown, self._ends = None, ()
+        self._measure()
+        self._matches.show_nothing(NEEDS_TWO)
+        reading = reading_of(state, (gradient_map, gradient_map))
+        if reading is None:
+            self._reading.clear()
+        else:
+            self._reading.show(
+                f"submap {state.query_id}", reading_rows(reading), trusted=reading.trusted
+            )
 
     def step(self, step: int) -> None:
         """Point at the next (1) or the previous (-1) association of those that are shown."""

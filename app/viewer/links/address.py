@@ -63,7 +63,9 @@ def address_of(state: ViewState, subject: Subject = "pair", camera: Camera | Non
     entries: list[tuple[str, str]] = []
     if Path(state.source) != demo_path():
         entries.append(("dataset", str(Path(state.source).absolute())))
-    entries += [("query", state.query_id), ("database", state.database_id)]
+    entries.append(("query", state.query_id))
+    if state.is_pair:
+        entries.append(("database", state.database_id))
     if subject != "pair":
         entries.append(("scene", subject))
     for group, values, base in (

@@ -158,9 +158,9 @@ class Links(Feature):
         self._desk.tell(Feature.restore, link.saved)
 
     def _change(self, page: viser.ClientHandle, link: Link) -> None:
-        state, saved = self._desk.state, link.saved
-        pair = saved.query_id or state.query_id, saved.database_id or state.database_id
+        saved = link.saved
         try:
+            pair = saved.query_id, saved.database_id
             self._desk.change(pair=pair, params=saved.params, options=saved.options)
         except InputError as error:
             tell(page, "The link cannot be opened", str(error))
@@ -187,7 +187,8 @@ def _asks_for(link: Link, state: ViewState) -> bool:
     saved = link.saved
     return (
         _has_open(link, state)
-        and (saved.query_id, saved.database_id) == (state.query_id, state.database_id)
+        and (saved.query_id, saved.database_id)
+        == (state.query_id, state.database_id if state.is_pair else None)
         and saved.params == state.params
         and saved.options == state.options
     )

@@ -12,13 +12,13 @@ from app.viewer.feature import Desk, Feature
 from app.viewer.nudge.panel import NudgeCalls, NudgePanel
 from app.viewer.pair import PAIR, PairScene
 from app.viewer.runner import Runner
-from app.viewer.state import ViewState, registered, same_pair
+from app.viewer.state import NEEDS_TWO, ViewState, registered, same_pair
 from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.registration import refine
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Registration
+from gpgrad_core.types import GradientMap, Registration
 
 GIZMO_SHARE = 0.3
 """Size of the handles, as a share of the query's width."""
@@ -82,7 +82,16 @@ class NudgeTab(Feature):
             else:
                 self._begin(state, result)
 
+    def alone(self, state: ViewState, gradient_map: GradientMap) -> None:
+        """Forget the pair: there is none to move."""
+        del state, gradient_map
+        self._shown = None
+
     def _set_active(self, active: bool) -> None:
+        if active and not self._desk.state.is_pair:
+            self._panel.set_active(False)
+            self._panel.say(NEEDS_TWO, bad=True)
+            return
         self._active = active
         self._panel.set_active(active)
         if active:

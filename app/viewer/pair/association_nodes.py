@@ -14,6 +14,7 @@ from app.viewer.pair.ground import Ground
 from app.viewer.pair.marks import Marks
 from app.viewer.state import ViewState
 from gpgrad_core.pipeline import PairResult
+from gpgrad_core.types import GradientMap
 
 INLIER_WIDTH, OUTLIER_WIDTH = 1.2, 1.0
 """Of lines [pixels]."""
@@ -109,6 +110,12 @@ class AssociationNodes:
                 ),
                 lines,
             )
+
+    def show_alone(self, state: ViewState, gradient_map: GradientMap, placement: Placement) -> None:
+        """Show what is left without a pair: the place that is pointed at."""
+        self.hide()
+        reading = reading_of(state, (gradient_map, gradient_map))
+        self._marks.show_reading(reading, placement, _mark_size(state))
 
     def show_marks(
         self, state: ViewState, result: PairResult, at_query: Placement, at_database: Placement

@@ -50,7 +50,7 @@ class PairPanel:
         self._query = host.gui.add_dropdown(
             "Query", ids, initial_value=state.query_id, hint="The submap to recognise."
         )
-        query_steps = host.gui.add_button_group(
+        self._query_steps = host.gui.add_button_group(
             "Step query", ("previous", "next"), hint="Go to the previous or the next query."
         )
         self._database = host.gui.add_dropdown(
@@ -59,15 +59,16 @@ class PairPanel:
             initial_value=state.database_id,
             hint="The earlier submap to compare the query with.",
         )
-        database_steps = host.gui.add_button_group(
+        self._database_steps = host.gui.add_button_group(
             "Step database",
             ("previous", "next"),
             hint="Go to the previous or the next database submap.",
         )
+        self._pair = state.query_id, state.database_id  # as last shown or reported
         for dropdown in (self._query, self._database):
             on_choice(dropdown, lambda _: self._report())
-        on_step(query_steps, lambda step: self.step("query", step))
-        on_step(database_steps, lambda step: self.step("database", step))
+        on_step(self._query_steps, lambda step: self.step("query", step))
+        on_step(self._database_steps, lambda step: self.step("database", step))
 
     def show(self, state: ViewState) -> None:
         """Show a pair, and offer the submaps of its dataset; ``on_change`` is not called."""
@@ -75,6 +76,10 @@ class PairPanel:
         with self._lock:
             other_dataset = state.dataset is not self._dataset
             self._dataset = state.dataset
+            self._pair = state.query_id, state.database_id
+            for widget in (self._database, self._query_steps, self._database_steps):
+                if widget.visible != state.is_pair:
+                    widget.visible = state.is_pair
             for dropdown, chosen in (
                 (self._query, state.query_id),
                 (self._database, state.database_id),
@@ -95,5 +100,10 @@ class PairPanel:
 
     def _report(self) -> None:
         with self._lock:
-            pair = self._query.value, self._database.value
-        self._on_change(*pair)
+            query, database = self._query.value, self._database.value
+            if query == database and len(self._dataset.submaps) > 1:
+                # Whoever names the other one of the pair has the two change places.
+                database, query = self._pair
+                self._query.value, self._database.value = query, database
+            self._pair = query, database
+        self._on_change(query, database)

@@ -86,7 +86,7 @@ class Ground:
 
     Attributes:
         state: What is asked for.
-        maps: The maps.
+        maps: The maps; of one submap alone, its map twice, of which the first is seen.
         placements: Where each stands.
         lifts: Added to each map's elevation before it is coloured [m].
         scale: What the colours mean.
@@ -176,6 +176,7 @@ class Ground:
     def count(self) -> Histogram:
         """Count the values that the layer shows."""
         layer, ratio = self.state.options.layer, self.state.params.features.max_std_ratio
+        maps = self.maps if self.state.is_pair else self.maps[:1]
         fields: tuple[Float[NDArray[np.floating], "_rows _columns"], ...]
         if self.comparison is not None:
             fields = self.comparison.fields
@@ -184,9 +185,9 @@ class Ground:
                 layer_values(gradient_map, layer) + lift
                 if lift
                 else layer_values(gradient_map, layer)
-                for gradient_map, lift in zip(self.maps, self.lifts, strict=True)
+                for gradient_map, lift in zip(maps, self.lifts, strict=False)
             )
-        trusted = tuple(gradient_map.trusted(ratio) for gradient_map in self.maps)
+        trusted = tuple(gradient_map.trusted(ratio) for gradient_map in maps)
         return count_values(fields, trusted, self.scale)
 
 
@@ -238,6 +239,8 @@ def _thresholds(
 
 def shown_roles(state: ViewState) -> tuple[Role, ...]:
     """Say whose submap is seen at all; blinking shows both in turn."""
+    if not state.is_pair:
+        return ROLES[:1]
     compare = state.options.compare
     if state.options.layout == "registered" and compare in ROLES:
         return (compare,)

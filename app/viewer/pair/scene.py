@@ -45,6 +45,7 @@ from app.viewer.state import (
 )
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.pipeline import PairResult
+from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Registration, Submap
 
 PAIR = "/pair"
@@ -174,6 +175,17 @@ class PairScene:
         self._host.flush()
         return shown
 
+    def show_alone(self, state: ViewState, gradient_map: GradientMap) -> Shown:
+        """Show the one submap there is; of a pair shown before, nothing is left."""
+        self._blinker.run(on=False)
+        with self._lock, self._host.atomic():
+            self._last = None
+            shown, layout = self._show_submaps(state, (gradient_map, gradient_map), None)
+            self._associations.show_alone(state, gradient_map, layout.at_query)
+            self._annotations.hide_verdict()
+        self._host.flush()
+        return shown
+
     def gliding(self, state: ViewState, result: PairResult) -> Callable[[float], None] | None:
         """Give what moves the query from beside the database to where it registers.
 
@@ -222,8 +234,11 @@ class PairScene:
         return put
 
     def knows_motion(self, state: ViewState) -> bool:
-        """Say whether the pair of a state is the one last shown with its registration."""
-        return self._known_registration(state) is not None
+        """Say whether the pair of a state is the one last shown with its registration.
+
+        One submap alone needs none.
+        """
+        return not state.is_pair or self._known_registration(state) is not None
 
     def _known_registration(self, state: ViewState) -> Registration | None:
         known = self._registered
@@ -284,7 +299,7 @@ class PairScene:
             )
             self._comparison = comparison
         boxes = Extent.of(state.query), Extent.of(state.database)
-        layout = _Layout(boxes, *place(*boxes, options.layout, motion, dz, tall=self.tall))
+        layout = _Layout(boxes, *self._place(state, boxes, options.layout, motion, dz))
         lift = dz if registered and options.layer == "elevation" else 0.0
         swipe_at = layout.swipe_at(options.swipe) if options.compare == "swipe" else None
         ground = self._ground = Ground.of(
@@ -296,10 +311,13 @@ class PairScene:
             swipe_at if registered else None,
         )
         nodes = (self._query, self._database)
+        if not state.is_pair:
+            self._database.visible = False
+            nodes = nodes[:1]
         for index, node in enumerate(nodes):
             submap, placement = (state.query, state.database)[index], ground.placements[index]
             node.move(placement)
-            node.name(submap, boxes[index])
+            node.name(submap, boxes[index], ROLES[index] if state.is_pair else "submap")
             if not self._blinker.on:
                 node.visible = not registered or ROLES[index] in shown_roles(state)
             self._show_cloud(node, submap, state)
@@ -336,10 +354,23 @@ class PairScene:
         found = self._known_registration(state)
         motion = None if found is None else found.T_database_query
         layout = layout or state.options.layout
-        placed = place(*boxes, layout, motion, 0.0, tall=self.tall)
+        placed = self._place(state, boxes, layout, motion)
         if forward is None and layout == FROM_ABOVE:
             forward = DOWN
         return frame_camera(tuple(zip(boxes, placed, strict=True)), canvas, forward=forward)
+
+    def _place(
+        self,
+        state: ViewState,
+        boxes: tuple[Extent, Extent],
+        layout: Layout,
+        motion: SE2 | None,
+        dz: float = 0.0,
+    ) -> tuple[Placement, Placement]:
+        """Place (query, database) in the scene; one submap alone stands in its middle."""
+        if not state.is_pair:
+            layout, motion = "registered", SE2()
+        return place(*boxes, layout, motion, dz, tall=self.tall)
 
     def camera_above(self, state: ViewState, canvas: Canvas = UNKNOWN_CANVAS) -> Camera:
         """Give the view from above of what is shown, y up as on a map."""

@@ -16,12 +16,13 @@ from app.viewer.pair.scene import PairScene, Shown
 from app.viewer.pair.status import PictureStatus
 from app.viewer.pair.verdict import VerdictCard
 from app.viewer.runner import Runner
-from app.viewer.state import Role, ViewState, same_surfaces
+from app.viewer.state import COMPARED, Role, ViewState, same_surfaces
 from app.viewer.widgets.title import PageTitle
 from app.viewer.work import message_of
-from gpgrad_core.pipeline import PairResult, register_pair
-from gpgrad_core.pipeline.coarse import infer_quick_maps
+from gpgrad_core.pipeline import PairResult, infer_map, register_pair
+from gpgrad_core.pipeline.coarse import infer_quick_map, infer_quick_maps
 from gpgrad_core.run.progress import Progress
+from gpgrad_core.types import GradientMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +31,15 @@ class PairPicture:
 
     Attributes:
         shown: What is to be seen.
-        result: What was found; None in a preview, which has nothing but surfaces.
+        result: What was found; None in a preview, which has nothing but surfaces, and without a
+            pair.
+        alone: The map of the one submap there is, if there is no pair.
         coarse: Whether the surfaces are not yet the full ones.
     """
 
     shown: Shown
     result: PairResult | None = None
+    alone: GradientMap | None = None
     coarse: bool = False
 
 
@@ -94,7 +98,7 @@ class PairTab(Feature):
         if state.options != self._view.options:
             self._view.set(state.options)
         self._choice.show(state)
-        self._title.show(state.query_id, state.database_id, state.dataset.name)
+        self._title.show(state.names, state.dataset.name)
 
     def opened(self, opened: Opened) -> None:
         """Tell what is open, and bring the cameras to it."""
@@ -137,25 +141,29 @@ class PairTab(Feature):
             return None
         if state.options.layout == "registered" and not self.scene.knows_motion(state):
             return None  # it would jump as soon as the motion is known
-        maps = infer_quick_maps(
-            state.query,
-            state.database,
-            state.params.map,
-            self._status.memo,
-            self._desk.capacity.helper,
-            self._status.reported(progress),
-        )
+        params, memo = state.params.map, self._status.memo
+        told = self._status.reported(progress)
+        if state.is_pair:
+            maps = infer_quick_maps(*state.pair, params, memo, self._desk.capacity.helper, told)
+        else:
+            alone = infer_quick_map(state.query, params, memo, told)
+            maps = alone, alone
         coarse = any(made.grid.resolution != state.params.map.resolution for made in maps)
         self._painted = None if coarse else state
         return PairPicture(self.scene.preview(state, maps), coarse=coarse)
 
     def _compute(self, state: ViewState, progress: Progress) -> PairPicture:
+        told = self._status.reported(progress)
+        if not state.is_pair:
+            alone = infer_map(state.query, state.params, self._status.memo, told)
+            self._painted = state
+            with self._status.drawing():
+                return PairPicture(self.scene.show_alone(state, alone), alone=alone)
         result = register_pair(
-            state.query,
-            state.database,
+            *state.pair,
             state.params,
             self._status.memo,
-            self._status.reported(progress),
+            told,
             helper=self._desk.capacity.helper,
         )
         self._painted = state
@@ -164,17 +172,23 @@ class PairTab(Feature):
         return PairPicture(shown, result)
 
     def _on_result(self, state: ViewState, picture: PairPicture, seconds: float) -> None:
-        shown, result = picture.shown, picture.result
-        if result is None:
+        shown, result, alone = picture.shown, picture.result, picture.alone
+        if result is None and alone is None:
             self._preview_shown = picture
             self._status.preview(seconds, coarse=picture.coarse)
         else:
             self._preview_shown = None
             self._show_legend(shown)
-            self._verdict.show(state, result)
+            if result is None:
+                self._verdict.show_alone(state)
+            else:
+                self._verdict.show(state, result)
             newer_waits = self._runner.newer_waits
             self._status.finished(seconds, details(shown, state), newer_waits=newer_waits)
-            self._desk.tell(Feature.show, state, result)
+            if result is not None:
+                self._desk.tell(Feature.show, state, result)
+            elif alone is not None:
+                self._desk.tell(Feature.alone, state, alone)
         self._desk.host.flush()
 
     def _mark_outdated(self) -> None:
@@ -218,6 +232,9 @@ def details(shown: Shown, state: ViewState) -> str:
         parts.append(f"{shown.num_surfels:,} cells")
     if shown.num_points:
         parts.append(f"{shown.num_points:,} points")
-    if state.options.layout == "registered" and not shown.registered:
+    if not state.is_pair:
+        if state.options.layer in COMPARED:
+            parts.append("this layer compares two submaps, and there is one")
+    elif state.options.layout == "registered" and not shown.registered:
         parts.append("no motion found: shown side by side")
     return " · ".join(parts) or "everything is hidden"

@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 from app.viewer.decisions import BY_HAND as DECIDED
 from app.viewer.decisions import Decisions, in_order
 from app.viewer.host import Host
-from app.viewer.state import ViewState
+from app.viewer.state import NEEDS_TWO, ViewState
 from app.viewer.widgets.html import (
     BAD,
     BAD_GROUND,
@@ -27,6 +27,7 @@ from gpgrad_core.types import ImageSays, Registration
 
 CLOSURE, NONE = "Loop closure", "No loop closure"
 CANNOT, BY_HAND = "Cannot judge", "Moved by hand, not judged"
+ALONE = "One submap, no pair"
 HEIGHT = 18.25
 """Height of the card [lines of text]: always the same, so that nothing below it ever moves."""
 END_OF_BAR = 12.0
@@ -70,13 +71,20 @@ class VerdictCard:
     def __init__(self, host: Host) -> None:
         """Make it in the current container, empty."""
         self._result: tuple[ViewState, PairResult] | None = None
+        self._alone = ""  # the one submap there is, where there is no pair
         self._moved, self._stale, self._decisions = False, "", Decisions()
         self._faded = False
         self._handle = host.gui.add_html(frame('<div style="opacity:.7">No result yet.</div>'))
 
     def show(self, state: ViewState, result: PairResult) -> None:
         """Show a result."""
-        self._result = state, result
+        self._result, self._alone = (state, result), ""
+        self._faded, self._stale = False, ""
+        self._write()
+
+    def show_alone(self, state: ViewState) -> None:
+        """Say that one submap is no pair, and what is needed for one."""
+        self._result, self._alone = None, state.query_id
         self._faded, self._stale = False, ""
         self._write()
 
@@ -101,7 +109,9 @@ class VerdictCard:
         self._write()
 
     def _write(self) -> None:
-        if self._result is not None:
+        if self._alone:
+            self._handle.content = alone_html(self._alone, faded=self._faded, stale=self._stale)
+        elif self._result is not None:
             state, result = self._result
             self._handle.content = verdict_html(
                 state,
@@ -147,13 +157,12 @@ def verdict_html(
     ground = {CLOSURE: GOOD_GROUND, NONE: BAD_GROUND}.get(headline, BUSY_GROUND)
     by_hand = "" if decided is None or moved else DECIDED[decided]
     note = _note("stale", stale) if stale else _note("decided", by_hand) if by_hand else ""
-    same = " (the same submap twice)" if closure.query_id == closure.database_id else ""
     pair = (
         f'<b><span style="color:{QUERY_WORDS}">query {escape(closure.query_id)}</span> → '
         f'<span style="color:{DATABASE_WORDS}">database {escape(closure.database_id)}</span></b>'
     )
     inside = (
-        f'<div style="{ONE_LINE};margin:.4em 0 .3em">{pair}{same}</div>'
+        f'<div style="{ONE_LINE};margin:.4em 0 .3em">{pair}</div>'
         f"{_bar(state, result)}"
         f'<div title="{escape(closure.reason)}" style="height:2.7em;overflow:hidden;'
         f'line-height:1.35;margin:.35em 0">{escape(in_words(state, result))}</div>'
@@ -163,6 +172,17 @@ def verdict_html(
     return frame(
         f"{badge(headline, ground, 'verdict')}{note}"
         f'<div style="font-size:.85em;{dim}">{inside}</div>'
+    )
+
+
+def alone_html(submap_id: str, *, faded: bool = False, stale: str = "") -> str:
+    """Write the card of one submap, which has no pair."""
+    note = _note("stale", stale) if stale else ""
+    dim = ";opacity:.4" if faded else ""
+    return frame(
+        f"{badge(ALONE, BUSY_GROUND, 'verdict')}{note}"
+        f'<div style="font-size:.85em;line-height:1.45{dim}"><div style="{ONE_LINE};'
+        f'margin:.4em 0"><b>submap {escape(submap_id)}</b></div>{escape(NEEDS_TWO)}</div>'
     )
 
 

@@ -75,7 +75,7 @@ class FitTool(Feature):
 
 
 def _fit(state: ViewState, progress: Progress) -> FitResult:
-    # One submap shown twice counts once.
+    # One submap alone counts once.
     submaps = tuple({submap.id: submap for submap in (state.query, state.database)}.values())
     return fit_parameters(submaps, state.params.map.terrain, progress=progress)
 

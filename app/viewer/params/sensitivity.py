@@ -77,7 +77,7 @@ class SensitivityTool(Feature):
             progress(k / len(values))
             params = with_path(state.params, job.field.path, value)
             share = part(progress, k / len(values), (k + 1) / len(values))
-            result = register_pair(state.query, state.database, params, self._desk.memo, share)
+            result = register_pair(*state.pair, params, self._desk.memo, share)
             found = result.registration
             tried.append(Tried(value, found.score, found.num_inliers, result.closure.accepted))
             if len(tried) > 1:

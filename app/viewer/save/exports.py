@@ -73,8 +73,7 @@ def _write_closures(
     state: ViewState, memo: Memo, decisions: Decisions, path: Path, progress: Progress
 ) -> None:
     dataset, params = state.dataset, state.params
-    if len(dataset.submaps) < 2:
-        raise InputError(f"{dataset.name}: a loop closure needs two submaps")
+    _ = state.pair  # refuses one submap alone
     with ThreadPoolExecutor(num_workers(), thread_name_prefix="export") as executor:
         result = detect_loop_closures(
             dataset, params, executor=executor, memo=memo, progress=progress

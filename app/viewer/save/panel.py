@@ -53,7 +53,7 @@ class SavingPanel:
         on_upload(restore, on_restore)
 
     def show_command(self, command: str) -> None:
-        """Show the command; empty where there is none, as for one submap beside itself."""
+        """Show the command; empty where there is none, as for one submap alone."""
         self._command.content = command_html(command)
 
     def ask(self, name: str) -> None:
@@ -82,7 +82,7 @@ class SavingPanel:
 def command_html(command: str) -> str:
     """Write the box with the command, and the button that copies it."""
     if not command:
-        return paragraph("There is no command for a submap beside itself: it is not a pair.", FAINT)
+        return paragraph("There is no command for one submap alone: it is not a pair.", FAINT)
     intro = paragraph(
         "This command finds the same inliers, score and motion. Without --pair it compares all "
         "pairs."

@@ -78,7 +78,7 @@ def write_report(
     """
     from app.viewer.save.report_figure import draw_report  # noqa: PLC0415 - loads matplotlib
 
-    result = register_pair(state.query, state.database, state.params, memo, part(progress, 0, 0.6))
+    result = register_pair(*state.pair, state.params, memo, part(progress, 0, 0.6))
     headline = headline_of(result, with_score=True)
     if path.suffix == ".png":
         below = lines_below(state, result, link=link, decided=decided)

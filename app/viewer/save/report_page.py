@@ -78,8 +78,8 @@ def lines_below(state: ViewState, result: PairResult, *, link: str = "", decided
 
 def command_of(state: ViewState) -> str:
     """Write the command that finds the same; say why where there is none."""
-    if state.query_id == state.database_id or not state.source:
-        return "none: this is not a pair of a dataset that has a path"
+    if not state.source:
+        return "none: the dataset has no path"
     return detect_command(state)
 
 

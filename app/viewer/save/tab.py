@@ -31,8 +31,8 @@ class SaveTab(Feature):
 
     def follow(self, state: ViewState) -> None:
         """Show the command for what is set now."""
-        is_pair = state.query_id != state.database_id and state.source
-        self._panel.show_command(detect_command(state) if is_pair else "")
+        named = state.is_pair and state.source
+        self._panel.show_command(detect_command(state) if named else "")
 
     def opened(self, opened: Opened) -> None:
         """Say that a saved session is there again."""

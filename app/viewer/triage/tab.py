@@ -10,7 +10,7 @@ import viser
 from app.viewer.decisions import Decisions, Pair, in_order, with_note, with_verdict
 from app.viewer.feature import Desk, Feature
 from app.viewer.runner import Runner
-from app.viewer.state import ViewState
+from app.viewer.state import NEEDS_TWO, ViewState
 from app.viewer.triage.listing import PASSES, Entry, Filter, list_pairs, next_undecided
 from app.viewer.triage.panel import NEXT_KEY, ROWS, Listing, TriageCalls, TriagePanel
 from app.viewer.triage.thumbnails import Thumbnails, thumbnail, to_uri
@@ -150,6 +150,9 @@ class TriageTab(Feature):
     def _decide(self, accepted: bool | None) -> None:
         pair = self._desk.shown_pair
         closure = self._by_pair.get(pair)
+        if not self._state.is_pair:
+            self._panel.tell(NEEDS_TWO, bad=True)
+            return
         if closure is None:
             self._panel.tell(
                 f"{pair[0]} and {pair[1]} were not compared. Choose a pair of the list.", bad=True
@@ -169,6 +172,9 @@ class TriageTab(Feature):
         self._panel.tell(f"{pair[0]} → {pair[1]} is {done}.")
 
     def _take_note(self, note: str) -> None:
+        if not self._state.is_pair:
+            self._panel.tell(NEEDS_TWO, bad=True)
+            return
         self._typing = True
         try:
             self._desk.decide(partial(with_note, pair=self._desk.shown_pair, note=note), step=False)

@@ -21,9 +21,9 @@ class PageTitle:
         self._shown = ""
         self._script = host.gui.add_html("")
 
-    def show(self, query_id: str, database_id: str, dataset: str) -> None:
+    def show(self, pair: str, dataset: str) -> None:
         """Name a pair and its dataset; nothing is sent if they are named already."""
-        named = f"{query_id} → {database_id} · {dataset}"
+        named = f"{pair} · {dataset}"
         if named == self._shown:
             return
         self._shown = named

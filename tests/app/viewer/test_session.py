@@ -14,7 +14,7 @@ from app.viewer.pair import tab as pair_module
 from app.viewer.params.fit import with_fitted
 from app.viewer.params.tab import MAIN_PARAMETERS
 from app.viewer.session import Session
-from app.viewer.state import ViewState
+from app.viewer.state import NEEDS_TWO, Probe, ViewOptions, ViewState
 from app.viewer.work import message_of
 from gpgrad_core.datasets import write_dataset
 from gpgrad_core.errors import InputError
@@ -220,6 +220,56 @@ def test_another_dataset_is_opened(session: Session, tmp_path: Path) -> None:
     default = PipelineParams().closure.min_inliers  # the other dataset prefers none
     assert find(gui(session), "Minimum inliers").value == default
     assert "Up to date" in said(session.pair._status.line)
+
+
+def test_one_submap_is_shown_without_a_pair(session: Session, tmp_path: Path) -> None:
+    hills = make_dataset(num_points=300)
+    write_dataset(replace(hills, submaps=hills.submaps[:1]), tmp_path / "one")
+    user_sets(find(gui(session), "Folder"), str(tmp_path / "one"))
+    user_sets(find(gui(session), "Open"), "Load")
+    assert session.wait_idle(20)
+    assert NEEDS_TWO in said(session.pair._verdict)
+    assert "Up to date" in said(session.pair._status.line)
+    scene = session.pair.scene
+    assert scene._query.surface.num_points > 0
+    assert (scene._query.visible, scene._database.visible) == (True, False)
+    desk = session.desk
+    for options in ({"layout": "registered"}, {"layer": "difference"}, {"compare": "blink"}):
+        desk.change(options=replace(desk.state.options, **options))  # type: ignore[arg-type]
+        assert session.wait_idle(20)
+        assert "Up to date" in said(session.pair._status.line)
+        assert not scene._database.visible
+    desk.choose("000", "000")
+    desk.change(probe=Probe("query", 0.2, 0.1))
+    assert session.wait_idle(20)
+    assert "submap 000" in said(session.inspect._reading)
+    features = {type(feature).__name__: feature for feature in desk.features}
+    for label in ("Run all pairs", "Sweep"):
+        user_presses(find(gui(session), label))
+    user_sets(find(gui(session), "Move the query"), True)
+    user_sets(find(gui(session), "Note"), "here")
+    features["BestPair"].show_best()  # type: ignore[attr-defined]
+    assert session.wait_idle(20)
+    assert desk.decisions.pairs == ()
+    for name, part in (
+        ("AllPairsTab", "_panel.work_bar"),
+        ("SensitivityTool", "_panel.work_bar"),
+        ("NudgeTab", "_panel"),
+        ("TriageTab", "_panel"),
+        ("BestPair", "_note"),
+    ):
+        panel: Any = features[name]
+        for attribute in part.split("."):
+            panel = getattr(panel, attribute)
+        assert NEEDS_TWO in (getattr(panel, "said", "") or said(panel)), name
+    # Another cloud makes a pair of it.
+    desk.change(options=ViewOptions())
+    write_dataset(replace(hills, submaps=hills.submaps[:2]), tmp_path / "two")
+    user_sets(find(gui(session), "Folder"), str(tmp_path / "two"))
+    user_sets(find(gui(session), "Open"), "Load")
+    assert session.wait_idle(20)
+    assert scene._database.visible
+    assert NEEDS_TWO not in said(session.pair._verdict)
 
 
 def test_a_missing_folder_is_told_and_the_rest_works(session: Session, tmp_path: Path) -> None:

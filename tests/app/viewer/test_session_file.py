@@ -69,6 +69,19 @@ def test_all_goes_there_and_back(
     assert replace(restored, dataset=state.dataset).__dict__ == state.__dict__
 
 
+def test_a_pair_of_one_submap_twice_is_refused() -> None:
+    twice = parse_session("query = '001'\ndatabase = '001'", "here")
+    with pytest.raises(InputError, match="001 beside itself is no pair"):
+        twice.check(DATASET)
+    lone = replace(DATASET, submaps=DATASET.submaps[1:2])
+    twice.check(lone)  # as older viewers saved it
+    state = twice.apply(open_dataset(lone, PipelineParams(), source="/data/one"))
+    again = parse_session(session_text(state, None), "here")
+    assert (again.query_id, again.database_id) == ("001", None)
+    with pytest.raises(InputError, match="another submap than the query"):
+        parse_session("[[decisions]]\nquery = '1'\ndatabase = '1'\naccepted = true", "here")
+
+
 def test_the_demo_is_no_path_of_this_machine() -> None:
     state = open_dataset(DATASET, PipelineParams(), source=str(demo_path()))
     text = session_text(state, None)

@@ -73,6 +73,27 @@ def test_a_pair_must_exist() -> None:
         with_pair(state, database_id="999")
 
 
+def test_a_pair_is_made_of_two_submaps() -> None:
+    state = open_dataset(make_dataset(), PipelineParams())
+    with pytest.raises(InputError, match="003 beside itself is no pair"):
+        with_pair(state, query_id="003", database_id="003")
+    with pytest.raises(InputError, match="beside itself"):
+        replace(state, query_id=state.database_id)
+    # Whoever names one of the two for the other's role has them change places.
+    for swapped in (with_pair(state, query_id="000"), with_pair(state, database_id="003")):
+        assert (swapped.query_id, swapped.database_id) == ("000", "003")
+    assert [submap.id for submap in state.pair] == ["003", "000"]
+
+
+def test_one_submap_is_shown_alone() -> None:
+    lone = open_dataset(replace(make_dataset(), submaps=make_dataset().submaps[:1]), needing(3))
+    assert not lone.is_pair
+    assert lone.names == "000"
+    assert with_pair(lone, query_id="000", database_id="000").query is lone.dataset.submaps[0]
+    with pytest.raises(InputError, match="needs two submaps"):
+        _ = lone.pair
+
+
 def test_neighbours_go_round_and_pass_over_the_other_submap() -> None:
     dataset = make_dataset()
     assert neighbour(dataset, "003", 1) == "000"

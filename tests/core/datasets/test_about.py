@@ -68,6 +68,7 @@ def test_unknown_keys_are_ignored_aloud(tmp_path: Path) -> None:
         ("preferred = 1", "preferred must be a table"),
         ("[preferred]\nquery = 1", "preferred.query must be a submap's id in quotes, got 1"),
         ("[preferred]\ndatabase = '009'", "preferred.database names submap '009'"),
+        ("[preferred]\nquery = '000'\ndatabase = '000'", "two different submaps, got '000' twice"),
         ("[preferred]\nlength_scale = 0.3", "preferred.length_scale must be a table"),
     ],
 )

@@ -191,6 +191,18 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path, text: str, said: st
     assert said in str(refusal.value)
 
 
+def test_a_closure_of_a_submap_with_itself_is_refused(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    path = tmp_path / "closures.json"
+    write_closures(path, report_closures(dataset, result, PipelineParams()))
+    content = json.loads(path.read_text())
+    content["pairs"][0]["database"] = content["pairs"][0]["query"]
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"pairs\[0\]: 'database' must be another submap"):
+        read_closures(path)
+
+
 def test_a_decision_is_kept_and_outweighs_the_verdict(
     dataset: Dataset, result: DetectionResult, tmp_path: Path
 ) -> None:

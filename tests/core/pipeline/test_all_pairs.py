@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.methods import METHODS
 from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
@@ -100,3 +101,9 @@ def content(result: DetectionResult) -> list[tuple[Any, ...]]:
         )
         for closure in result.closures
     ]
+
+
+def test_a_submap_beside_itself_is_no_pair() -> None:
+    name = DATASET.submaps[0].id
+    with pytest.raises(InputError, match=f"{name} beside itself is no pair"):
+        detect_loop_closures(DATASET, PARAMS, only=[(name, name)])

@@ -50,6 +50,13 @@ def test_a_dark_page_stays_the_readers_own() -> None:
         read_address("view.dark=yes")
 
 
+def test_one_submap_alone_has_a_link_without_a_pair() -> None:
+    lone = replace(STATE.dataset, submaps=STATE.dataset.submaps[:1])
+    state = replace(STATE, dataset=lone, query_id="000", database_id="000")
+    link = read_address(address_of(state))
+    assert (link.saved.query_id, link.saved.database_id) == ("000", None)
+
+
 def test_what_has_no_path_has_no_address() -> None:
     assert address_of(replace(STATE, source="")) == ""
     assert address_of(replace(STATE, source="/" + "x" * LONGEST)) == ""

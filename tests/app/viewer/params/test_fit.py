@@ -98,10 +98,11 @@ def test_the_result_is_handed_on_and_told_before_and_after(
     assert with_fitted(params, found).noise_std == 0.0307
 
 
-def test_a_submap_beside_itself_counts_once(
+def test_a_submap_alone_counts_once(
     fit: FitTool, server: viser.ViserServer, fitter: Fitter
 ) -> None:
-    fit.follow(with_pair(STATE, query_id="000"))
+    lone = replace(STATE.dataset, submaps=STATE.dataset.submaps[:1])
+    fit.follow(open_dataset(lone, PipelineParams()))
     run(fit, server)
     assert fitter.calls == [("000",)]
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import viser
 
@@ -34,7 +36,8 @@ def test_the_command_follows_the_session_and_is_escaped(saving: SaveTab) -> None
     assert "<b>co" not in said(saving)
     saving._desk.change(params=needing(7))
     assert "--closure.min-inliers 7" in said(saving)
-    saving._desk.change(pair=("000", "000"))
+    lone = replace(STATE.dataset, submaps=STATE.dataset.submaps[:1])
+    saving.follow(open_dataset(lone, PipelineParams(), source="/data/one"))
     assert "gpgrad detect" not in said(saving)
     assert "not a pair" in said(saving)
 

@@ -12,7 +12,7 @@ from app.viewer.pair.panel import LAYER_NAMES, ViewPanel
 from app.viewer.pair.verdict import HEIGHT as CARD_HEIGHT
 from app.viewer.pair.verdict import VerdictCard, verdict_html
 from app.viewer.save.panel import command_html
-from app.viewer.state import LAYERS, ViewOptions, open_dataset, with_pair, with_params
+from app.viewer.state import LAYERS, NEEDS_TWO, ViewOptions, open_dataset, with_params
 from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.status import CANCEL, HEIGHT, StatusLine, status_html
@@ -24,6 +24,7 @@ from tests.app.synthetic import make_dataset, make_result, needing
 from tests.app.widgets import find, html_says, user_presses, user_sets
 
 STATE = open_dataset(make_dataset(), PipelineParams())
+LONE = open_dataset(replace(STATE.dataset, submaps=STATE.dataset.submaps[:1]), STATE.params)
 
 
 def html_of(panel: object) -> str:
@@ -227,9 +228,15 @@ def test_the_card_tells_when_no_motion_was_found(server: viser.ViserServer) -> N
     assert "yaw" not in html_of(card)
 
 
-def test_one_submap_twice_is_said() -> None:
-    state = with_pair(STATE, query_id="000")
-    assert "the same submap twice" in verdict_html(state, make_result(state))
+def test_one_submap_alone_is_no_pair(server: viser.ViserServer) -> None:
+    card = VerdictCard(server)
+    card.show(STATE, make_result(STATE))
+    card.show_alone(LONE)
+    assert NEEDS_TWO in html_of(card)
+    assert "score" not in html_of(card)
+    card.outdate("out of date")
+    assert "out of date" in html_of(card)
+    assert NEEDS_TWO in html_of(card)
 
 
 def test_names_cannot_bring_markup_into_the_page(server: viser.ViserServer) -> None:
@@ -383,6 +390,24 @@ def test_the_pair_is_chosen_and_stepped(server: viser.ViserServer) -> None:
     panel.show(open_dataset(make_dataset(), PipelineParams()))
     assert find(server, "Query").value == "003"
     assert len(chosen) == 5
+
+
+def test_whoever_names_the_other_of_the_pair_has_them_change_places(
+    server: viser.ViserServer,
+) -> None:
+    chosen: list[tuple[str, str]] = []
+    panel = PairPanel(server, STATE, lambda query, database: chosen.append((query, database)))
+    user_sets(find(server, "Query"), "000")
+    user_sets(find(server, "Query"), "003")
+    user_sets(find(server, "Database"), "003")
+    assert chosen == [("000", "003"), ("003", "000"), ("000", "003")]
+    assert (find(server, "Query").value, find(server, "Database").value) == ("000", "003")
+    panel.show(LONE)
+    assert not find(server, "Database").visible
+    panel.step("query", 1)
+    assert chosen[-1] == ("000", "000")
+    panel.show(STATE)
+    assert find(server, "Database").visible
 
 
 def test_every_option_of_the_view_is_reported(server: viser.ViserServer) -> None:
