@@ -31,6 +31,7 @@ from app.viewer.state import (
 )
 from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.canvas import Canvases
+from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.run.memo import Memo
@@ -72,6 +73,9 @@ class Feature:
 
     def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
         """Take all pairs of a dataset, as the present thresholds judge them."""
+
+    def rested(self, params: PipelineParams) -> None:
+        """Take at which parameters a hand has let go of what it moved."""
 
     def outdated(self) -> None:
         """Take that what is seen is not what is set: it failed, or was cancelled."""
@@ -146,6 +150,8 @@ class Desk:
         host: Whose GUI and scene the session fills.
         bridge: Hears the HTML of the session.
         canvases: What is known of the pages' canvases.
+        numbers: Takes what is typed into number boxes.
+        moving: Whether the present parameters are on their way, under a hand.
         memo: Results of the pipeline, shared by all sessions.
         capacity: What a worker must hold while it computes, shared by all sessions.
         permissions: What may be read and written.
@@ -163,9 +169,11 @@ class Desk:
         self.host = host
         self.bridge = Bridge(host)
         self.canvases = Canvases(host, self.bridge)
+        self.numbers = Numbers(host, self.bridge)
         self.memo = memo
         self.capacity = capacity
         self.permissions = permissions
+        self.moving = False
         self._state = state
         self._decisions: list[Decisions] = [Decisions()]
         self._features: list[Feature] = []
@@ -197,6 +205,7 @@ class Desk:
         match: int | None = None,
         probe: Probe | Literal["as it is"] | None = "as it is",
         only_from: ViewState | None = None,
+        moving: bool = False,
     ) -> None:
         """Change the state, and tell all features; without arguments it is only told again.
 
@@ -208,6 +217,7 @@ class Desk:
             probe: Place whose values are read; None for none.
             only_from: Nothing is changed if the state is another than this one by now; None
                 changes it in any case.
+            moving: Whether a hand is still on what changes them; `Feature.rested` follows.
 
         Raises:
             InputError: If the dataset has no such submap.
@@ -226,6 +236,7 @@ class Desk:
                 state = with_match(state, match)
             if probe != "as it is":
                 state = with_probe(state, probe)
+            self.moving = moving
             self._set(state)
 
     def choose(self, query_id: str, database_id: str) -> None:

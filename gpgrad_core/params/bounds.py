@@ -34,6 +34,15 @@ class Bounds:
         return self.slider or (self.low, self.high)
 
     @property
+    def range(self) -> str:
+        """The range of the values allowed, as all messages write it.
+
+        >>> Bounds(0.01, 100.0, 0.01, "m", slider=(0.05, 2.0)).range
+        '0.01 to 100 m'
+        """
+        return f"{self.low:.10g} to {self.high:.10g} {self.unit}".rstrip()
+
+    @property
     def spans_decades(self) -> bool:
         """Whether factors matter on the slider, and not differences.
 
@@ -73,11 +82,7 @@ class Bounds:
                 value.
         """
         if not self.low <= value <= self.high:
-            unit = f" {self.unit}" if self.unit else ""
-            raise InputError(
-                f"{name} must be from {self.low:.10g} to {self.high:.10g}{unit}, "
-                f"got {number_text(value)}"
-            )
+            raise InputError(f"{name} must be from {self.range}, got {number_text(value)}")
 
 
 def number_text(value: float) -> str:

@@ -212,12 +212,13 @@ class ViewerPage:
         return self.widget(label).locator("xpath=..//input[not(@type='hidden')]").last
 
     def type_value(self, label: str, value: str) -> None:
-        """Type a slider's value into its number box."""
+        """Type a slider's value into its number box, and press Enter."""
         box = self.number_box(label)
         box.click()
         box.press("Control+a")
-        box.type(value, delay=BETWEEN_INPUTS_MS)
-        self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
+        box.press_sequentially(value, delay=BETWEEN_INPUTS_MS)
+        box.press("Enter")
+        self.page.wait_for_timeout(2 * BETWEEN_INPUTS_MS)
 
     def choose(self, label: str, option: str) -> None:
         """Choose from a dropdown."""

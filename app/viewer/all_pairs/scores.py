@@ -44,6 +44,9 @@ state.say = value => {
   state.place();
   gpgrad.say('threshold', {score: value}, true);
 };
+state.rest = () => {
+  if (state.sent !== null) gpgrad.say('threshold', {score: state.sent, rested: true});
+};
 state.place = () => {
   for (const svg of document.querySelectorAll('[data-scores]')) {
     const d = svg.dataset, points = svg.points || (svg.points = JSON.parse(d.points));
@@ -100,6 +103,7 @@ state.grab = event => {
     window.removeEventListener('pointermove', move);
     window.removeEventListener('pointerup', up);
     window.removeEventListener('pointercancel', up);
+    state.rest();
   };
   window.addEventListener('pointermove', move);
   window.addEventListener('pointerup', up);
@@ -113,6 +117,7 @@ state.key = event => {
   event.stopPropagation();
   const d = event.currentTarget.dataset, now = state.value ?? +d.value;
   state.say(+Math.min(Math.max(now + by * d.step, +d.low), +d.most).toFixed(6));
+  state.rest();
 };
 state.mark = (svg, event) => {
   const at = new DOMPoint(event.clientX, event.clientY)

@@ -213,7 +213,10 @@ class AllPairsTab(Feature):
             closure = replace(params.closure, min_score=bounds.round(score))
         except (InputError, ValueError, OverflowError):
             return  # no page of ours draws it out of bounds
-        self._desk.change(params=replace(params, closure=closure))
+        params = replace(params, closure=closure)
+        self._desk.change(params=params, moving=True)
+        if data.get("rested") is True:
+            self._desk.tell(Feature.rested, params)
 
 
 def findings(

@@ -12,7 +12,9 @@ from app.viewer.host import Host
 from app.viewer.widgets.actions import on_choice, on_option
 from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.html import BAD, FAINT, paragraph, table
+from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.arrays import NDArray
+from gpgrad_core.params.bounds import Bounds
 
 PREVIOUS, NEXT, NONE = "previous", "next", "none"
 JPEG_QUALITY = 85
@@ -31,6 +33,8 @@ const mark = this.parentElement.querySelector('[data-testid=flat-picture]');
 }})()
 """
 )
+MATCHES = Bounds(0, 1_000_000, 1)
+"""Numbers of associations; there are fewer, and one that there is not is none."""
 NO_MATCH = "Choose an association by its number, or with the keys N and P. Both pictures show it."
 
 
@@ -76,6 +80,7 @@ class MatchesPanel:
         *,
         on_match: Callable[[int], None],
         on_step: Callable[[int], None],
+        numbers: Numbers | None = None,
     ) -> None:
         """Make the widgets in the current container.
 
@@ -83,6 +88,7 @@ class MatchesPanel:
             host: Whose GUI they join.
             on_match: Given the number asked for; 0 for none.
             on_step: Given 1 for the next, -1 for the previous.
+            numbers: Takes what is typed into the box.
         """
         gui = host.gui
         self._number = gui.add_number(
@@ -106,6 +112,8 @@ class MatchesPanel:
         self._key = gui.add_html("")
 
         on_choice(self._number, lambda number: on_match(int(number)))
+        if numbers is not None:
+            numbers.add(self._number, MATCHES, lambda number: on_match(int(number)))
         on_option(
             self._steps,
             lambda label: on_match(0) if label == NONE else on_step(1 if label == NEXT else -1),

@@ -59,7 +59,10 @@ class InspectTab(Feature):
         self._reading = ReadingPanel(desk.host, lambda: desk.change(probe=None))
         self._ruler = RulerPanel(desk.host, self._switch_ruler, self._clear_ruler)
         self._matches = MatchesPanel(
-            desk.host, on_match=lambda number: desk.change(match=number), on_step=self.step
+            desk.host,
+            on_match=lambda number: desk.change(match=number),
+            on_step=self.step,
+            numbers=desk.numbers,
         )
         # Drawn after the scene, only the newest, and only while a page has it in view: the flat
         # picture must cost the 3D nothing.

@@ -20,6 +20,8 @@ from app.viewer.state import (
 )
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.legend import legend_html
+from app.viewer.widgets.numbers import Numbers
+from gpgrad_core.params.fields import bounds_of
 
 LAYER_NAMES: dict[Layer, str] = {
     "elevation": "elevation",
@@ -49,6 +51,7 @@ class ViewPanel:
         options: ViewOptions,
         on_change: Callable[[ViewOptions], None],
         on_reset_camera: Callable[[], None],
+        numbers: Numbers | None = None,
     ) -> None:
         """Make the widgets in the current container.
 
@@ -57,8 +60,10 @@ class ViewPanel:
             options: What they start at.
             on_change: Given the whole new options after each change by a user.
             on_reset_camera: Called when the user asks for the view of both submaps.
+            numbers: Takes what is typed beside the sliders.
         """
         gui = host.gui
+        self._numbers = numbers
         self._options = options
         self._on_change = on_change
         self._inputs: dict[str, tuple[viser.GuiInputHandle[Any], Callable[[Any], object]]] = {}
@@ -243,6 +248,12 @@ class ViewPanel:
             self._show_what_applies()
             self._on_change(self._options)
 
+        def take(number: float) -> None:
+            change(number)
+            handle.value = number
+
+        if self._numbers is not None and isinstance(handle, viser.GuiSliderHandle):
+            self._numbers.add(handle, bounds_of(ViewOptions)[name], take)
         on_choice(handle, change)
 
     def _bind_choice(

@@ -72,6 +72,7 @@ class PairTab(Feature):
                 state.options,
                 lambda options: desk.change(options=options),
                 lambda: desk.tell(Feature.frame, None),
+                desk.numbers,
             )
         self._dark = False
         self._painted: ViewState | None = None  # whose full surfaces are to be seen

@@ -9,6 +9,8 @@ import viser
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.decades import spread_over_decades
+from app.viewer.widgets.look import uuid_of
+from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import DIGITS, Bounds
 from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path, with_unit
@@ -36,6 +38,8 @@ class ParamsPanel(Generic[P]):
         main: Mapping[str, str],
         folder: str = "More parameters",
         on_error: Callable[[str], None] | None = None,
+        on_move: Callable[[P], None] | None = None,
+        numbers: Numbers | None = None,
     ) -> None:
         """Make the widgets in the current container.
 
@@ -47,7 +51,12 @@ class ParamsPanel(Generic[P]):
                 their names for people (the unit is added).
             folder: Title of the folder of all others.
             on_error: Given the message if a value is refused.
+            on_move: Given the value in place of ``on_change`` while a hand is on a slider; None
+                makes no difference.
+            numbers: Takes what is typed beside the sliders.
         """
+        self._on_move = on_move or on_change
+        self._numbers = numbers
         self._host = host
         self._default = value
         self._value = value
@@ -137,8 +146,11 @@ class ParamsPanel(Generic[P]):
                 self._add_automatic(setting)
             handle = self._add_slider(setting, label, current)
         self._inputs[path] = handle
+        moves = isinstance(handle, viser.GuiSliderHandle | viser.GuiNumberHandle)
+        if moves and self._numbers is not None:
+            self._numbers.add(handle, setting.bounds, lambda number: self._type(setting, number))
 
-        on_choice(handle, lambda value: self._change(setting, value))
+        on_choice(handle, lambda value: self._change(setting, value, moves=moves))
 
     def _add_slider(
         self, setting: Field, label: str, current: float | None
@@ -162,8 +174,7 @@ class ParamsPanel(Generic[P]):
             initial_value=kind(start),
             marks=() if default is None else (kind(default),),
             disabled=current is None,
-            hint=f"{setting.doc} Default: {default_text} (the mark). "
-            f"Allowed: {bounds.low:g} to {bounds.high:g}{unit}.",
+            hint=f"{setting.doc} Default: {default_text} (the mark). Allowed: {bounds.range}.",
         )
         if bounds.spans_decades:
             self._decades.append(handle)
@@ -182,21 +193,36 @@ class ParamsPanel(Generic[P]):
 
         on_choice(box, choose)
 
-    def _change(self, setting: Field, raw: object) -> None:
-        value = raw
-        if setting.bounds is not None and isinstance(raw, int | float):
-            value = setting.bounds.round(float(raw))
-            # The first position of a slider need not be a whole number of steps from zero.
-            value = min(max(value, setting.bounds.low), setting.bounds.high)
-            value = int(value) if setting.kind is int else value
+    def with_moved(self, params: P, widget: str, raw: float) -> P:
+        """Give params with the value at which a slider of this panel stands.
+
+        Args:
+            params: The others.
+            widget: By which a page knows the slider; of another panel it changes nothing.
+            raw: As the page says it.
+
+        Raises:
+            InputError: If the value is refused.
+        """
+        for path, handle in self._inputs.items():
+            if uuid_of(handle) == widget:
+                return with_path(params, path, _rounded(self._settings[path], raw))
+        return params
+
+    def _type(self, setting: Field, number: float) -> None:
+        """Take a number that was typed; the slider reaches it."""
+        self._change(setting, number)
+        self._show(setting, get_path(self._value, setting.path))
+
+    def _change(self, setting: Field, raw: object, *, moves: bool = False) -> None:
         try:
-            self._value = with_path(self._value, setting.path, value)
+            self._value = with_path(self._value, setting.path, _rounded(setting, raw))
         except InputError as error:
             if self._on_error is not None:
                 self._on_error(str(error))
             return
         self._fit_ranges(setting)
-        self._on_change(self._value)
+        (self._on_move if moves else self._on_change)(self._value)
 
     def _fit_ranges(self, moved: Field) -> None:
         """Let each slider reach its value, and give those that need it no more their range back.
@@ -239,6 +265,16 @@ class ParamsPanel(Generic[P]):
             self._fit_range(setting, handle, value, grow=False)
         else:
             handle.value = value
+
+
+def _rounded(setting: Field, raw: object) -> object:
+    """Round what a slider says to a step."""
+    if setting.bounds is None or isinstance(raw, bool) or not isinstance(raw, int | float):
+        return raw
+    value = setting.bounds.round(float(raw))
+    # The first position of a slider need not be a whole number of steps from zero.
+    value = min(max(value, setting.bounds.low), setting.bounds.high)
+    return int(value) if setting.kind is int else value
 
 
 def _is_too_wide(bounds: Bounds) -> bool:

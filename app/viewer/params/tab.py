@@ -1,6 +1,7 @@
 """The parameters: wires the sliders, and the tools beside them, to the session."""
 
 from collections.abc import Callable
+from contextlib import suppress
 
 from app.viewer.feature import Desk, Feature
 from app.viewer.opened import Opened
@@ -13,6 +14,7 @@ from app.viewer.params.undo import UndoTool
 from app.viewer.state import ViewState
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.commands import Commands
+from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PipelineParams, is_resolved
 
 SWEPT = (
@@ -58,7 +60,11 @@ class ParamsTab(Feature):
             lambda params: desk.change(params=params),
             main=MAIN_PARAMETERS,
             on_error=on_error,
+            on_move=lambda params: desk.change(params=params, moving=True),
+            numbers=desk.numbers,
         )
+        desk.numbers.refuse, desk.numbers.rested = on_error, self._rest
+        self._desk = desk
         self._panel.set_default(default)
         self._fit = desk.join(FitTool(desk))
         desk.join(UndoTool(desk, commands))
@@ -77,6 +83,14 @@ class ParamsTab(Feature):
             self._fit.choose(state.params)
         if state.params != self._panel.value:
             self._panel.set(state.params)
+
+    def _rest(self, widget: str, value: float | None) -> None:
+        """Tell where a slider was let go."""
+        params = self._desk.state.params
+        with suppress(InputError):  # what no slider of ours says
+            if value is not None:
+                params = self._panel.with_moved(params, widget, value)
+            self._desk.tell(Feature.rested, params)
 
     def opened(self, opened: Opened) -> None:
         """Reset to what the new dataset prefers."""

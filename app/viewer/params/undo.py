@@ -12,30 +12,26 @@ from app.viewer.widgets.commands import Commands
 from gpgrad_core.pipeline import PipelineParams, is_resolved
 from gpgrad_core.types import Dataset
 
-SETTLED_AFTER = 0.7
-"""Parameters that have not moved for so long are worth coming back to [s]: a drag is one step."""
-
 
 class UndoTool(Feature):
-    """Remembers the parameters at which the sliders came to rest."""
+    """Remembers the parameters: a press that moves a slider is one step, like any other change.
 
-    def __init__(
-        self, desk: Desk, commands: Commands, *, settled_after: float = SETTLED_AFTER
-    ) -> None:
+    A page says when it lets go of a slider. No clock does, for a busy machine has another one.
+    """
+
+    def __init__(self, desk: Desk, commands: Commands) -> None:
         """Make the buttons in the current container.
 
         Args:
             desk: Of the session.
             commands: Where their keys join.
-            settled_after: See `SETTLED_AFTER` [s].
         """
         self._desk = desk
-        self._settled_after = settled_after
         self._lock = threading.Lock()
         self._history = History(desk.state.params)
         self._dataset: Dataset = desk.state.dataset
         self._latest = desk.state.params
-        self._timer: threading.Timer | None = None
+        self._gone = False  # elsewhere, since a hand has moved anything
         gui = desk.host.gui
         self._undo = gui.add_button(
             "Undo", disabled=True, hint="Goes back to the parameters before (Ctrl+Z)."
@@ -55,40 +51,31 @@ class UndoTool(Feature):
         """Follow the parameters; those of another dataset have a history of their own."""
         with self._lock:
             if state.dataset is not self._dataset:
-                self._stop()
                 self._dataset, self._latest = state.dataset, state.params
                 self._history = History(state.params)
                 self._show()
             elif is_resolved(self._latest) and not is_resolved(state.params):
                 pass  # a fit follows, whose result is what can be undone
             elif state.params != self._latest:
+                if not self._desk.moving:
+                    # What a hand has moved before, and not let go of, is a step of its own.
+                    self._history = self._history.push(self._latest).push(state.params)
                 self._latest = state.params
-                self._stop()
-                self._timer = threading.Timer(self._settled_after, self._settle)
-                self._timer.daemon = True
-                self._timer.start()
+                self._gone = False
                 self._show()
 
-    def close(self) -> None:
-        """Stop waiting."""
+    def rested(self, params: PipelineParams) -> None:
+        """Remember where a hand has let go, unless that is undone already."""
         with self._lock:
-            self._stop()
-
-    def _stop(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-
-    def _settle(self) -> None:
-        with self._lock:
-            self._history = self._history.push(self._latest)
-            self._show()
+            if not self._gone:
+                self._history = self._history.push(params)
+                self._show()
 
     def _go(self, move: Callable[[History[PipelineParams]], History[PipelineParams]]) -> None:
         with self._lock:
-            self._stop()
             self._history = move(self._history.push(self._latest))
             params = self._latest = self._history.present
+            self._gone = True
             self._show()
         self._desk.change(params=params)
 

@@ -6,12 +6,15 @@ import viser
 from typing_extensions import Doc
 
 from app.viewer.params.panel import ParamsPanel
+from app.viewer.widgets.bridge import Bridge
+from app.viewer.widgets.look import uuid_of
+from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds, get_path, parameters_of, with_path
 from gpgrad_core.pipeline import PipelineParams
-from tests.app.widgets import find, labels, user_sets
+from tests.app.widgets import find, html_says, labels, user_sets
 
 MAIN = {"map.length_scale": "Length-scale", "closure.min_inliers": "Minimum inliers"}
 
@@ -65,7 +68,7 @@ def test_units_docs_defaults_and_bounds_reach_the_widget(server: viser.ViserServ
     slider = find(server, "Width [m]")
     assert (slider.min, slider.max, slider.step) == (1.0, 5.0, 0.1)
     assert slider.hint.startswith("How wide. Default: 2 m")
-    assert "0 to 10 m" in slider.hint
+    assert "Allowed: 0 to 10 m." in slider.hint  # as a refusal says
     assert [mark.value for mark in slider._marks] == [2.0]
 
 
@@ -159,6 +162,45 @@ def test_a_value_typed_beyond_the_slider_does_not_stretch_it_for_good(
     user_sets(slider, 0.5)
     made.panel.set(Params(width=3.0))
     assert (slider.min, slider.max) == (1.0, 5.0)
+
+
+def test_a_typed_number_may_be_all_that_is_allowed(server: viser.ViserServer) -> None:
+    bridge = Bridge(server)
+    numbers = Numbers(server, bridge)
+    answers: list[dict[str, object]] = []
+    refused: list[str] = []
+    moved: list[Params] = []
+    reported: list[Params] = []
+    bridge.call = lambda *said: answers.append(said[2])  # type: ignore[method-assign]
+    numbers.refuse = refused.append
+    panel = ParamsPanel(
+        server,
+        Params(),
+        reported.append,
+        main={"width": "Width"},
+        on_move=moved.append,
+        numbers=numbers,
+    )
+    slider = find(server, "Width")
+
+    def types(text: str) -> None:
+        html_says(bridge, "typed", widget=uuid_of(slider), text=text)
+
+    types("7,3")
+    assert (reported[-1].width, slider.value, slider.max) == (7.3, 7.3, 7.3)
+    types("12")
+    types("x")
+    assert refused == [
+        "Width must be from 0 to 10 m, got 12",
+        "Width must be a number such as 0.8, got 'x'",
+    ]
+    types("7.30")
+    assert [answer["changed"] for answer in answers] == [True, False, False, False]
+    assert [bool(answer["refused"]) for answer in answers] == [False, True, True, False]
+    user_sets(slider, 4.0)
+    assert (moved, slider.value) == ([Params(width=4.0)], 4.0)
+    assert panel.with_moved(Params(), uuid_of(slider), 3.04) == Params(width=3.0)
+    assert panel.with_moved(Params(), "another", 3.0) == Params()
 
 
 def test_a_refused_value_is_told_and_not_reported(server: viser.ViserServer) -> None:
