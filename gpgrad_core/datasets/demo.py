@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-from gpgrad_core.datasets.simulate import simulate_dataset
 from gpgrad_core.datasets.simulation_params import SimulationParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, silent
@@ -40,6 +39,8 @@ def simulate_demo(progress: Progress = silent) -> Dataset:
     Args:
         progress: Called once per submap.
     """
+    from gpgrad_core.datasets.simulate import simulate_dataset  # noqa: PLC0415 - loads slowly
+
     return replace(
         simulate_dataset(demo_params(), progress),
         name="demo",

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dpotrf, dtrtri, spotrf, strtri
 
 from gpgrad_core.arrays import NDArray
 
@@ -95,6 +94,8 @@ def invert_pivot(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
 
 
 def _invert_leaf(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
+    from scipy.linalg.lapack import dpotrf, dtrtri, spotrf, strtri  # noqa: PLC0415 - loads slowly
+
     single = pivot.dtype == np.float32
     factorise, invert = (spotrf, strtri) if single else (dpotrf, dtrtri)
     # LAPACK needs an F-ordered array, which is the transpose of a C-ordered one.

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.gp.kernel import SquaredExponential
@@ -44,6 +43,8 @@ def fit_dense(
         noise_std: Standard deviation of the heights [m], one for all or one for each point.
         mean: Height that is subtracted before and added after [m]; None takes the points' mean.
     """
+    from scipy.linalg import cho_solve, cholesky  # noqa: PLC0415 - loads slowly
+
     xy, z = points[:, :2], points[:, 2]
     offset = float(z.mean()) if mean is None else mean
     covariance = kernel(xy, xy)
@@ -73,6 +74,8 @@ def infer_variance(posterior: DensePosterior, query_xy: Float[Array, "q 2"]) -> 
         posterior: Fitted to n points.
         query_xy: Positions (q, 2) [m]. The time grows as q n².
     """
+    from scipy.linalg import solve_triangular  # noqa: PLC0415 - loads slowly
+
     rows = posterior.kernel(posterior.points_xy, query_xy)
     whitened = solve_triangular(posterior.factor, rows, lower=True)
     return posterior.kernel.signal_std**2 - np.sum(whitened**2, axis=0)
@@ -106,6 +109,8 @@ def infer_slope_variance(
 
         var(dz/dx) = signal_std² / length_scale² - |L⁻¹ dK(X, x*)/dx|²
     """
+    from scipy.linalg import solve_triangular  # noqa: PLC0415 - loads slowly
+
     rows = posterior.kernel.gradient(query_xy, posterior.points_xy)
     whitened = [solve_triangular(posterior.factor, along.T, lower=True) for along in rows]
     return posterior.kernel.slope_std**2 - np.stack([np.sum(w**2, axis=0) for w in whitened], -1)

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.types import read_only
@@ -91,6 +90,8 @@ def log_marginal_likelihood(
     Raises:
         numpy.linalg.LinAlgError: If rounding makes the covariance indefinite.
     """
+    from scipy.linalg.lapack import dpotrf, dpotri, dpotrs  # noqa: PLC0415 - loads slowly
+
     n, z = len(patch), patch.heights
     signal_variance = hyperparameters.signal_std**2
     scaled = patch.squared_distances / hyperparameters.length_scale**2

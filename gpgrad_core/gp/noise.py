@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import gaussian_filter, map_coordinates
-from scipy.special import ndtr
 
 from gpgrad_core.arrays import Array, NDArray
 
@@ -56,6 +54,8 @@ class MeasuredNoise:
 
     def std_at(self, xy: Float[Array, "q 2"]) -> Float[Array, "q"]:
         """Interpolate the noise of a point that is not an outlier at positions (q, 2) [m]."""
+        from scipy.ndimage import map_coordinates  # noqa: PLC0415 - loads slowly
+
         at = ((xy - self._low) / self._cell - 0.5).T[::-1]
         return map_coordinates(self._std, at, order=1, mode="nearest")
 
@@ -119,6 +119,8 @@ def find_outliers(
 
 def _clipped_mean_square() -> float:
     """Compute the mean square of a standard normal variable clipped at `CLIPPED_AT`."""
+    from scipy.special import ndtr  # noqa: PLC0415 - loads slowly
+
     within = 2 * ndtr(CLIPPED_AT) - 1
     density = np.exp(-0.5 * CLIPPED_AT**2) / np.sqrt(2 * np.pi)
     return float(within - 2 * CLIPPED_AT * density + CLIPPED_AT**2 * (1 - within))
@@ -194,6 +196,7 @@ def _pooled(
     prior: float,
 ) -> Float[Array, "cells"]:
     """Estimate the variance of each cell from its points, those around, the cloud and the prior."""
+    from scipy.ndimage import gaussian_filter  # noqa: PLC0415 - loads slowly
 
     def pool(values: Float[Array, "cells"]) -> Float[Array, "cells"]:
         image = values.reshape(cells.shape)

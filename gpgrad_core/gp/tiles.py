@@ -12,8 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.polynomial.chebyshev import chebvander
-from scipy.linalg.lapack import dtrtri
-from scipy.ndimage import correlate1d
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.gp.accuracy import EXACT, Accuracy
@@ -267,6 +265,8 @@ def estimate_cost(
         information: Largest precision that data bring to one bump; see `spacing`.
         accuracy: How exact the solution has to be.
     """
+    from scipy.ndimage import correlate1d  # noqa: PLC0415 - loads slowly
+
     cells = np.floor((xy - xy.min(axis=0)) / (TILE * kernel.length_scale)).astype(np.int64)
     columns = int(cells[:, 0].max()) + 1
     tiles, counts = np.unique(cells[:, 1] * columns + cells[:, 0], return_counts=True)
@@ -377,6 +377,8 @@ def _root_of_inverse(stack: Float[Array, "b m m"]) -> Float[Array, "b m m"]:
 
     With it the variance is a prior less a sum of squares, which loses no digits.
     """
+    from scipy.linalg.lapack import dtrtri  # noqa: PLC0415 - loads slowly
+
     roots = np.empty_like(stack)
     for k, factor in enumerate(np.linalg.cholesky(stack)):
         roots[k], _ = dtrtri(factor, lower=1)

@@ -6,7 +6,6 @@ from math import ceil, cos, sin
 
 import cv2
 import numpy as np
-import scipy.fft
 from jaxtyping import Complex64, Float
 
 from gpgrad_core.arrays import NDArray
@@ -70,6 +69,8 @@ def make_spectra(
         size: Side of the images [cells]; None chooses the smallest that serves two maps of this
             extent.
     """
+    import scipy.fft  # noqa: PLC0415 - loads slowly
+
     rows, columns = np.nonzero(relief.trusted)
     cells = np.column_stack([columns, rows]).astype(np.float64)
     middle = relief.grid.to_position(cells.mean(axis=0)[None])[0] if len(cells) else np.zeros(2)
@@ -106,6 +107,8 @@ def search_motions(query: Relief, database: Relief, wanted: int) -> list[SE2]:
     Returns:
         Up to so many motions ``T_database_query``, the best first. They may be a few cells off.
     """
+    import scipy.fft  # noqa: PLC0415 - loads slowly
+
     if wanted == 0 or not query.trusted.any() or not database.trusted.any():
         return []
     of_query, of_database = _comparable(query, database)

@@ -42,6 +42,10 @@ def _all_workers() -> int:
 
 @cache
 def _controller() -> ThreadpoolController:
+    # It knows only what is loaded by now, and SciPy brings a BLAS of its own.
+    import scipy.linalg  # noqa: PLC0415
+
+    _ = scipy.linalg
     return ThreadpoolController()  # slow, because it looks at all loaded libraries
 
 
