@@ -17,7 +17,7 @@ from .evaluation import (
 )
 from .features import DetectorParams, FeatureParams, extract_features
 from .fitting import FitResult, fit_parameters
-from .gradient_map import MapParams, TerrainParams, infer_gradient_map, infer_slope_variance
+from .gradient_map import MapParams, TerrainParams
 from .loop_closure import ClosureParams, classify
 from .matching import MatchParams, match_features
 from .outputs import (
@@ -37,6 +37,8 @@ from .pipeline import (
     PairResult,
     PipelineParams,
     detect_loop_closures,
+    infer_gradient_map,
+    infer_slope_variance,
     register_pair,
     resolve_parameters,
 )

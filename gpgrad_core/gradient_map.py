@@ -39,8 +39,8 @@ BINNED_FROM = 10_000
 
 LENGTH_SCALE = Bounds(0.01, 100.0, 0.01, "m", slider=(0.05, 2.0))
 NOISE_STD = Bounds(0.0005, 10.0, 0.005, "m", slider=(0.005, 0.3))
-UNFITTED_LENGTH_SCALE, UNFITTED_NOISE_STD = 0.3, 0.05
-"""Length-scale and noise [m] that are used if none is given and nothing is fitted."""
+GUESSED_LENGTH_SCALE, GUESSED_NOISE_STD = 0.3, 0.05
+"""Length-scale and noise [m] where a fit begins, if none are given."""
 
 NoiseModelParam: TypeAlias = Annotated[
     NoiseModel,
@@ -86,12 +86,12 @@ class TerrainParams:
         float,
         LENGTH_SCALE,
         Doc("Distance over which the terrain's height changes little; larger is smoother."),
-    ] = UNFITTED_LENGTH_SCALE
+    ] = GUESSED_LENGTH_SCALE
     noise_std: Annotated[
         float,
         NOISE_STD,
         Doc("Standard deviation of one point's height; larger follows single points less."),
-    ] = UNFITTED_NOISE_STD
+    ] = GUESSED_NOISE_STD
     noise_model: NoiseModelParam = "constant"
     noise_growth: NoiseGrowthParam = 0.0
     noise_factor: NoiseFactorParam = 1.0
@@ -111,9 +111,8 @@ class TerrainParams:
 class MapParams:
     """Parameters of a gradient map: those of its GP, and the grid on which it is sampled.
 
-    None means automatic: `resolve_parameters` fits the value to the dataset. A number is used as
-    it is. `infer_gradient_map` fits nothing: there, None means 0.3 m for the length-scale, 0.05 m
-    for the noise, and the points' own standard deviation for the signal.
+    None means automatic: the value that `resolve_parameters` fits to the dataset. A number is used
+    as it is. `infer_gradient_map` fits to its one submap.
     """
 
     length_scale: Annotated[
@@ -164,10 +163,20 @@ class MapParams:
 
     @property
     def terrain(self) -> TerrainParams:
-        """The parameters of the GP alone; a new grid needs no new fit."""
+        """The parameters of the GP alone; a new grid needs no new fit.
+
+        Raises:
+            InputError: If length-scale or noise are automatic, and so have no numbers yet.
+        """
+        if self.length_scale is None or self.noise_std is None:
+            name = "length_scale" if self.length_scale is None else "noise_std"
+            raise InputError(
+                f"map.{name} is automatic, so it has no number yet: fit it with "
+                "resolve_parameters, or give one"
+            )
         return TerrainParams(
-            length_scale=UNFITTED_LENGTH_SCALE if self.length_scale is None else self.length_scale,
-            noise_std=UNFITTED_NOISE_STD if self.noise_std is None else self.noise_std,
+            length_scale=self.length_scale,
+            noise_std=self.noise_std,
             noise_model=self.noise_model,
             noise_growth=self.noise_growth,
             noise_factor=self.noise_factor,
@@ -175,26 +184,17 @@ class MapParams:
             max_points=self.max_points,
         )
 
+    @property
+    def guessed(self) -> "MapParams":
+        """A copy with numbers for length-scale and noise: where they are automatic, a first guess.
 
-def infer_gradient_map(
-    submap: Submap, params: MapParams = MapParams(), progress: Progress = silent
-) -> GradientMap:
-    """Infer elevation, variance and slopes over the submap's bounding box, Eqs. (2)-(5).
-
-    Args:
-        submap: Gravity-aligned points [m].
-        params: Parameters of the GP and the grid.
-        progress: Called with the fraction done; may raise Cancelled.
-
-    Returns:
-        The gradient map, with elevations in metres and slopes in m/m.
-
-    Raises:
-        InputError: If the grid or the GP would be too large, or if the GP cannot be solved.
-    """
-    map_grid(submap, params.resolution)  # refuse a cloud that is too wide before the long work
-    posterior = fit_terrain(submap, params.terrain, progress=progress)
-    return sample_map(submap, posterior, params.resolution, params.scale)
+        A fit begins there. The methods that fit nothing use it as it is.
+        """
+        return replace(
+            self,
+            length_scale=GUESSED_LENGTH_SCALE if self.length_scale is None else self.length_scale,
+            noise_std=GUESSED_NOISE_STD if self.noise_std is None else self.noise_std,
+        )
 
 
 def map_grid(submap: Submap, resolution: float) -> Grid:
@@ -365,31 +365,6 @@ def signal_std_of(points: Float[Array, "n 3"], params: TerrainParams) -> float:
         return params.signal_std
     # A perfectly flat cloud has none; then the noise is all the variation there is.
     return max(float(points[:, 2].std()), 0.01 * params.noise_std)
-
-
-def infer_slope_variance(
-    submap: Submap, params: MapParams = MapParams(), progress: Progress = silent
-) -> Float[Array, "rows columns 2"]:
-    """Infer the variance of the slopes of `infer_gradient_map`.
-
-    The paper does not have it. Eq. (3) is differentiated as Eqs. (4) and (5) differentiate Eq. (2),
-    with D the diagonal matrix of the points' noise variances:
-
-        var(∂z/∂x) = ∂²k/∂x∂x' - ∂K(x, X)/∂x [K(X, X) + D]⁻¹ ∂K(X, x')/∂x'
-
-    Args:
-        submap: Gravity-aligned points [m].
-        params: Parameters of the GP and the grid.
-        progress: Called with the fraction done; may raise Cancelled.
-
-    Returns:
-        Posterior variance of the slope along x and along y (rows, columns, 2) [m²/m²].
-
-    Raises:
-        InputError: If the grid or the GP would be too large, or if the GP cannot be solved.
-    """
-    grid = map_grid(submap, params.resolution)
-    return fit_terrain(submap, params.terrain, progress=progress).sample_slope_variance(grid)
 
 
 def sample_map(

@@ -78,7 +78,7 @@ def find_wild_points(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"
 
     def unlikeness(rows: Int[NDArray[np.intp], "k"]) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
         """By how many times what is usual points differ from others, and how far these are [m]."""
-        distances, neighbours = tree.query(xy[rows], ASKED + 1)
+        distances, neighbours = map(np.asarray, tree.query(xy[rows], ASKED + 1))
         times = np.abs(heights[neighbours] - heights[rows, None]) / usual(distances)
         # The first in order is the point itself, which differs by nothing.
         return np.sort(times, axis=1)[:, EXPLAINED_BY], distances[:, EXPLAINED_BY]
@@ -94,7 +94,7 @@ def find_wild_points(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"
         limits = np.maximum(limits[unlike], ROUGH * float(roughest))
         # A wall has points above each other: those that are near in space explain it.
         in_space = cKDTree(points, balanced_tree=False)
-        apart = in_space.query(points[doubtful], EXPLAINED_BY + 1)[0][:, EXPLAINED_BY]
+        apart = np.asarray(in_space.query(points[doubtful], EXPLAINED_BY + 1)[0])[:, EXPLAINED_BY]
         unexplained = (times > limits) & (apart > np.maximum(limits * usual(reach), reach))
         wild[doubtful[unexplained | (apart > too_far)]] = True
     return wild

@@ -39,6 +39,7 @@ from gpgrad_core.fitting import representative
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import check_apart, check_output
 from gpgrad_core.pipeline import at_least_for_now, check_affordable
+from gpgrad_core.run.memo import Memo
 from gpgrad_core.shortlist import num_wanted, read_candidates
 from gpgrad_core.slam import build_pose_graph, odometry_poses, write_graph
 from gpgrad_core.types import Dataset, SubmapSource
@@ -103,7 +104,7 @@ class Detect:
                 )
             if method.fitted:  # to the whole dataset, so that a single pair gets the same verdict
                 some = [sources[k].load() for k in representative(num_submaps)]
-                asked = settled(asked, some, dataset.name, store)
+                asked = settled(asked, some, dataset.name, Memo(store=store))
             if self.pair:
                 dataset, sources = _only(dataset, sources, *self.pair)
             compared = compare(

@@ -44,7 +44,7 @@ class Fit:
             check_apart([self.out], [self.dataset, self.params])
         SEEDS.check("--seed", self.seed)
         dataset = load(self.dataset)
-        start = self.map.over(base_params(dataset, self.params).map.terrain)
+        start = self.map.over(base_params(dataset, self.params).map.guessed.terrain)
         with progress_bar("fit") as progress:
             result = fit_parameters(dataset.submaps, start, seed=self.seed, progress=progress)
         for line in _fitted(start, result):

@@ -15,6 +15,7 @@ from gpgrad_core.datasets.folder import MOST_LOADED
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams, describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES
 from gpgrad_core.types import Dataset, Submap, SubmapSource
@@ -54,16 +55,17 @@ AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)
 
 
-def load(path: Path, *, most_bytes: int | None = None) -> Dataset:
+def load(path: Path, *, most_bytes: int | None = None, told: Progress = silent) -> Dataset:
     """Load a dataset, and report what loading left out.
 
     Args:
         path: The dataset.
         most_bytes: Bytes of points to keep in memory; further ones wait in a temporary file. None
             keeps all in memory.
+        told: Given the fraction done, beside the bar on the terminal; may raise Cancelled.
     """
     with progress_bar("load") as progress, built_first(path):
-        dataset = load_dataset(path, progress, most_bytes=most_bytes)
+        dataset = load_dataset(path, _both(progress, told), most_bytes=most_bytes)
     for note in dataset.notes:
         warn(note)
     return dataset
@@ -121,7 +123,11 @@ def tell_damaged(store: Store | None) -> None:
 
 
 def settled(
-    params: PipelineParams, submaps: Sequence[Submap], name: str, store: Store | None
+    params: PipelineParams,
+    submaps: Sequence[Submap],
+    name: str,
+    memo: Memo,
+    told: Progress = silent,
 ) -> PipelineParams:
     """Fit the parameters that are automatic, and report what was found.
 
@@ -129,11 +135,20 @@ def settled(
         params: May be automatic in part.
         submaps: They are fitted to these.
         name: Of the dataset.
-        store: Keeps the fit for later runs.
+        memo: Keeps the fit; with a store also for later runs.
+        told: Given the fraction done, beside the bar on the terminal; may raise Cancelled.
     """
     if is_resolved(params) or not submaps:
         return params
     with progress_bar("fit") as progress:
-        found = resolve_parameters(submaps, params, Memo(store=store), progress)
+        found = resolve_parameters(submaps, params, memo, _both(progress, told))
     say(f"{name}: {describe_choice(params, found)}")
     return found
+
+
+def _both(first: Progress, second: Progress) -> Progress:
+    def progress(fraction: float) -> None:
+        first(fraction)
+        second(fraction)
+
+    return progress

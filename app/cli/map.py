@@ -10,13 +10,15 @@ from typing_extensions import Doc
 
 from app.cli.coordinates import CrsFlag, OriginFlag, georeference_of
 from app.cli.flags import Given
-from app.cli.inputs import ParamsFile, base_params, load
+from app.cli.inputs import ParamsFile, base_params, load, settled
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.errors import InputError
-from gpgrad_core.gradient_map import MapParams, infer_gradient_map, point_noise
+from gpgrad_core.gradient_map import MapParams, point_noise
 from gpgrad_core.outputs import MAP_ENDINGS, check_apart, check_output, write_map
 from gpgrad_core.outputs.georeferenced import write_cloud_optimised
 from gpgrad_core.outputs.maps import layers_of
+from gpgrad_core.pipeline import infer_gradient_map
+from gpgrad_core.run.memo import Memo
 
 RASTERS = (".tif", ".tiff")
 
@@ -67,6 +69,7 @@ class Map:
             if ranges is None:
                 ranges = np.linalg.norm(cloud.points[:, :2], axis=1)
             cloud = replace(cloud, points=placed - corner, ranges=ranges)
+        params = settled(replace(base, map=params), [cloud], cloud.id, Memo()).map
         with progress_bar("map") as progress:
             gradient_map = infer_gradient_map(cloud, params, progress)
         if georeference is None:

@@ -56,6 +56,7 @@ from gpgrad_core.pipeline import (
     at_least_for_now,
     check_affordable,
 )
+from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
@@ -161,7 +162,7 @@ class Slam:
         params = self.pipeline.over(base_params(dataset, self.params))
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
         some = [joined.load(k)[0] for k in representative(len(dataset.submaps))]
-        params = settled(params, some, dataset.name, store)
+        params = settled(params, some, dataset.name, Memo(store=store))
         with whole_folder(self.out, earlier=self._names(joined)) as folder:
             self._check_out(joined)  # another process may just have ended
             closures: Sequence[LoopClosure]

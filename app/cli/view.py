@@ -32,6 +32,7 @@ from gpgrad_core.datasets import demo_path
 from gpgrad_core.datasets.folder import MOST_LOADED
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import read_parameters
+from gpgrad_core.run.memo import Memo
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,8 @@ class View:
         if saved is not None:
             saved.check(dataset)
             start = read_parameters(self.params, saved.params) if self.params else saved.params
-        params = settled(self.pipeline.over(start), dataset.submaps, dataset.name, store)
+        params = self.pipeline.over(start)
+        settled(params, dataset.submaps, dataset.name, Memo(store=store))
         viewer = Viewer(
             dataset,
             params if saved is None else base,

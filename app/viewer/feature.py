@@ -23,6 +23,7 @@ from app.viewer.state import (
     Probe,
     ViewOptions,
     ViewState,
+    with_fitted,
     with_match,
     with_options,
     with_pair,
@@ -211,7 +212,7 @@ class Desk:
 
         Args:
             pair: (query, database) to show; of these, None stays as it is.
-            params: Of the pipeline.
+            params: Of the pipeline, as a person gives them: None is automatic.
             options: Of the view.
             match: Number of the association to point at, from 1; 0 for none.
             probe: Place whose values are read; None for none.
@@ -238,6 +239,16 @@ class Desk:
                 state = with_probe(state, probe)
             self.moving = moving
             self._set(state)
+
+    def settle(self, state: ViewState, used: PipelineParams) -> None:
+        """Take the numbers that a fit gives for a state's automatic parameters.
+
+        Nothing is changed if other parameters, or another dataset, are there by now.
+        """
+        with self._lock:
+            now = self._state
+            if now.dataset is state.dataset and now.asked == state.asked:
+                self._set(with_fitted(now, used))
 
     def choose(self, query_id: str, database_id: str) -> None:
         """Change to a pair that a page has chosen.

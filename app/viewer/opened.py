@@ -14,15 +14,17 @@ class Opened:
 
     Attributes:
         dataset: The submaps.
-        params: What "Reset parameters" goes back to.
+        params: What "Reset parameters" goes back to, as it was given.
         source: Path that it was read from.
         saved: Pair, parameters and view to begin with; None begins as the dataset prefers.
+        used: What `resolve_parameters` made of the parameters; None if it was not asked yet.
     """
 
     dataset: Dataset
     params: PipelineParams
     source: str
     saved: SavedSession | None = None
+    used: PipelineParams | None = None
 
     def begin(self, options: ViewOptions) -> ViewState:
         """Make the first snapshot.
@@ -30,5 +32,5 @@ class Opened:
         Args:
             options: Of the view, unless a saved session comes with its own.
         """
-        state = open_dataset(self.dataset, self.params, options, self.source)
+        state = open_dataset(self.dataset, self.params, options, self.source, self.used)
         return state if self.saved is None else self.saved.apply(state)

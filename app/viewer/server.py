@@ -88,8 +88,8 @@ class Viewer:
         start = params if params is not None else preferred_parameters(dataset, PipelineParams())
         budget = default_budget() if memory is None else memory
         self._memo = Memo(round(MEMO_SHARE * budget), store)
-        start = resolve_parameters(dataset.submaps, start, self._memo)
-        self._opened = Opened(dataset, start, source, saved)
+        used = resolve_parameters(dataset.submaps, start, self._memo)
+        self._opened = Opened(dataset, start, source, saved, used)
         self._uploads = TemporaryFolder("gpgrad-uploads-")
         self._permissions = replace(permissions, uploads=Path(self._uploads.name))
         self._capacity = Capacity(helper=start_helper())

@@ -103,7 +103,7 @@ def session_text(
             "position": camera.position,
             "look_at": camera.look_at,
         }
-    table["params"] = to_tables(state.params)
+    table["params"] = to_tables(state.asked)
     decided = [] if decisions is None else tables_of(decisions)
     if decided:
         table["decisions"] = decided

@@ -8,7 +8,7 @@ import numpy as np
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
-from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.pipeline import PipelineParams, is_resolved, numbers_stay, with_numbers_of
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap
 
@@ -106,7 +106,10 @@ class ViewState:
         query_id: Submap that is registered.
         database_id: Submap that it is registered to. It is another one, unless the dataset has no
             other: then there is no pair, and the one submap is shown alone.
-        params: Of the pipeline.
+        params: Of the pipeline, with numbers for what is automatic.
+        asked: The same as they were given: what is automatic is None.
+        settled: Whether the numbers of ``params`` are those that the dataset gives ``asked``; else
+            a fit is due, and they stand in for its result.
         options: Of the view.
         source: Path that the dataset was read from; empty if it was made otherwise.
         match: Number of the association that is pointed at, from 1; 0 for none.
@@ -116,7 +119,11 @@ class ViewState:
     dataset: Dataset
     query_id: str
     database_id: str
-    params: PipelineParams = field(default_factory=PipelineParams)
+    params: PipelineParams = field(
+        default_factory=lambda: with_numbers_of(PipelineParams(), PipelineParams())
+    )
+    asked: PipelineParams = field(default_factory=PipelineParams)
+    settled: bool = False
     options: ViewOptions = field(default_factory=ViewOptions)
     source: str = ""
     match: int = 0
@@ -173,10 +180,22 @@ def open_dataset(
     params: PipelineParams,
     options: ViewOptions | None = None,
     source: str = "",
+    used: PipelineParams | None = None,
 ) -> ViewState:
-    """Start on a dataset, at the pair most worth looking at."""
-    query_id, database_id = promising_pair(dataset)
-    return ViewState(dataset, query_id, database_id, params, options or ViewOptions(), source)
+    """Start on a dataset, at the pair most worth looking at.
+
+    Args:
+        dataset: The dataset.
+        params: As they are given.
+        options: Of the view.
+        source: Path of the dataset.
+        used: What `resolve_parameters` made of the parameters, if it was asked already.
+    """
+    state = ViewState(
+        dataset, *promising_pair(dataset), options=options or ViewOptions(), source=source
+    )
+    state = with_params(state, params)
+    return state if used is None else with_fitted(state, used)
 
 
 def with_pair(
@@ -202,8 +221,28 @@ def with_pair(
 
 
 def with_params(state: ViewState, params: PipelineParams) -> ViewState:
-    """Set the pipeline's parameters."""
-    return replace(state, params=params)
+    """Set the pipeline's parameters as a person, a file or a link gives them.
+
+    What is automatic keeps its number, until a fit gives another (`with_fitted`).
+    """
+    if is_resolved(params):
+        return replace(state, params=params, asked=params, settled=True)
+    return replace(
+        state,
+        params=with_numbers_of(params, state.params),
+        asked=params,
+        settled=state.settled and numbers_stay(state.asked, params),
+    )
+
+
+def with_fitted(state: ViewState, used: PipelineParams) -> ViewState:
+    """Take what `resolve_parameters` made of the parameters that were asked for."""
+    return replace(state, params=used, settled=True)
+
+
+def was_fitted(before: ViewState, after: ViewState) -> bool:
+    """Say whether a fit has made one state into the other, rather than a person."""
+    return after.settled and not before.settled and after.asked == before.asked
 
 
 def with_options(state: ViewState, options: ViewOptions) -> ViewState:

@@ -6,7 +6,9 @@ import gpgrad_core as gg
 
 dataset = gg.load_dataset(gg.demo_path())
 query, database = dataset.submap("007"), dataset.submap("001")
-params = gg.PipelineParams(map=gg.MapParams(resolution=0.05))
+# What is automatic is fitted to both, so that both maps are made alike.
+asked = gg.PipelineParams(map=gg.MapParams(resolution=0.05))
+params = gg.resolve_parameters((query, database), asked)
 
 # Each stage is a pure function of its data and of its own frozen parameters.
 query_map = gg.infer_gradient_map(query, params.map)

@@ -9,7 +9,7 @@ dataset = gg.load_dataset(gg.demo_path())
 query, database = dataset.submap("007"), dataset.submap("001")
 
 # Parameters are frozen: a change makes a new value, and a value out of bounds is refused.
-params = gg.PipelineParams(map=gg.MapParams(resolution=0.05))
+params = gg.PipelineParams(map=gg.MapParams(length_scale=0.3, noise_std=0.05, resolution=0.05))
 try:
     replace(params.map, length_scale=-1.0)
 except gg.InputError as error:
@@ -33,7 +33,7 @@ compare(replace(params, map=replace(params.map, length_scale=0.45)), "a longer l
 compare(params, "defaults again")
 
 # Maximum marginal likelihood finds the length-scale and the noise from the points themselves.
-found = gg.fit_parameters([query], params.map.terrain)
+found = gg.fit_parameters([query])
 print(
     f"fitted: length-scale {found.params.length_scale:.2f} m, noise {found.params.noise_std:.3f} m"
 )

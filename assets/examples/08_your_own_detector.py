@@ -41,7 +41,7 @@ dataset = replace(dataset, submaps=dataset.submaps[2:8])
 mine = gg.detect_loop_closures(
     dataset,
     gg.PipelineParams(closure=gg.ClosureParams(min_score=20.0)),
-    detector=PhaseDetector(gg.MapParams(resolution=0.08)),
+    detector=PhaseDetector(gg.MapParams(length_scale=0.3, noise_std=0.05, resolution=0.08)),
 )
 ours = gg.detect_loop_closures(dataset, gg.PipelineParams(map=gg.MapParams(resolution=0.08)))
 

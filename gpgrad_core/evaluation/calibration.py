@@ -15,9 +15,9 @@ from scipy.ndimage import map_coordinates
 from gpgrad_core.arrays import Array
 from gpgrad_core.evaluation.report import Section
 from gpgrad_core.fitting import fit_parameters
-from gpgrad_core.gradient_map import MapParams, infer_gradient_map, ordinary_noise
+from gpgrad_core.gradient_map import MapParams, ordinary_noise
 from gpgrad_core.methods.smoothed import smooth
-from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.pipeline import PipelineParams, infer_gradient_map
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.types import Dataset, GradientMap, Submap
 
@@ -79,6 +79,7 @@ def calibrate(
         InputError: If a map cannot be made.
     """
     params = params or PipelineParams()
+    params = replace(params, map=params.map.guessed)  # what the fits below begin with
     count = min(len(dataset.submaps), MOST_SUBMAPS)
     chosen = [
         dataset.submaps[k] for k in np.linspace(0, len(dataset.submaps) - 1, count).astype(int)

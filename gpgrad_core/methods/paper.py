@@ -56,7 +56,7 @@ def paper_params(params: PipelineParams) -> PipelineParams:
         params,
         map=MapParams(
             length_scale=LENGTH_SCALE,
-            noise_std=params.map.terrain.noise_std,
+            noise_std=params.map.guessed.noise_std,
             max_points=5000,
             resolution=0.03,
         ),

@@ -2,7 +2,7 @@
 
 import importlib.util
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
@@ -43,8 +43,8 @@ class Method:
         summary: What it does, in one line.
         detector: Makes its detector, which keeps the results of each submap in the memo.
         adapt: Turns the given parameters into those with which the method runs.
-        fitted: Whether it runs with parameters that are fitted to the dataset. The other methods
-            use the defaults of `MapParams` for parameters that are not given.
+        fitted: Whether automatic parameters are fitted to the dataset. The other methods have
+            defaults of their own in their place, those of `TerrainParams`.
         package: A module that it needs and that may be missing, because it belongs to an extra or
             needs a shared library of the system.
         install: The argument of ``pip install`` that brings the package.
@@ -78,6 +78,8 @@ class Method:
         """
         if self.fitted and submaps:
             params = resolve_parameters(submaps, params, memo, progress)
+        elif not self.fitted:
+            params = replace(params, map=params.map.guessed)
         return self.adapt(params)
 
     def check_searchable(self, candidates: Candidates) -> None:

@@ -3,7 +3,13 @@
 Only this folder knows the order. What a changed parameter does not affect is not computed again.
 """
 
-from gpgrad_core.pipeline.automatic import describe_choice, is_resolved, resolve_parameters
+from gpgrad_core.pipeline.automatic import (
+    describe_choice,
+    is_resolved,
+    numbers_stay,
+    resolve_parameters,
+    with_numbers_of,
+)
 from gpgrad_core.pipeline.detection import (
     DetectionResult,
     ExtractedSubmap,
@@ -19,6 +25,7 @@ from gpgrad_core.pipeline.detection import (
     register_pair,
 )
 from gpgrad_core.pipeline.kept import KeptDetector, at_least_for_now, keeping
+from gpgrad_core.pipeline.one_map import infer_gradient_map, infer_slope_variance
 from gpgrad_core.pipeline.params import PipelineParams
 
 __all__ = [
@@ -35,10 +42,14 @@ __all__ = [
     "detect_loop_closures",
     "extract_kept",
     "infer_features",
+    "infer_gradient_map",
     "infer_map",
+    "infer_slope_variance",
     "is_resolved",
     "judge_pair",
     "keeping",
+    "numbers_stay",
     "register_pair",
     "resolve_parameters",
+    "with_numbers_of",
 ]

@@ -73,7 +73,7 @@ def resolve_parameters(
             of_map = _with(of_map, fitted, given)
     if given and (asked.length_scale is None or asked.noise_std is None):
         fitted = memo.lasting(
-            _fitted, some, asked.terrain, given, progress=part(progress, 0.6, 1.0)
+            _fitted, some, asked.guessed.terrain, given, progress=part(progress, 0.6, 1.0)
         )
         of_map = _with(of_map, fitted, given)
     progress(1.0)
@@ -82,6 +82,44 @@ def resolve_parameters(
         radius = _rounded(radius, bounds_of(RegistrationParams)["inlier_radius"])
     registration = replace(params.registration, inlier_radius=radius)
     return replace(params, map=of_map, registration=registration)
+
+
+def with_numbers_of(asked: PipelineParams, used: PipelineParams) -> PipelineParams:
+    """Put numbers in for what is automatic, for as long as nothing is fitted to it.
+
+    Args:
+        asked: The parameters, automatic in part.
+        used: Where the numbers come from: parameters that were used before. Where these have none
+            either, length-scale and noise are a first guess.
+    """
+    names = ("length_scale", "noise_std", "signal_std", "scale")
+    if None not in (asked.map.length_scale, asked.map.noise_std):
+        names = ("scale",)  # then a signal of None is the points' own
+    changes: dict[str, float] = {}
+    for name in names:
+        value = getattr(used.map, name)
+        if getattr(asked.map, name) is None and value is not None:
+            changes[name] = value
+    if asked.map.noise_std is None and asked.map.noise_model == used.map.noise_model:
+        changes |= {name: getattr(used.map, name) for name in ("noise_growth", "noise_factor")}
+    registration = asked.registration
+    if registration.inlier_radius is None:
+        registration = replace(registration, inlier_radius=used.registration.inlier_radius)
+    return replace(asked, map=replace(asked.map, **changes).guessed, registration=registration)
+
+
+def numbers_stay(before: PipelineParams, after: PipelineParams) -> bool:
+    """Tell whether the automatic ones of ``after`` have the numbers fitted for ``before``."""
+    grid = MapParams().resolution
+    same_fit = replace(before.map, resolution=grid, scale=None) == replace(
+        after.map, resolution=grid, scale=None
+    )
+    scales = before.map.scale, after.map.scale
+    radii = before.registration.inlier_radius, after.registration.inlier_radius
+    # The radius follows from the scale, and nothing from the radius.
+    scale_stays = scales[0] is None or scales[1] is not None
+    radius_stays = radii[1] is not None or (radii[0] is None and scales[0] == scales[1])
+    return same_fit and scale_stays and radius_stays
 
 
 def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:

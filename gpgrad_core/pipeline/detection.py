@@ -198,7 +198,8 @@ def register_pair(
     Args:
         query: The submap to be placed.
         database: The submap on which it is placed.
-        params: Parameters of all stages.
+        params: Parameters of all stages. If length-scale or noise are automatic, all that is
+            automatic is fitted to the two submaps.
         memo: Shared by all calls that may need the same results.
         progress: Called with the fraction done; may raise Cancelled.
         helper: Takes over one of the submaps if both are new; the result is the same.
@@ -211,6 +212,9 @@ def register_pair(
     """
     for submap in (query, database):
         check_affordable(submap, params)  # refused before the long work on either
+    if params.map.length_scale is None or params.map.noise_std is None:
+        params = resolve_parameters((query, database), params, memo, part(progress, 0.0, FIT_SHARE))
+        progress = part(progress, FIT_SHARE, 1.0)
     terrain = params.map.terrain
     if helper is not None and not any(
         memo.holds(fit_terrain, submap, terrain) for submap in (query, database)

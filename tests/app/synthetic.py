@@ -10,7 +10,7 @@ from app.viewer.state import ViewState
 from gpgrad_core.arrays import Array
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.loop_closure import ClosureParams
-from gpgrad_core.pipeline import DetectionResult, PairResult, PipelineParams
+from gpgrad_core.pipeline import DetectionResult, PairResult, PipelineParams, with_numbers_of
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import (
@@ -25,6 +25,9 @@ from gpgrad_core.types import (
 )
 
 T_DATABASE_QUERY = SE2(1.0, -0.5, np.pi / 2)
+
+NUMBERS = with_numbers_of(PipelineParams(), PipelineParams())
+"""The defaults, with a number for the length-scale and the noise: they need no fit."""
 
 
 def height(xy: Array) -> Array:
@@ -169,7 +172,7 @@ def make_compared() -> ComparedPairs:
     )
     seconds = {"maps": 1.0, "features": 1.0, "pairs": 1.0, "total": 3.0}
     result = DetectionResult(closures, seconds)
-    return ComparedPairs(dataset, PipelineParams(), result, measure_pairs(dataset))
+    return ComparedPairs(dataset, NUMBERS, result, measure_pairs(dataset))
 
 
 def make_features(positions: Array) -> Features:
@@ -212,4 +215,4 @@ class FakePipeline:
 
 def needing(min_inliers: int) -> PipelineParams:
     """Make the default params with another threshold on inliers."""
-    return PipelineParams(closure=ClosureParams(min_inliers=min_inliers))
+    return replace(NUMBERS, closure=ClosureParams(min_inliers=min_inliers))

@@ -15,8 +15,13 @@ from gpgrad_core.features import DetectorParams, FeatureParams, check_detector
 from gpgrad_core.gp import cost
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gradient_map import MOST_CELLS, MapParams, infer_gradient_map
-from gpgrad_core.pipeline import PipelineParams, register_pair, resolve_parameters
+from gpgrad_core.gradient_map import MOST_CELLS, MapParams
+from gpgrad_core.pipeline import (
+    PipelineParams,
+    infer_gradient_map,
+    register_pair,
+    resolve_parameters,
+)
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Grid, Submap
 from tests.core.clouds import KINDS, draw_params, draw_submaps, run_pipeline
@@ -50,15 +55,15 @@ def uniform(n: int, width: float, height: float) -> np.ndarray:
 FIXED = MapParams(length_scale=0.3, noise_std=0.05, scale=0.3)
 BLOB = np.random.default_rng(1).standard_normal((60, 2))
 ODD = {
-    "one corner of a length-scale": (uniform(600, 6, 6), MapParams(length_scale=50.0)),
+    "one corner of a length-scale": (uniform(600, 6, 6), MapParams(length_scale=50.0).guessed),
     "a strip of no height": (uniform(600, 0.01, 0.01), FIXED),
     "two blobs 141 m apart": (
         np.vstack([BLOB, BLOB + 100]),
-        MapParams(length_scale=0.3, resolution=0.1),
+        MapParams(length_scale=0.3, resolution=0.1).guessed,
     ),
     "two blobs 1 km apart": (
         np.vstack([BLOB, BLOB + np.array([1000.0, 0.0])]),
-        MapParams(length_scale=1.0, resolution=0.3),
+        MapParams(length_scale=1.0, resolution=0.3).guessed,
     ),
     "a kilometre of road": (uniform(300, 1000, 0.3), FIXED),
     "five points": (uniform(5, 4, 4), FIXED),

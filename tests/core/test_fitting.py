@@ -7,8 +7,9 @@ import pytest
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.fitting import MOST_SUBMAPS, fit_parameters
-from gpgrad_core.gradient_map import MapParams, TerrainParams, infer_gradient_map
+from gpgrad_core.gradient_map import MapParams, TerrainParams
 from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.pipeline import infer_gradient_map
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.types import Submap
 from tests.core.ground import submap

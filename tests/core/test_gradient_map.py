@@ -17,17 +17,17 @@ from gpgrad_core.gradient_map import (
     NoiseModel,
     TerrainParams,
     fit_terrain,
-    infer_gradient_map,
     point_noise,
     sample_map,
 )
+from gpgrad_core.pipeline import infer_gradient_map
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.types import GradientMap, Submap
 from tests.core.ground import Ground, cloud, submap
 
 seeds = st.integers(0, 2**32 - 1)
 FIELDS = ("elevation", "variance", "slope")
-PARAMS = MapParams(resolution=0.1)
+PARAMS = MapParams(length_scale=0.3, noise_std=0.05, resolution=0.1)
 
 
 def rms(values: Array) -> float:
@@ -82,7 +82,7 @@ def test_its_standard_deviation_is_honest() -> None:
 @settings(max_examples=10)
 @given(seed=seeds, length_scale=st.floats(0.2, 0.8))
 def test_slope_is_the_finite_difference_of_elevation(seed: int, length_scale: float) -> None:
-    params = MapParams(length_scale=length_scale, resolution=0.02)
+    params = MapParams(length_scale=length_scale, noise_std=0.05, resolution=0.02)
     made = infer_gradient_map(submap(seed, 300, (2.0, 2.0)), params)
     along_y, along_x = np.gradient(made.elevation, params.resolution)
     inner = (slice(1, -1), slice(1, -1))
@@ -218,7 +218,7 @@ def test_more_noise_trusts_points_less() -> None:
 def test_dense_clouds_are_binned_and_hardly_change() -> None:
     points = cloud(11, 12_000, (2.0, 2.0), noise=0.03)
     made = infer_gradient_map(
-        Submap.from_points(points), MapParams(length_scale=0.5, resolution=0.05)
+        Submap.from_points(points), MapParams(length_scale=0.5, noise_std=0.05, resolution=0.05)
     )
     kernel = SquaredExponential(made.signal_std, made.length_scale)
     elevation, variance, slope = fit_lattice(points, kernel, 0.05).sample(made.grid)
@@ -246,7 +246,7 @@ def test_three_points_are_enough() -> None:
 def test_a_cloud_far_smaller_than_a_length_scale_is_mapped() -> None:
     points = cloud(5, 100, (0.1, 0.1))
     made = infer_gradient_map(
-        Submap.from_points(points), MapParams(length_scale=10.0, resolution=0.01)
+        Submap.from_points(points), MapParams(length_scale=10.0, noise_std=0.05, resolution=0.01)
     )
     assert np.abs(made.elevation - points[:, 2].mean()).max() < 0.1
 
@@ -302,19 +302,19 @@ def test_each_noise_model_gives_each_point_its_noise() -> None:
 def test_a_cloud_without_noise_refuses_the_file_model_and_says_what_to_do() -> None:
     submap = Submap.from_points(cloud(3, 100), "crater")
     with pytest.raises(InputError, match=r"crater gives no noise_std .* choose another"):
-        infer_gradient_map(submap, MapParams(noise_model="file"))
+        infer_gradient_map(submap, MapParams(noise_model="file").guessed)
 
 
 @pytest.mark.parametrize("model", ["constant", "measured"])
 def test_points_far_above_the_ground_hardly_move_the_map(model: NoiseModel) -> None:
     points = cloud(3, 6000, (5.0, 5.0), noise=0.03)
-    clean = infer_gradient_map(Submap.from_points(points), MapParams(noise_model=model))
+    clean = infer_gradient_map(Submap.from_points(points), MapParams(noise_model=model).guessed)
     wrong = np.random.default_rng(0).choice(len(points), 30, replace=False)
     spoilt = points.copy()
     spoilt[wrong, 2] += 0.5  # by more, they would be wild points, which no map gets
     submap = Submap.from_points(spoilt)
     assert not submap.num_wild
-    params = MapParams(noise_model=model, signal_std=clean.signal_std)
+    params = MapParams(noise_model=model, signal_std=clean.signal_std).guessed
     made = infer_gradient_map(submap, params)
     told = point_noise(submap, params.terrain).outlying
     assert told[wrong].mean() > 0.85

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gradient_map import MapParams, infer_gradient_map
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.pipeline import infer_gradient_map
 from gpgrad_core.scale import (
     finest_of_kernel,
     noise_density,
@@ -85,5 +86,5 @@ def test_a_map_alone_tells_the_scale_by_its_points_whatever_its_kernel(length_sc
         params = MapParams(length_scale=length_scale, noise_std=noise, resolution=0.1)
         scales.append(infer_gradient_map(submap, params).scale)
     assert scales[0] < scales[1] < scales[2]
-    told = MapParams(length_scale=length_scale, scale=0.4, resolution=0.1)
+    told = MapParams(length_scale=length_scale, noise_std=0.05, scale=0.4, resolution=0.1)
     assert infer_gradient_map(submap, told).scale == 0.4

@@ -1,4 +1,3 @@
-# ruff: noqa: T201 - a command that prints tables
 """Submaps found on elevation models of their ground: ``python -m tests.quality.locating``.
 
 The model of each submap is made from all other submaps at their true poses, so it has seen the

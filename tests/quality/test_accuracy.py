@@ -39,7 +39,7 @@ def test_elevation_and_slope_are_exact_wherever_the_noise_differs(start: int) ->
             for name in ("elevation", "slope", "std")
         }
         said = ", ".join(f"{name} {100 * value:.2f} %" for name, value in worst.items())
-        print(f"\n{solver}, {NUM_DRAWS} draws, largest error: {said}")  # noqa: T201 - read with -s
+        print(f"\n{solver}, {NUM_DRAWS} draws, largest error: {said}")
         assert worst["elevation"] <= 0.01
         assert worst["slope"] <= 0.01
         assert worst["std"] <= 0.02
@@ -52,7 +52,7 @@ def test_the_map_is_the_dense_form_or_refused_over_many_clouds(start: int) -> No
     names = ("elevation", "slope", "std", "std_anywhere")
     worst = {name: max(getattr(one, name) for one in errors) for name in names}
     said = ", ".join(f"{name} {100 * value:.2f} %" for name, value in worst.items())
-    print(f"\n{len(drawn) - len(errors)} of {NUM_DRAWS} refused, largest error: {said}")  # noqa: T201
+    print(f"\n{len(drawn) - len(errors)} of {NUM_DRAWS} refused, largest error: {said}")
     assert len(errors) > 0.9 * NUM_DRAWS
     assert worst["elevation"] <= 0.01
     assert worst["slope"] <= 0.01

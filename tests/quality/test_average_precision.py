@@ -38,7 +38,7 @@ def test_pairs_rank_as_well_as_promised(name: str, real_data: Path) -> None:
         f"  accepted {ranking.accepted.sum()}, of these {(ranking.accepted & apart).sum()} that do "
         f"not meet; highest score of such {ranking.score[apart].max():.2f}"
     )
-    print("\n".join(lines))  # noqa: T201
+    print("\n".join(lines))
     ranked = strict.methods[0].rules[0].ranked
     assert ranked is not None
     assert ranked.average_precision.value >= LEAST_AVERAGE_PRECISION[name]

@@ -14,7 +14,8 @@ from scipy.ndimage import map_coordinates
 
 from gpgrad_core.datasets import SimulationParams, load_dataset
 from gpgrad_core.evaluation.calibration import judge_errors
-from gpgrad_core.gradient_map import MapParams, infer_gradient_map
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.pipeline import infer_gradient_map
 from gpgrad_core.scans import build_dataset, simulate_recording
 from gpgrad_core.types import Submap
 from tests.core.scans.test_build import contents
@@ -105,4 +106,4 @@ def test_the_noise_of_a_mean_is_honest(recording: Path, tmp_path: Path) -> None:
 
 
 def say(line: str) -> None:
-    print(line, flush=True)  # noqa: T201 - read with -s
+    print(line, flush=True)

@@ -11,7 +11,7 @@ from gpgrad_core.evaluation import calibrate, describe_calibration
 @pytest.mark.parametrize("name", ["marsyard2021", "sthelens", "apollo15"])
 def test_measured_noise_is_honest_and_tells_more(name: str, real_data: Path) -> None:
     found = calibrate(load_dataset(real_data / name))
-    print(f"\n{name}\n{describe_calibration(found).text}")  # noqa: T201
+    print(f"\n{name}\n{describe_calibration(found).text}")
     judged = {one.name: one for one in found}
     measured, fitted = judged["measured noise"], judged["measured noise, fitted"]
     assert fitted.within_68 == pytest.approx(0.6827, abs=0.03)

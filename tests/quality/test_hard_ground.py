@@ -122,7 +122,7 @@ def tell(name: str, evaluation: Evaluation) -> None:
     method = evaluation.methods[0]
     ranked, accepted = method.rules[SURFACE].ranked, method.accepted
     assert ranked is not None
-    print(  # noqa: T201
+    print(
         f"\n{name:28} AP {ranked.average_precision.value:.4f} "
         f"R100 {ranked.recall_at_full_precision.value:.3f}; accepted {accepted.right} right, "
         f"{accepted.wrong_motion} with a wrong motion, {accepted.no_overlap} without overlap"

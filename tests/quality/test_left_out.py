@@ -133,7 +133,7 @@ def test_the_score_holds_on_a_set_that_it_was_not_fitted_to(
     left_out = judged[name]
     accepted = score_of(left_out.evidence, level, spread) >= ClosureParams().min_score
     recall = np.mean(accepted[left_out.true])
-    print(  # noqa: T201
+    print(
         f"\n{name:14} level {level:.2f}, spread {spread:.2f} of the others "
         f"(default {UNRELATED_LEVEL:g}, {UNRELATED_SPREAD:g}): accepts {100 * recall:.1f} % of "
         f"{left_out.true.sum()} true pairs, {np.sum(accepted & left_out.far)} of "

@@ -121,7 +121,7 @@ def test_eight_pages_end_in_the_same_state(serve: Serve, visit: Visit) -> None:
     drag(viewer, pages[0], "Minimum score", [float(number % 10) for number in range(50)])
     settle(viewer, [pages[0], pages[7]])
     assert pages[0].seen() == pages[7].seen()
-    print(  # noqa: T201
+    print(
         f"\n{PAGES} pages, {EVENTS} events in {SECONDS:.0f} s: {len(shown[0])} pictures; pages "
         f"see one within {1000 * statistics.median(lag):.0f} ms of each other (median), "
         f"{1000 * max(lag):.0f} ms (most). Server's peak memory {before:.0f} MB before, "
@@ -174,7 +174,7 @@ def test_a_drag_of_200_events_in_2_s(
     during = [state for state in order if state is not asked[-1]]
     assert len(during) >= 5
     took = time.monotonic() - start
-    print(f"\n{label}: {len(order)} pictures of {EVENTS} events, {took:.1f} s in all")  # noqa: T201
+    print(f"\n{label}: {len(order)} pictures of {EVENTS} events, {took:.1f} s in all")
 
 
 def test_separate_sessions_share_what_they_computed(serve: Serve, visit: Visit) -> None:
@@ -191,4 +191,4 @@ def test_separate_sessions_share_what_they_computed(serve: Serve, visit: Visit) 
     )
     settle(viewer, [second])
     assert viewer._memo.num_bytes == held  # nothing was made anew
-    print(f"\nwhat another page has computed is there in {time.monotonic() - start:.1f} s")  # noqa: T201
+    print(f"\nwhat another page has computed is there in {time.monotonic() - start:.1f} s")

@@ -126,7 +126,7 @@ def test_a_large_dataset_is_seen_at_once(page: ViewerPage) -> None:
     page.wait(lambda: summary.count() > 0 and "30 submaps" in summary.inner_text(), "the overview")
     page.wait(lambda: not page.is_blank() and (page.picture() != before).any(), "its picture")
     overview = time.monotonic() - start
-    print(f"first picture {opened:.1f} s, overview {overview:.1f} s: {summary.inner_text()}")  # noqa: T201
+    print(f"first picture {opened:.1f} s, overview {overview:.1f} s: {summary.inner_text()}")
     assert opened <= 3.0
     assert overview <= 8.0
 
@@ -136,6 +136,6 @@ def test_switching_leaves_nothing(page: ViewerPage, viewer: Viewer, tmp_path: Pa
     for k in range(WARM_UP + ROUNDS):
         look_around(page, viewer, tmp_path / "first", tmp_path / "second")
         used.append((resident_megabytes(), heap_megabytes(page)))
-        print(f"round {k}: server {used[-1][0]:.0f} MB, page {used[-1][1]:.1f} MB")  # noqa: T201
+        print(f"round {k}: server {used[-1][0]:.0f} MB, page {used[-1][1]:.1f} MB")
     for before, after in zip(used[WARM_UP - 1], used[-1], strict=True):
         assert after <= 1.1 * before

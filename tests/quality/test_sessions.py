@@ -50,7 +50,7 @@ def test_500_separate_sessions_come_and_go() -> None:
                     page.close()
             if (number + 1) % max(1, SESSIONS // AT_ONCE // 5) == 0:
                 seen.append(floor_of(viewer))
-                print(f"{AT_ONCE * (number + 1)} sessions: {seen[-1]}")  # noqa: T201
+                print(f"{AT_ONCE * (number + 1)} sessions: {seen[-1]}")
     finally:
         viewer.close()
     first, last = seen[0], seen[-1]

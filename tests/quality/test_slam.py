@@ -252,4 +252,4 @@ def told(before: float, after: float) -> str:
 
 
 def say(line: str) -> None:
-    print(f"\n{line}", end="")  # noqa: T201
+    print(f"\n{line}", end="")

@@ -12,7 +12,7 @@ MINUTES = 4.0
 
 def test_a_viewer_in_use_neither_grows_nor_lags_behind() -> None:
     report = soak(MINUTES, seed=1, memory="1GB", every=30.0)
-    print(f"\n{report.text()}")  # noqa: T201
+    print(f"\n{report.text()}")
     assert report.stale == []
     assert report.errors == []
     assert report.num_checks >= 2

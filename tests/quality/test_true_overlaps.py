@@ -44,5 +44,5 @@ def test_overlaps_equal_the_table(name: str, real_data: Path) -> None:
     height = column("median_abs_dz_m")
     assert (np.isnan(height) == np.isnan(pairs.height_difference)).all()
     assert np.nanmax(np.abs(height - pairs.height_difference)) <= 0.5e-3
-    print(f"\n{name}: {len(pairs)} pairs, cells of {CELL} m, {seconds:.2f} s")  # noqa: T201
+    print(f"\n{name}: {len(pairs)} pairs, cells of {CELL} m, {seconds:.2f} s")
     assert seconds < 10  # a second or two; a slow machine is no failure

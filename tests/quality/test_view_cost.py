@@ -77,14 +77,14 @@ def test_mask_inlier_and_colour_changes_cost_little(server: viser.ViserServer) -
             scene.show(state, changed)
             times.append(1000 * (time.thread_time() - start))
         costs[name] = statistics.median(times)
-    print("\n" + " · ".join(f"{name} {cost:.1f} ms" for name, cost in costs.items()))  # noqa: T201
+    print("\n" + " · ".join(f"{name} {cost:.1f} ms" for name, cost in costs.items()))
     surfaces = [
         server.scene._handle_from_node_name[f"/pair/{role}/surface"]
         for role in ("query", "database")
     ]
     scene.show(with_options(STATE, untrusted="shown"), result)
     sizes = [handle.points.nbytes + handle.colors.nbytes for handle in surfaces]  # type: ignore[union-attr]
-    print(f"surfaces: {sizes} bytes")  # noqa: T201
+    print(f"surfaces: {sizes} bytes")
     assert max(sizes) <= TARGET_BYTES
     for name in ("mask", "inliers", "colours"):
         assert costs[name] <= TARGET_MS, name
@@ -109,7 +109,7 @@ def test_the_flat_picture_comes_after_the_scene_and_only_the_last(
         session.desk.change(match=number)
         time.sleep(0.004)
     assert session.wait_idle(60)
-    print(f"\n{len(drawn)} flat pictures for 59 changes")  # noqa: T201
+    print(f"\n{len(drawn)} flat pictures for 59 changes")
     assert 1 <= len(drawn) < 59
     assert drawn[-1] == 59
     session.close()

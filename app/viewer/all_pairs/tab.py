@@ -208,7 +208,7 @@ class AllPairsTab(Feature):
         score = data.get("score")
         if not isinstance(score, float):
             return
-        params, bounds = self._desk.state.params, bounds_of(ClosureParams)["min_score"]
+        params, bounds = self._desk.state.asked, bounds_of(ClosureParams)["min_score"]
         try:
             closure = replace(params.closure, min_score=bounds.round(score))
         except (InputError, ValueError, OverflowError):

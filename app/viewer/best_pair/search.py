@@ -12,7 +12,7 @@ from app.viewer.best_pair.panel import BestPairNote, ShowBestButton
 from app.viewer.feature import Desk, Feature, Subject
 from app.viewer.opened import Opened
 from app.viewer.runner import Runner
-from app.viewer.state import NEEDS_TWO, ViewState
+from app.viewer.state import NEEDS_TWO, ViewState, was_fitted
 from app.viewer.widgets.bridge import Data
 from app.viewer.widgets.commands import Commands
 from app.viewer.work import message_of
@@ -109,6 +109,8 @@ class BestPair(Feature):
         if state is self._state:
             return
         before, self._state = self._state, state
+        if was_fitted(before, state):
+            return
         pair = state.query_id, state.database_id
         with self._lock:
             mine = pair == self._switched_to

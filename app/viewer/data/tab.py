@@ -170,10 +170,9 @@ class DataTab(Feature):
         dataset = replace(dataset, notes=(*notes, *dataset.notes))
         if request.saved is not None:
             request.saved.check(dataset)
-        params = resolve_parameters(
-            dataset.submaps, preferred_parameters(dataset, PipelineParams()), self._desk.memo
-        )
-        return Opened(dataset, params, str(source), request.saved)
+        params = preferred_parameters(dataset, PipelineParams())
+        used = resolve_parameters(dataset.submaps, params, self._desk.memo)
+        return Opened(dataset, params, str(source), request.saved, used)
 
     def _unpacked(
         self, name: str, content: bytes, progress: Progress

@@ -47,8 +47,8 @@ class Link:
 def address_of(state: ViewState, subject: Subject = "pair", camera: Camera | None = None) -> str:
     """Write what is shown.
 
-    All parameters are named that are not gpgrad's own, those fitted to the dataset included. So the
-    numbers are the same wherever the link is opened.
+    All parameters are named that are not gpgrad's own. What is automatic is fitted where the link
+    is opened, and gives the same numbers there, because it depends on the dataset alone.
 
     Args:
         state: The session.
@@ -70,7 +70,7 @@ def address_of(state: ViewState, subject: Subject = "pair", camera: Camera | Non
         entries.append(("scene", subject))
     for group, values, base in (
         ("view", state.options, ViewOptions()),
-        ("params", state.params, PipelineParams()),
+        ("params", state.asked, PipelineParams()),
     ):
         for field in parameters_of(type(base)):
             value = get_path(values, field.path)

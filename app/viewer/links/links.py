@@ -189,7 +189,7 @@ def _asks_for(link: Link, state: ViewState) -> bool:
         _has_open(link, state)
         and (saved.query_id, saved.database_id)
         == (state.query_id, state.database_id if state.is_pair else None)
-        and saved.params == state.params
+        and saved.params == state.asked
         and saved.options == state.options
     )
 

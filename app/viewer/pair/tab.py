@@ -19,9 +19,9 @@ from app.viewer.runner import Runner
 from app.viewer.state import COMPARED, Role, ViewState, same_surfaces
 from app.viewer.widgets.title import PageTitle
 from app.viewer.work import message_of
-from gpgrad_core.pipeline import PairResult, infer_map, register_pair
+from gpgrad_core.pipeline import PairResult, infer_map, register_pair, resolve_parameters
 from gpgrad_core.pipeline.coarse import infer_quick_map, infer_quick_maps
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.types import GradientMap
 
 
@@ -155,6 +155,12 @@ class PairTab(Feature):
 
     def _compute(self, state: ViewState, progress: Progress) -> PairPicture:
         told = self._status.reported(progress)
+        if not state.settled:
+            submaps = state.dataset.submaps
+            self._desk.settle(
+                state, resolve_parameters(submaps, state.asked, self._desk.memo, told)
+            )
+            raise Cancelled  # the state with the fitted numbers waits by now, or a newer one
         if not state.is_pair:
             alone = infer_map(state.query, state.params, self._status.memo, told)
             self._painted = state

@@ -10,7 +10,6 @@ from app.viewer.work import Work
 from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.gradient_map import MapParams, TerrainParams
 from gpgrad_core.params.fields import bounds_of
-from gpgrad_core.pipeline import PipelineParams, resolve_parameters
 from gpgrad_core.run.progress import Progress
 
 
@@ -31,21 +30,7 @@ class FitTool(Feature):
             slots=desk.capacity.long,
             name="fit",
         )
-        self._chooser: Work[tuple[ViewState, PipelineParams], PipelineParams] = Work(
-            self._panel.work_bar,
-            lambda _: "Fitting to the dataset",
-            lambda asked, progress: resolve_parameters(
-                asked[0].dataset.submaps, asked[1], desk.memo, progress
-            ),
-            self._on_chosen,
-            slots=desk.capacity.long,
-            name="automatic parameters",
-        )
-        self.workers = (self._fitter, self._chooser)
-
-    def choose(self, params: PipelineParams) -> None:
-        """Fit the automatic ones of some parameters to the dataset, and change to the result."""
-        self._chooser.start((self._state, params))
+        self.workers = (self._fitter,)
 
     def follow(self, state: ViewState) -> None:
         """Follow the session; a fit to submaps that are no longer shown is stopped."""
@@ -55,21 +40,13 @@ class FitTool(Feature):
             self._fitter.cancel()
             self._panel.work_bar.idle()
 
-    def _on_chosen(
-        self, asked: tuple[ViewState, PipelineParams], params: PipelineParams, seconds: float
-    ) -> None:
-        del seconds
-        if asked[0].dataset is self._state.dataset:  # no other was opened meanwhile
-            self._desk.change(params=params)
-            self._desk.host.flush()
-
     def _on_result(self, state: ViewState, result: FitResult, seconds: float) -> None:
         if not _same_submaps(state, self._state):
             return  # others are shown since the very last moment
         start = state.params.map.terrain
         found = {name: _value(result.params, name) for name in fitted_names(start)}
         self._panel.show(_headline(result, seconds), _rows(start, found, result))
-        params = self._desk.state.params
+        params = self._desk.state.asked
         self._desk.change(params=replace(params, map=with_fitted(params.map, found)))
         self._desk.host.flush()
 

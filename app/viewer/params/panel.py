@@ -40,6 +40,7 @@ class ParamsPanel(Generic[P]):
         on_error: Callable[[str], None] | None = None,
         on_move: Callable[[P], None] | None = None,
         numbers: Numbers | None = None,
+        used: P | None = None,
     ) -> None:
         """Make the widgets in the current container.
 
@@ -54,10 +55,12 @@ class ParamsPanel(Generic[P]):
             on_move: Given the value in place of ``on_change`` while a hand is on a slider; None
                 makes no difference.
             numbers: Takes what is typed beside the sliders.
+            used: The same with numbers for what is automatic; the sliders show these.
         """
         self._on_move = on_move or on_change
         self._numbers = numbers
         self._host = host
+        self._used = value if used is None else used
         self._default = value
         self._value = value
         self._on_change = on_change
@@ -77,11 +80,24 @@ class ParamsPanel(Generic[P]):
         """The params as the widgets show them."""
         return self._value
 
-    def set(self, value: P) -> None:
-        """Show other params; ``on_change`` is not called."""
-        self._value = value
+    @property
+    def used(self) -> P:
+        """The same with numbers for what is automatic, as far as they are known."""
+        return self._used
+
+    def set(self, value: P, used: P | None = None) -> None:
+        """Show other params; ``on_change`` is not called.
+
+        Args:
+            value: The params; None is automatic.
+            used: The same with numbers for what is automatic; None if none are known.
+        """
+        only_numbers, self._value = value == self._value, value
+        self._used = value if used is None else used
         for path, setting in self._settings.items():
-            self._show(setting, get_path(value, path))
+            asked, number = get_path(value, path), get_path(self._used, path)
+            if not only_numbers or asked != number:  # else it may be under a hand
+                self._show(setting, number, automatic=asked is None)
 
     def reset(self) -> P:
         """Go back to the defaults; returns them, ``on_change`` is not called."""
@@ -127,7 +143,7 @@ class ParamsPanel(Generic[P]):
     def _add(self, setting: Field, name: str | None) -> None:
         gui, path = self._host.gui, setting.path
         label = with_unit(name, setting.bounds) if name else setting.label
-        current: Any = get_path(self._value, path)
+        current: Any = get_path(self._used, path)
         if isinstance(setting.kind, tuple):
             handle: Any = gui.add_dropdown(
                 label, setting.kind, initial_value=str(current), hint=setting.doc
@@ -164,7 +180,7 @@ class ParamsPanel(Generic[P]):
         low, high = min(low, start), max(high, start)
         unit = f" {bounds.unit}" if bounds.unit else ""
         default: Any = get_path(self._default, setting.path)
-        default_text = "automatic" if default is None else f"{default:g}{unit}"
+        default_text = "automatic" if default is None else f"{default:g}{unit} (the mark)"
         kind: Any = int if whole else float
         handle = self._host.gui.add_slider(
             label,
@@ -174,7 +190,8 @@ class ParamsPanel(Generic[P]):
             initial_value=kind(start),
             marks=() if default is None else (kind(default),),
             disabled=current is None,
-            hint=f"{setting.doc} Default: {default_text} (the mark). Allowed: {bounds.range}.",
+            visible=current is not None,
+            hint=f"{setting.doc} Default: {default_text}. Allowed: {bounds.range}.",
         )
         if bounds.spans_decades:
             self._decades.append(handle)
@@ -188,8 +205,11 @@ class ParamsPanel(Generic[P]):
 
         def choose(automatic: bool) -> None:
             slider: Any = self._inputs[setting.path]
-            slider.disabled = automatic
-            self._change(setting, None if automatic else slider.value)
+            number = get_path(self._used, setting.path)
+            if automatic or number is not None:
+                self._set(setting, None if automatic else number)
+            else:
+                self._change(setting, slider.value)
 
         on_choice(box, choose)
 
@@ -212,15 +232,25 @@ class ParamsPanel(Generic[P]):
     def _type(self, setting: Field, number: float) -> None:
         """Take a number that was typed; the slider reaches it."""
         self._change(setting, number)
-        self._show(setting, get_path(self._value, setting.path))
+        self._show(setting, get_path(self._used, setting.path), automatic=False)
 
     def _change(self, setting: Field, raw: object, *, moves: bool = False) -> None:
+        self._set(setting, _rounded(setting, raw), moves=moves)
+
+    def _set(self, setting: Field, value: object, *, moves: bool = False) -> None:
+        """Set a parameter; None makes it automatic, and keeps its number until a fit is done."""
         try:
-            self._value = with_path(self._value, setting.path, _rounded(setting, raw))
+            self._value = with_path(self._value, setting.path, value)
         except InputError as error:
             if self._on_error is not None:
                 self._on_error(str(error))
             return
+        if value is not None:
+            self._used = with_path(self._used, setting.path, value)
+        box, slider = self._automatic.get(setting.path), self._inputs[setting.path]
+        if box is not None:
+            box.value = value is None
+            slider.visible, slider.disabled = True, False
         self._fit_ranges(setting)
         (self._on_move if moves else self._on_change)(self._value)
 
@@ -232,7 +262,7 @@ class ParamsPanel(Generic[P]):
         for path, setting in self._settings.items():
             handle = self._inputs[path]
             if isinstance(handle, viser.GuiSliderHandle):
-                self._fit_range(setting, handle, get_path(self._value, path), grow=setting is moved)
+                self._fit_range(setting, handle, get_path(self._used, path), grow=setting is moved)
 
     @staticmethod
     def _fit_range(
@@ -251,12 +281,12 @@ class ParamsPanel(Generic[P]):
         if handle.max != high:
             handle.max = high
 
-    def _show(self, setting: Field, value: object) -> None:
+    def _show(self, setting: Field, value: object, *, automatic: bool) -> None:
         handle: Any = self._inputs[setting.path]
         box = self._automatic.get(setting.path)
         if box is not None:
-            box.value = value is None
-            handle.disabled = value is None
+            box.value = automatic
+            handle.disabled, handle.visible = value is None, value is not None
         if value is None:
             return
         if isinstance(handle, viser.GuiSliderHandle):

@@ -55,7 +55,7 @@ class PresetsTool(Feature):
     def follow(self, state: ViewState) -> None:
         """Point at the preset that the parameters are."""
         with self._lock:
-            changed = state.params != self._state.params
+            changed = state.asked != self._state.asked
             self._state = state
             if changed:
                 self._show()
@@ -70,7 +70,7 @@ class PresetsTool(Feature):
         self._show()
 
     def _show(self) -> None:
-        params = self._state.params
+        params = self._state.asked
         matching = [preset for preset in (*BUILT_IN, *self._own) if preset.params == params]
         self._shown = matching[0] if matching else None
         if self._shown is None:
@@ -88,7 +88,7 @@ class PresetsTool(Feature):
             if self._folder is None:
                 return
             try:
-                saved = save_preset(self._folder, name, self._state.params)
+                saved = save_preset(self._folder, name, self._state.asked)
             except InputError as error:
                 self._panel.tell(str(error), bad=True)
                 return
@@ -111,7 +111,7 @@ class PresetsTool(Feature):
 
     def _download(self, name: str, client: viser.ClientHandle) -> None:
         name = name or (self._shown.name if self._shown else "parameters")
-        text = preset_text(name.replace("\n", " "), self._state.params)
+        text = preset_text(name.replace("\n", " "), self._state.asked)
         send_file(client, f"{safe_name(name, 'parameters')}.toml", text.encode())
 
     def _upload(self, name: str, content: bytes) -> None:

@@ -130,7 +130,7 @@ class SensitivityTool(Feature):
         job, tried = done
         for one in tried:
             if one.value == data.get("value"):
-                self._desk.change(params=with_path(self._state.params, job.field.path, one.value))
+                self._desk.change(params=with_path(self._state.asked, job.field.path, one.value))
                 return
 
 

@@ -49,12 +49,12 @@ class SnapshotsTool(Feature):
 
     def keep(self, name: Name) -> None:
         """Keep the present parameters under a name."""
-        self._kept[name] = self._state.params
+        self._kept[name] = self._state.asked
         self._show()
 
     def switch(self) -> None:
         """Change to the other one; to A from parameters that are neither."""
-        wanted: Name = "B" if self._state.params == self._kept.get("A") else "A"
+        wanted: Name = "B" if self._state.asked == self._kept.get("A") else "A"
         if wanted in self._kept:
             self._desk.change(params=self._kept[wanted])
 
@@ -63,7 +63,7 @@ class SnapshotsTool(Feature):
         before, self._state = self._state, state
         if state.dataset is not before.dataset:
             self._kept.clear()
-        elif state.params == before.params:
+        elif state.asked == before.asked:
             return
         self._show()
 
@@ -85,7 +85,7 @@ class SnapshotsTool(Feature):
     def _said(self) -> str:
         if not self._kept:
             return ""
-        shown = [name for name, params in self._kept.items() if params == self._state.params]
+        shown = [name for name, params in self._kept.items() if params == self._state.asked]
         here = f"{' and '.join(sorted(shown))} shown." if shown else "Neither is shown."
         if len(self._kept) < 2:
             (other,) = {"A", "B"} - set(self._kept)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 
 from app.viewer.feature import Desk, Feature
 from app.viewer.opened import Opened
@@ -15,7 +16,7 @@ from app.viewer.state import ViewState
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.errors import InputError
-from gpgrad_core.pipeline import PipelineParams, is_resolved
+from gpgrad_core.pipeline import PipelineParams
 
 SWEPT = (
     "map.length_scale",
@@ -53,20 +54,20 @@ class ParamsTab(Feature):
             commands: Get undo and redo.
             on_error: Given the message if a value is refused.
         """
-        self._params = desk.state.params
+        self._desk = desk
         self._panel: ParamsPanel[PipelineParams] = ParamsPanel(
             desk.host,
-            desk.state.params,
-            lambda params: desk.change(params=params),
+            desk.state.asked,
+            self._change,
             main=MAIN_PARAMETERS,
             on_error=on_error,
-            on_move=lambda params: desk.change(params=params, moving=True),
+            on_move=lambda params: self._change(params, moving=True),
             numbers=desk.numbers,
+            used=desk.state.params,
         )
         desk.numbers.refuse, desk.numbers.rested = on_error, self._rest
-        self._desk = desk
         self._panel.set_default(default)
-        self._fit = desk.join(FitTool(desk))
+        desk.join(FitTool(desk))
         desk.join(UndoTool(desk, commands))
         reset = desk.host.gui.add_button(
             "Reset parameters", hint="Goes back to the parameters that this dataset started with."
@@ -77,16 +78,13 @@ class ParamsTab(Feature):
         desk.join(PresetsTool(desk))
 
     def follow(self, state: ViewState) -> None:
-        """Move the sliders to parameters that came from elsewhere; fit what was made automatic."""
-        before, self._params = self._params, state.params
-        if _made_automatic(before, state.params):
-            self._fit.choose(state.params)
-        if state.params != self._panel.value:
-            self._panel.set(state.params)
+        """Move the sliders to parameters that came from elsewhere, or from a fit."""
+        if (state.asked, state.params) != (self._panel.value, self._panel.used):
+            self._panel.set(state.asked, state.params)
 
     def _rest(self, widget: str, value: float | None) -> None:
         """Tell where a slider was let go."""
-        params = self._desk.state.params
+        params = self._desk.state.asked
         with suppress(InputError):  # what no slider of ours says
             if value is not None:
                 params = self._panel.with_moved(params, widget, value)
@@ -96,7 +94,13 @@ class ParamsTab(Feature):
         """Reset to what the new dataset prefers."""
         self._panel.set_default(opened.params)
 
-
-def _made_automatic(before: PipelineParams, after: PipelineParams) -> bool:
-    """Tell whether a parameter that is fitted to the dataset had a value, and no longer has."""
-    return is_resolved(before) and not is_resolved(after)
+    def _change(self, asked: PipelineParams, *, moving: bool = False) -> None:
+        """Take what a person has set; the noise is no longer automatic if a part of it is set."""
+        before, of_map = self._desk.state, asked.map
+        if of_map.noise_std is None and (of_map.noise_growth, of_map.noise_factor) != (
+            before.asked.map.noise_growth,
+            before.asked.map.noise_factor,
+        ):
+            noise_std = before.params.map.noise_std
+            asked = replace(asked, map=replace(of_map, noise_std=noise_std))
+        self._desk.change(params=asked, moving=moving)

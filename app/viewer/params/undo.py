@@ -9,7 +9,7 @@ from app.viewer.params.history import History
 from app.viewer.state import ViewState
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.commands import Commands
-from gpgrad_core.pipeline import PipelineParams, is_resolved
+from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset
 
 
@@ -28,9 +28,9 @@ class UndoTool(Feature):
         """
         self._desk = desk
         self._lock = threading.Lock()
-        self._history = History(desk.state.params)
+        self._history = History(desk.state.asked)
         self._dataset: Dataset = desk.state.dataset
-        self._latest = desk.state.params
+        self._latest = desk.state.asked
         self._gone = False  # elsewhere, since a hand has moved anything
         gui = desk.host.gui
         self._undo = gui.add_button(
@@ -51,16 +51,14 @@ class UndoTool(Feature):
         """Follow the parameters; those of another dataset have a history of their own."""
         with self._lock:
             if state.dataset is not self._dataset:
-                self._dataset, self._latest = state.dataset, state.params
-                self._history = History(state.params)
+                self._dataset, self._latest = state.dataset, state.asked
+                self._history = History(state.asked)
                 self._show()
-            elif is_resolved(self._latest) and not is_resolved(state.params):
-                pass  # a fit follows, whose result is what can be undone
-            elif state.params != self._latest:
+            elif state.asked != self._latest:
                 if not self._desk.moving:
                     # What a hand has moved before, and not let go of, is a step of its own.
-                    self._history = self._history.push(self._latest).push(state.params)
-                self._latest = state.params
+                    self._history = self._history.push(self._latest).push(state.asked)
+                self._latest = state.asked
                 self._gone = False
                 self._show()
 

@@ -4,7 +4,7 @@ import shlex
 from pathlib import Path
 
 from app.viewer.state import ViewState
-from gpgrad_core.params.fields import get_path, parameters_of
+from gpgrad_core.params.fields import AUTOMATIC, get_path, parameters_of
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
 
@@ -20,7 +20,7 @@ def detect_command(state: ViewState) -> str:
     """
     words = ["gpgrad", "detect", str(Path(state.source).absolute()), "--out", "closures.json"]
     words += ["--pair", state.query_id, state.database_id]
-    words += flags(state.params, preferred_parameters(state.dataset, PipelineParams()))
+    words += flags(state.asked, preferred_parameters(state.dataset, PipelineParams()))
     return shlex.join(words)
 
 
@@ -36,6 +36,6 @@ def flags(params: PipelineParams, base: PipelineParams) -> list[str]:
             found.append(f"--{group}.{name}" if value else f"--{group}.no-{name}")
         else:
             # repr of a float is the shortest text that reads back as the same number.
-            text = value if isinstance(value, str) else repr(value)
+            text = value if isinstance(value, str) else AUTOMATIC if value is None else repr(value)
             found += [f"--{group}.{name}", text]
     return found

@@ -55,7 +55,7 @@ def report_html(
         f"<h2>Command</h2><p>This command finds the same inliers, score and motion:</p>"
         f"<pre>{escape(command_of(state))}</pre>{here}"
         f"<h2>Parameters</h2><p>What differs from gpgrad's own defaults is bold.</p>"
-        f"<table>{_parameters(state.params)}</table>"
+        f"<table>{_parameters(state)}</table>"
         f"<p>gpgrad {escape(VERSION)}</p></html>"
     )
 
@@ -63,7 +63,7 @@ def report_html(
 def lines_below(state: ViewState, result: PairResult, *, link: str = "", decided: str = "") -> str:
     """Write what stands below the figure of a report that is one picture."""
     figures = " · ".join(f"{row.name} {row.value}" for row in rows_of(state, result))
-    changed = [f"{path} {value}" for path, value, differs in _values(state.params) if differs]
+    changed = [f"{path} {value}" for path, value, differs in _values(state) if differs]
     blocks = [
         in_words(state, result),
         *([decided] if decided else []),
@@ -88,23 +88,25 @@ def _folded(text: str) -> list[str]:
     return textwrap.wrap(text, LONGEST_LINE, subsequent_indent="    ", break_on_hyphens=False)
 
 
-def _values(params: PipelineParams) -> list[tuple[str, str, bool]]:
-    """List the parameters: name, value with unit, and whether it differs from the default."""
+def _values(state: ViewState) -> list[tuple[str, str, bool]]:
+    """List the parameters: name, value with unit, and whether something else was asked for."""
     base = PipelineParams()
     found: list[tuple[str, str, bool]] = []
     for field in parameters_of(PipelineParams):
-        value, default = get_path(params, field.path), get_path(base, field.path)
+        value, asked = get_path(state.params, field.path), get_path(state.asked, field.path)
         text = f"{value:g}" if type(value) is float else str(value)
         unit = "" if field.bounds is None else f" {field.bounds.unit}".rstrip()
-        found.append((field.path, "automatic" if value is None else text + unit, value != default))
+        if asked is None:
+            text, unit = ("automatic", "") if value is None else (text, f"{unit}, automatic")
+        found.append((field.path, text + unit, asked != get_path(base, field.path)))
     return found
 
 
-def _parameters(params: PipelineParams) -> str:
+def _parameters(state: ViewState) -> str:
     return "".join(
         f"<tr{' class=changed' if differs else ''}><th>{escape(name)}</th><td>{escape(value)}</td>"
         "</tr>"
-        for name, value, differs in _values(params)
+        for name, value, differs in _values(state)
     )
 
 

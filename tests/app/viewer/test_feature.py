@@ -25,7 +25,7 @@ def test_each_change_reaches_every_feature_once_and_in_order(server: viser.Viser
     desk.change(options=registered(STATE.options))
     assert first.states == second.states
     assert [state.query_id for state in first.states] == ["002"] * 5
-    assert [state.params == needing(7) for state in first.states] == [False] + [True] * 4
+    assert [state.asked == needing(7) for state in first.states] == [False] + [True] * 4
     assert [state.match for state in first.states] == [0, 0, 3, 3, 3]
     assert [state.probe is None for state in first.states] == [True, True, False, True, True]
     assert desk.state is first.states[-1]
@@ -61,7 +61,7 @@ def test_another_dataset_keeps_the_view(server: viser.ViserServer) -> None:
     opened = Opened(make_dataset(num_points=100, name="other"), needing(3), "/data/other")
     desk.open(opened)
     assert recorder.datasets == [opened]
-    assert (desk.state.dataset.name, desk.state.params) == ("other", needing(3))
+    assert (desk.state.dataset.name, desk.state.asked) == ("other", needing(3))
     assert desk.state.options.dark
 
 

@@ -19,11 +19,11 @@ from app.viewer.pose_graph.tab import PoseGraphTab, result_rows
 from app.viewer.session import Session
 from app.viewer.state import ViewState
 from app.viewer.world import tab as explore_module
-from gpgrad_core.pipeline import PairResult, PipelineParams
+from gpgrad_core.pipeline import PairResult
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration
-from tests.app.synthetic import FakePipeline, make_dataset, make_result
+from tests.app.synthetic import NUMBERS, FakePipeline, make_dataset, make_result
 from tests.app.widgets import find, user_presses, user_sets
 
 DRIFT = SE2(0.15, -0.1, 0.025)
@@ -92,7 +92,7 @@ def session(monkeypatch: pytest.MonkeyPatch, server: viser.ViserServer) -> Itera
     monkeypatch.setattr(pair_module, "register_pair", FakePipeline(make_true_result))
     for module, name in ((explore_module, "RELAXING_SECONDS"), (demo_module, "GLIDING_SECONDS")):
         monkeypatch.setattr(module, name, 0.2)
-    made = Session(server, Opened(DATASET, PipelineParams(), ""), Memo(), Capacity())
+    made = Session(server, Opened(DATASET, NUMBERS, "", None, NUMBERS), Memo(), Capacity())
     assert made.wait_idle(120)
     yield made
     made.close()
@@ -215,7 +215,7 @@ def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> 
 def test_another_dataset_has_another_graph(session: Session) -> None:
     go(session, "Explore")
     judge(session)
-    session.desk.open(Opened(make_dataset(name="other"), PipelineParams(), ""))
+    session.desk.open(Opened(make_dataset(name="other"), NUMBERS, "", None, NUMBERS))
     assert session.wait_idle(120)
     assert graph(session).closures == ()
     assert "No closures yet" in graph(session)._panel._summary.content

@@ -1,3 +1,4 @@
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,13 +15,16 @@ from app.viewer.pair import tab as pair_module
 from app.viewer.params.fit import with_fitted
 from app.viewer.params.tab import MAIN_PARAMETERS
 from app.viewer.session import Session
+from app.viewer.session_file import session_text
 from app.viewer.state import NEEDS_TWO, Probe, ViewOptions, ViewState
 from app.viewer.work import message_of
 from gpgrad_core.datasets import write_dataset
 from gpgrad_core.errors import InputError
-from gpgrad_core.pipeline import PairResult, PipelineParams
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.pipeline import PairResult, PipelineParams, is_resolved, resolve_parameters
 from gpgrad_core.pipeline.coarse import COARSER
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress
 from tests.app.synthetic import FakePipeline, make_dataset, make_result, needing
 from tests.app.widgets import find, user_presses, user_sets
 from tests.waiting import PATIENCE, until
@@ -40,7 +44,7 @@ def session(
     pipeline: FakePipeline,  # noqa: ARG001
     server: viser.ViserServer,
 ) -> Iterator[Session]:
-    made = Session(server, Opened(make_dataset(), START, ""), Memo(), Capacity())
+    made = Session(server, Opened(make_dataset(), START, "", None, START), Memo(), Capacity())
     assert made.wait_idle(120)
     yield made
     made.close()
@@ -313,3 +317,89 @@ def test_a_pair_chosen_from_all_pairs_is_shown(session: Session) -> None:
     assert find(gui(session), "Query").value == "002"
     assert find(gui(session), "Database").value == "001"
     assert "query 002" in said(session.pair._verdict)
+
+
+def automatic_session(server: viser.ViserServer) -> Session:
+    submaps = make_dataset(num_points=300)
+    return Session(server, Opened(submaps, PipelineParams(), ""), Memo(), Capacity())
+
+
+def test_automatic_is_the_fitted_number_in_box_and_picture(
+    server: viser.ViserServer, pipeline: FakePipeline
+) -> None:
+    session = automatic_session(server)
+    try:
+        assert session.wait_idle(60)
+        fitted = resolve_parameters(session.state.dataset.submaps, PipelineParams())
+        box, slider = find(server, "automatic length scale"), find(server, "Length-scale")
+
+        def shown() -> tuple[bool, float, PipelineParams, str]:
+            assert session.wait_idle(60)
+            assert "Up to date" in said(session.pair._status.line)
+            return box.value, slider.value, pipeline.calls[-1], find(server, "Preset").value
+
+        at_first = shown()
+        assert at_first == (True, fitted.map.length_scale, fitted, "default")
+        user_sets(box, False)
+        ticked, number, used, preset = shown()
+        assert (ticked, number, preset) == (False, fitted.map.length_scale, "custom")
+        assert used.map.length_scale == number
+        user_sets(box, True)
+        assert shown() == at_first
+        user_sets(slider, 0.9)
+        ticked, number, used, _ = shown()
+        assert (ticked, number) == (False, 0.9)
+        asked = PipelineParams(map=MapParams(length_scale=0.9))
+        assert session.state.asked == asked
+        assert used == resolve_parameters(session.state.dataset.submaps, asked)
+        user_sets(find(server, "noise factor"), 1.5)  # a part of the noise, set by hand
+        shown()
+        assert pipeline.calls[-1].map.noise_factor == 1.5
+        assert not find(server, "automatic noise std").value
+        user_presses(find(server, "Reset parameters"))
+        assert shown() == at_first
+        assert 'length_scale = "automatic"' in session_text(session.state, None)
+    finally:
+        session.close()
+
+
+def test_it_is_not_up_to_date_before_the_fit_is_done(
+    server: viser.ViserServer, pipeline: FakePipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go, begun = threading.Event(), threading.Event()
+
+    def fit(submaps: Any, params: PipelineParams, memo: Memo, progress: Progress) -> PipelineParams:
+        begun.set()
+        while not go.wait(0.005):
+            progress(0.5)
+        return resolve_parameters(submaps, params, memo, progress)
+
+    monkeypatch.setattr(pair_module, "resolve_parameters", fit)
+    session = automatic_session(server)
+    try:
+        assert begun.wait(20)
+        assert pipeline.calls == []
+        assert "Up to date" not in said(session.pair._status.line)
+        go.set()
+        assert session.wait_idle(60)
+        assert "Up to date" in said(session.pair._status.line)
+        assert all(is_resolved(params) for params in pipeline.calls)
+    finally:
+        go.set()
+        session.close()
+
+
+def test_a_fit_that_fails_is_told(
+    server: viser.ViserServer, pipeline: FakePipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fit(*_: object) -> PipelineParams:
+        raise InputError("submap 000 gives no noise_std")
+
+    monkeypatch.setattr(pair_module, "resolve_parameters", fit)
+    session = automatic_session(server)
+    try:
+        assert session.wait_idle(20)
+        assert "gives no noise_std" in said(session.pair._status.line)
+        assert pipeline.calls == []
+    finally:
+        session.close()

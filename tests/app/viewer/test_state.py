@@ -9,6 +9,8 @@ from app.viewer.state import (
     open_dataset,
     promising_pair,
     same_surfaces,
+    was_fitted,
+    with_fitted,
     with_options,
     with_pair,
     with_params,
@@ -17,6 +19,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.features import FeatureParams
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.types import Dataset, Submap
 from tests.app.synthetic import make_dataset, needing
 
@@ -101,3 +104,48 @@ def test_neighbours_go_round_and_pass_over_the_other_submap() -> None:
     assert neighbour(dataset, "003", 1, skip="000") == "001"
     lone = Dataset("one", dataset.submaps[:1])
     assert neighbour(lone, "000", 1, skip="000") == "000"
+
+
+FITTED = replace(
+    PipelineParams(),
+    map=MapParams(length_scale=0.4, noise_std=0.03, signal_std=0.2, scale=0.19),
+    registration=RegistrationParams(inlier_radius=0.24),
+)
+
+
+def test_what_is_automatic_is_computed_with_the_fitted_number() -> None:
+    state = open_dataset(make_dataset(), PipelineParams(), used=FITTED)
+    assert (state.asked, state.params, state.settled) == (PipelineParams(), FITTED, True)
+    # What needs no fit keeps the numbers.
+    closer = with_params(state, replace(PipelineParams(), closure=needing(9).closure))
+    assert closer.settled
+    assert closer.params == replace(FITTED, closure=needing(9).closure)
+    finer = with_params(state, PipelineParams(map=MapParams(resolution=0.1)))
+    assert finer.settled
+    assert finer.params.map == replace(FITTED.map, resolution=0.1)
+    radius = with_params(state, PipelineParams(registration=RegistrationParams(inlier_radius=0.5)))
+    assert radius.settled
+
+
+def test_what_needs_a_fit_waits_for_it_with_the_numbers_before() -> None:
+    state = open_dataset(make_dataset(), PipelineParams(), used=FITTED)
+    by_hand = with_params(state, PipelineParams(map=MapParams(length_scale=0.8)))
+    assert not by_hand.settled
+    assert by_hand.params.map == replace(FITTED.map, length_scale=0.8)
+    noisier = replace(by_hand.params, map=replace(by_hand.params.map, noise_std=0.05))
+    fitted = with_fitted(by_hand, noisier)
+    assert (fitted.params, fitted.settled, fitted.asked) == (noisier, True, by_hand.asked)
+    assert was_fitted(by_hand, fitted)
+    assert not was_fitted(state, by_hand)
+    assert not with_params(fitted, PipelineParams()).settled  # its length-scale is one of a hand
+    wider = PipelineParams(map=MapParams(scale=0.5))
+    assert not with_params(state, wider).settled  # the inlier radius follows from it
+    assert with_params(state, FITTED).settled
+
+
+def test_before_any_fit_the_numbers_are_a_guess() -> None:
+    state = open_dataset(make_dataset(), PipelineParams())
+    assert not state.settled
+    assert state.params.map == MapParams().guessed
+    whole = replace(PipelineParams(), map=MapParams(length_scale=0.3, noise_std=0.05))
+    assert with_params(open_dataset(make_dataset(), FITTED), whole).params.map.signal_std is None

@@ -15,6 +15,7 @@ from gpgrad_core.features import (
     extract_features,
     select_trusted,
 )
+from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.matching import match_features
 from gpgrad_core.pipeline import PipelineParams, infer_features
 from gpgrad_core.run.memo import Memo
@@ -115,7 +116,7 @@ def test_the_strongest_are_kept_in_their_order() -> None:
 
 def test_moving_the_mask_detects_nothing_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     memo, ground = Memo(), submap(1)
-    params = PipelineParams()
+    params = PipelineParams(map=MapParams().guessed)
     all_of_them = infer_features(ground, params, memo)
 
     def never(*_: object) -> None:
@@ -125,7 +126,7 @@ def test_moving_the_mask_detects_nothing_anew(monkeypatch: pytest.MonkeyPatch) -
         for home in (cv2, getattr(cv2, "xfeatures2d", cv2)):
             if hasattr(home, name):
                 monkeypatch.setattr(home, name, never)
-    masked = PipelineParams(features=FeatureParams(max_std_ratio=0.2))
+    masked = replace(params, features=FeatureParams(max_std_ratio=0.2))
     fewer = infer_features(ground, masked, memo)
     assert 0 < len(fewer) < len(all_of_them)
     assert infer_features(ground, params, memo) is all_of_them

@@ -10,7 +10,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
 from tests.core.methods.rocks import look
 
-PARAMS = PipelineParams(map=MapParams(resolution=0.05))
+PARAMS = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, resolution=0.05))
 T_WORLD_DATABASE = SE2(0.5, -0.3, 0.4)
 T_WORLD_QUERY = SE2(1.1, 0.6, -2.1)
 DATABASE = look(T_WORLD_DATABASE, "database", seed=1)

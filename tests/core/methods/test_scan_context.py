@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
+from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.methods.described_clouds import height_between
 from gpgrad_core.methods.scan_context import (
     RINGS,
@@ -84,7 +85,9 @@ def test_the_distance_is_that_of_the_paper_at_every_shift(seed: int) -> None:
 
 def test_the_roots_lie_about_the_middle_of_the_points_the_nearest_first() -> None:
     points = cloud(3) + np.array([20.0, -10.0, 4.0])
-    described = describe_contexts(Submap.from_points(points, "000"), PipelineParams())
+    described = describe_contexts(
+        Submap.from_points(points, "000"), PipelineParams(map=MapParams().guessed)
+    )
     np.testing.assert_allclose(described.roots[0], points[:, :2].mean(axis=0))
     away = np.hypot(*(described.roots - described.roots[0]).T)
     assert np.all(np.diff(away) >= -1e-9)
@@ -100,7 +103,7 @@ def test_a_higher_place_is_found_to_be_higher() -> None:
 
 
 def test_the_similarity_of_the_contexts_decides() -> None:
-    asked = PipelineParams()
+    asked = PipelineParams(map=MapParams().guessed)
     adapted = judged_by_context(asked)
     assert adapted.closure.min_score < 1 < asked.closure.min_score
     assert replace(adapted, closure=asked.closure) == asked

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
+from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.methods.cshot import color_shot, describe_cshot
 from gpgrad_core.methods.curvature import curved_keypoints, surface_variation
 from gpgrad_core.methods.outcome import seen_from_above
@@ -139,4 +140,4 @@ def test_keypoints_lie_where_the_surface_bends() -> None:
 def test_cshot_says_that_it_needs_colors() -> None:
     plain = Submap.from_points(bumpy(1)[0], "007")
     with pytest.raises(InputError, match="007: cshot needs the colours"):
-        describe_cshot(plain, PipelineParams())
+        describe_cshot(plain, PipelineParams(map=MapParams().guessed))

@@ -20,7 +20,7 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, Registration, Submap
 from tests.core.ground import submap
 
-PARAMS = PipelineParams(map=MapParams(resolution=0.05))
+PARAMS = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, resolution=0.05))
 DATASET = Dataset("five", tuple(submap(k // 2, 900, (6.0, 6.0)) for k in range(5)))
 
 

@@ -2,15 +2,20 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from gpgrad_core.errors import InputError
 from gpgrad_core.fitting import fit_parameters
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.methods import METHODS
 from gpgrad_core.pipeline import (
     PipelineParams,
     describe_choice,
+    infer_gradient_map,
+    infer_slope_variance,
     is_resolved,
+    register_pair,
     resolve_parameters,
 )
 from gpgrad_core.registration import RegistrationParams
@@ -46,7 +51,7 @@ def test_a_number_that_is_given_is_taken_as_it_is(submaps: tuple[Submap, ...]) -
     assert chosen.map.length_scale == 0.3
     assert chosen.map.resolution == 0.1
     assert chosen.map.noise_std is not None
-    start = MapParams(length_scale=0.3).terrain
+    start = MapParams(length_scale=0.3).guessed.terrain
     beside = fit_parameters(submaps, start, fixed=("length_scale",)).params
     assert beside.length_scale == 0.3
     assert chosen.map.noise_std == pytest.approx(beside.noise_std, rel=1e-3)
@@ -88,7 +93,8 @@ def test_a_fit_is_kept(submaps: tuple[Submap, ...]) -> None:
 def test_only_the_methods_with_a_fitted_gp_fit(submaps: tuple[Submap, ...]) -> None:
     asked, memo = PipelineParams(), Memo()
     assert is_resolved(METHODS["gradient"].settle(submaps, asked, memo))
-    assert METHODS["smoothed"].settle(submaps, asked, memo) == asked
+    smoothed = METHODS["smoothed"].settle(submaps, asked, memo)
+    assert smoothed == replace(asked, map=asked.map.guessed)  # its own defaults
     paper = METHODS["paper"].settle(submaps, asked, memo).map
     assert (paper.length_scale, paper.noise_std) == (0.316, 0.05)
 
@@ -101,3 +107,31 @@ def test_what_was_chosen_is_said_in_a_line(submaps: tuple[Submap, ...]) -> None:
     assert f"scale of comparison {used.map.scale:.3g} m" in said
     assert "noise" not in said
     assert describe_choice(used, used) == ""
+
+
+def test_one_submap_by_itself_is_fitted_too(submaps: tuple[Submap, ...]) -> None:
+    (one, _), grid = submaps, MapParams(resolution=0.1)
+    fitted = resolve_parameters([one], PipelineParams(map=grid)).map
+    by_itself, given = infer_gradient_map(one, grid), infer_gradient_map(one, fitted)
+    assert by_itself.length_scale == fitted.length_scale
+    np.testing.assert_array_equal(by_itself.elevation, given.elevation)
+    np.testing.assert_array_equal(
+        infer_slope_variance(one, grid), infer_slope_variance(one, fitted)
+    )
+
+
+def test_a_pair_is_registered_with_what_is_fitted_to_it(submaps: tuple[Submap, ...]) -> None:
+    memo, asked = Memo(), PipelineParams(map=MapParams(resolution=0.1))
+    query, database = submaps
+    used = resolve_parameters(submaps, asked, memo)
+    automatic = register_pair(query, database, asked, memo)
+    assert automatic.query_map.length_scale == used.map.length_scale
+    assert automatic.registration is register_pair(query, database, used, memo).registration
+
+
+@pytest.mark.parametrize("given", [{}, {"length_scale": 0.3}, {"noise_std": 0.05}])
+def test_no_number_stands_in_silently_for_an_automatic_one(given: dict[str, float]) -> None:
+    missing = "noise_std" if "length_scale" in given else "length_scale"
+    with pytest.raises(InputError, match=rf"map\.{missing} is automatic"):
+        _ = MapParams(**given).terrain  # type: ignore[arg-type]
+    assert MapParams(**given).guessed.terrain is not None  # type: ignore[arg-type]

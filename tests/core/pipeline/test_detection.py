@@ -23,7 +23,7 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, Submap
 from tests.core.ground import Ground
 
-PARAMS = PipelineParams(map=MapParams(resolution=0.05))
+PARAMS = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, resolution=0.05))
 
 
 class CountingMemo(Memo):

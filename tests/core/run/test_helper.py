@@ -23,7 +23,7 @@ from tests.app.synthetic import make_dataset
 from tests.waiting import PATIENCE, until
 
 R = TypeVar("R")
-PARAMS = PipelineParams(map=MapParams(resolution=0.1))
+PARAMS = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, resolution=0.1))
 
 
 def where(word: str, progress: Progress) -> tuple[str, int]:

@@ -18,11 +18,11 @@ from app.viewer.session import Session
 from app.viewer.session_file import SavedSession
 from app.viewer.state import ViewState
 from gpgrad_core.errors import InputError
-from gpgrad_core.pipeline import PairResult, PipelineParams
+from gpgrad_core.pipeline import PairResult
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
-from tests.app.synthetic import FakePipeline, make_compared, make_result, make_submap
+from tests.app.synthetic import NUMBERS, FakePipeline, make_compared, make_result, make_submap
 from tests.app.widgets import find, html_says, user_presses, user_sets
 
 PLACES = ((0.0, 0.0), (2.0, 0.0), (12.0, 0.0), (12.0, 9.0), (0.8, 0.8), (0.1, 0.0), (12.0, 1.0))
@@ -77,7 +77,7 @@ def begin(
         held = Held(pipeline)
         monkeypatch.setattr(pair_module, "register_pair", pipeline)
         monkeypatch.setattr(search_module, "register_pair", held)
-        made = Session(server, Opened(dataset, PipelineParams(), "", saved), Memo(), Capacity())
+        made = Session(server, Opened(dataset, NUMBERS, "", saved, NUMBERS), Memo(), Capacity())
         sessions.append(made)
         return made, held
 
@@ -182,7 +182,7 @@ def test_another_dataset_is_searched_anew(begin: Callable[..., tuple[Session, He
     session, held = begin(CLOSURES)
     assert held.begun.wait(120)
     held.begun.clear()
-    session.desk.open(Opened(replace(DATASET, name="again"), PipelineParams(), ""))
+    session.desk.open(Opened(replace(DATASET, name="again"), NUMBERS, "", None, NUMBERS))
     held.free.set()
     assert session.wait_idle(120)
     assert held.begun.is_set()

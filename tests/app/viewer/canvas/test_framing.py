@@ -64,7 +64,9 @@ def session(
 ) -> Iterator[Session]:
     del pages
     monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
-    made = Session(server, Opened(DATASET, needing(8), "/data/set"), Memo(), Capacity())
+    made = Session(
+        server, Opened(DATASET, needing(8), "/data/set", None, needing(8)), Memo(), Capacity()
+    )
     assert made.wait_idle(120)
     yield made
     made.close()

@@ -21,7 +21,9 @@ from tests.app.widgets import find
 @pytest.fixture
 def session(server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:
     monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
-    made = Session(server, Opened(make_dataset(300), needing(8), ""), Memo(), Capacity())
+    made = Session(
+        server, Opened(make_dataset(300), needing(8), "", None, needing(8)), Memo(), Capacity()
+    )
     assert made.wait_idle(120)
     yield made
     made.close()

@@ -15,7 +15,7 @@ def test_the_time_goes_to_known_stages_and_a_second_time_takes_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(time, "perf_counter", time.process_time)  # what others do takes none of it
-    params = PipelineParams(map=MapParams(resolution=0.1))
+    params = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, resolution=0.1))
     state = open_dataset(make_dataset(num_points=400), params)
     memo = Memo()
     first, second = TimedMemo(memo), TimedMemo(memo)

@@ -237,3 +237,22 @@ def test_paths_reach_into_groups() -> None:
     assert with_path(MapParams(), "length_scale", 0.5) == MapParams(length_scale=0.5)
     with pytest.raises(InputError, match="length_scale must be from"):
         with_path(PipelineParams(), "map.length_scale", -1.0)
+
+
+def test_an_automatic_parameter_shows_the_number_in_use(server: viser.ViserServer) -> None:
+    made = Panel(server, Params())
+    box, slider = find(server, "automatic limit"), find(server, "limit")
+    assert not slider.visible  # there is no number to show
+    made.panel.set(Params(), Params(limit=0.123456))
+    assert (box.value, slider.visible, slider.value) == (True, True, 0.123456)
+    assert made.reported == []
+    user_sets(box, False)  # it keeps the very number
+    assert made.reported == [Params(limit=0.123456)]
+    user_sets(box, True)
+    assert made.reported[-1] == Params()
+    assert slider.value == 0.123456  # until the fit tells another
+    user_sets(slider, 0.5)
+    assert made.reported[-1] == Params(limit=0.5)
+    assert not box.value
+    made.panel.set(Params(), Params(limit=0.25))
+    assert (box.value, slider.value) == (True, 0.25)

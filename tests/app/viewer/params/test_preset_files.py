@@ -33,7 +33,7 @@ def test_built_in_presets_differ_and_say_what_they_are_for() -> None:
     assert BUILT_IN[0].params == PipelineParams()
     assert BUILT_IN[1].params == paper_params(PipelineParams())
     rough, usual, smooth = (
-        preset.params.map.terrain for preset in (BUILT_IN[2], BUILT_IN[0], BUILT_IN[3])
+        preset.params.map.guessed.terrain for preset in (BUILT_IN[2], BUILT_IN[0], BUILT_IN[3])
     )
     assert rough.length_scale < usual.length_scale < smooth.length_scale
 

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ def make(server: viser.ViserServer, recorder: Recorder, config: Path | None = No
 
 
 def gone_to(recorder: Recorder) -> list[PipelineParams]:
-    return [state.params for state in recorder.states]
+    return [state.asked for state in recorder.states]
 
 
 def said(presets: PresetsTool) -> str:
@@ -82,7 +83,7 @@ def test_a_file_of_parameters_is_taken_or_refused(
     presets = make(server, recorder)
     assert not find(server, "Save preset").visible
     upload(server, "mine.toml", b"[closure]\nmin_inliers = 7\n")
-    assert gone_to(recorder) == [needing(7)]
+    assert gone_to(recorder) == [replace(PipelineParams(), closure=needing(7).closure)]
     upload(server, "mine.toml", b"[closure]\nmin_inlier = 7\n")
     assert "did you mean closure.min_inliers?" in said(presets)
     upload(server, "mine.toml", b"\xff\xfe")

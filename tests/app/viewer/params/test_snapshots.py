@@ -8,9 +8,9 @@ from app.viewer.state import open_dataset, with_params
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.desk import make_desk
-from tests.app.synthetic import make_dataset, needing
+from tests.app.synthetic import NUMBERS, make_dataset, needing
 
-STATE = open_dataset(make_dataset(), PipelineParams())
+STATE = open_dataset(make_dataset(), NUMBERS)
 
 
 @pytest.fixture
@@ -29,20 +29,20 @@ def test_one_key_changes_between_a_and_b(tool: SnapshotsTool) -> None:
     tool.keep("B")
     assert "B shown. min inliers " in tool._note.content
     tool.switch()
-    assert desk.state.params == STATE.params
+    assert desk.state.asked == STATE.params
     assert "A shown." in tool._note.content
     tool.switch()
-    assert desk.state.params == needing(7)
+    assert desk.state.asked == needing(7)
     desk.change(params=needing(9))
     tool.switch()
-    assert desk.state.params == STATE.params
+    assert desk.state.asked == STATE.params
 
 
 def test_without_the_other_nothing_happens(tool: SnapshotsTool) -> None:
     tool.switch()
     tool.keep("A")
     tool.switch()
-    assert tool._desk.state.params == STATE.params
+    assert tool._desk.state.asked == STATE.params
 
 
 def test_another_dataset_has_none(tool: SnapshotsTool) -> None:

@@ -20,7 +20,7 @@ def recorder() -> Recorder:
 
 
 def gone_to(recorder: Recorder) -> list[PipelineParams]:
-    return [state.params for state in recorder.states]
+    return [state.asked for state in recorder.states]
 
 
 @pytest.fixture

@@ -23,10 +23,9 @@ from app.viewer.world.surfaces import (
     submap_color,
     world_scale,
 )
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import Pose
-from tests.app.synthetic import make_dataset, make_map
+from tests.app.synthetic import NUMBERS, make_dataset, make_map
 
 DATASET = make_dataset()
 POSES = poses_of(DATASET, "odometry")
@@ -168,7 +167,7 @@ def test_neighbours_have_colours_apart() -> None:
 
 def test_a_quick_sight_is_as_coarse_as_many_submaps_ask_for() -> None:
     memo, submap = Memo(), DATASET.submaps[0]
-    few, many = (quick_surface(submap, PipelineParams(), memo, count) for count in (4, 400))
+    few, many = (quick_surface(submap, NUMBERS, memo, count) for count in (4, 400))
     assert few.gradient_map.grid.resolution == pytest.approx(0.03)
     shown = many.gradient_map.trusted(many.max_std_ratio).sum()
     assert shown <= 1.5 * MAX_CELLS / 400
