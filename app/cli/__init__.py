@@ -64,6 +64,8 @@ def run(arguments: Sequence[str]) -> int:
 
 def _run(arguments: Sequence[str]) -> None:
     name, *rest = arguments or ("",)
+    if name == "view" and not {"-h", "--help"} & set(rest):
+        say("The viewer starts …")  # before its libraries are loaded, which takes a moment
     if name in VERBS:
         parse(_verb(name), name, rest, VERBS[name]).run()
     elif list(arguments) == ["--version"]:

@@ -4,8 +4,9 @@ import socket
 import warnings
 import webbrowser
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from platformdirs import user_config_path
@@ -26,13 +27,17 @@ from app.cli.terminal import say, warn
 from app.viewer.door.admission import Admission, as_origin, check_token, is_loopback
 from app.viewer.memory import read_size, shown
 from app.viewer.permissions import Permissions
-from app.viewer.server import Viewer
-from app.viewer.session_file import read_session
+from app.viewer.server import Stage, Viewer
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.datasets.folder import MOST_LOADED
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import read_parameters
+from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
+
+if TYPE_CHECKING:  # loaded when they are needed: a page is served before
+    from app.viewer.opened import Opened
+    from app.viewer.session_file import SavedSession
 
 
 @dataclass(frozen=True)
@@ -123,24 +128,19 @@ class View:
         if self.max_upload < 1:
             raise InputError(f"--max-upload must be 1 MB or more, got {self.max_upload}")
         memory = None if self.memory is None else read_size(self.memory)
-        saved = None if self.state is None else read_session(self.state)
+        saved = self._saved()
         source = self.dataset or (saved and saved.dataset) or demo_path()
+        if self.params is not None:
+            read_parameters(self.params, PipelineParams())  # refused before anything is served
+        if not source.exists():
+            load(source, most_bytes=MOST_LOADED)  # says so
         store = open_store(self.cache)
-        dataset = load(source, most_bytes=MOST_LOADED)
-        base = base_params(dataset, None if saved else self.params)
-        start = base
-        if saved is not None:
-            saved.check(dataset)
-            start = read_parameters(self.params, saved.params) if self.params else saved.params
-        params = self.pipeline.over(start)
-        settled(params, dataset.submaps, dataset.name, Memo(store=store))
         viewer = Viewer(
-            dataset,
-            params if saved is None else base,
+            partial(self._opened, source, saved),
+            None,
             self.host,
             self.port,
             source=str(source),
-            saved=saved and replace(saved, params=params),
             sessions=self.sessions,
             permissions=Permissions(
                 config=self.config or user_config_path("gpgrad", appauthor=False),
@@ -155,7 +155,7 @@ class View:
         # A page may leave while its picture is drawn: that is no news for the terminal.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         try:
-            say(f"{dataset.name} is at {viewer.link} (Ctrl-C ends)")
+            say(f"The viewer is at {viewer.link} (Ctrl-C ends)")
             say(f"Memory: up to {shown(viewer.memory)} (--memory changes it)")
             if self.no_token and not is_loopback(self.host):
                 warn("no token is asked for: whoever can reach the port can use the viewer")
@@ -164,6 +164,33 @@ class View:
             viewer.run_forever()
         finally:
             viewer.close()
+
+    def _saved(self) -> "SavedSession | None":
+        if self.state is None:
+            return None
+        from app.viewer.session_file import read_session  # noqa: PLC0415 - loads slowly
+
+        return read_session(self.state)
+
+    def _opened(
+        self, source: Path, saved: "SavedSession | None", memo: Memo, stage: Stage
+    ) -> "Opened":
+        """Load the dataset, and fit what is automatic, while pages are served already."""
+        from app.viewer.opened import Opened  # noqa: PLC0415 - loads slowly
+
+        dataset = load(source, most_bytes=MOST_LOADED, told=stage("Reading the submaps"))
+        base = base_params(dataset, None if saved else self.params)
+        start = base
+        if saved is not None:
+            saved.check(dataset)
+            start = read_parameters(self.params, saved.params) if self.params else saved.params
+        asked = self.pipeline.over(start)
+        told = stage("Fitting the automatic parameters to the submaps")
+        used = settled(asked, dataset.submaps, dataset.name, memo, told)
+        say(f"{dataset.name} is open")
+        if saved is None:
+            return Opened(dataset, asked, str(source), None, used)
+        return Opened(dataset, base, str(source), replace(saved, params=asked), used)
 
     def _admission(self) -> Admission:
         if self.no_token and self.token is not None:

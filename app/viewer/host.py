@@ -9,6 +9,9 @@ from typing import TypeAlias
 
 import viser
 
+PANEL_WIDTH = 310
+"""Width of the panel of parameters [pixels]."""
+
 Host: TypeAlias = viser.ViserServer | viser.ClientHandle
 
 

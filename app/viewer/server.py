@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import viser
 
@@ -14,25 +14,37 @@ from app.viewer.capacity import Capacity
 from app.viewer.door.admission import Admission
 from app.viewer.door.limits import Limits
 from app.viewer.door.server import Told, open_server
-from app.viewer.host import set_theme
 from app.viewer.memory import MEMO_SHARE, MemoryKeeper, default_budget
-from app.viewer.opened import Opened
 from app.viewer.permissions import READ_ALL, Permissions
-from app.viewer.session import Session
-from app.viewer.session_file import SavedSession
+from app.viewer.waiting import WaitingPage
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, resolve_parameters
 from gpgrad_core.run.helper import start_helper
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import single_threaded_libraries
 from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.types import Dataset
 
+# A page is served before these are loaded, which takes a second.
+if TYPE_CHECKING:
+    from app.viewer.opened import Opened
+    from app.viewer.session import Session
+    from app.viewer.session_file import SavedSession
+
 EVERYWHERE = ("0.0.0.0", "::")
 """Hosts that stand for all addresses of the machine."""
 
 Sharing: TypeAlias = Literal["shared", "separate"]
+Stage: TypeAlias = Callable[[str], Progress]
+"""Given words for what is done next; gives back where to report how far it is."""
+Opening: TypeAlias = "Callable[[Memo, Stage], Opened]"
+"""Opens a dataset. The memo keeps its fits; progress may raise Cancelled."""
+
+
+LONGEST_OPENING = 10.0
+"""An opening that is told to stop is waited for at most so long [s]."""
 
 
 class Viewer:
@@ -40,13 +52,13 @@ class Viewer:
 
     def __init__(
         self,
-        dataset: Dataset,
+        dataset: "Dataset | Opening",
         params: PipelineParams | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
         *,
         source: str = "",
-        saved: SavedSession | None = None,
+        saved: "SavedSession | None" = None,
         sessions: Sharing = "shared",
         permissions: Permissions = READ_ALL,
         admission: Admission | None = None,
@@ -58,13 +70,15 @@ class Viewer:
         """Start serving; returns at once.
 
         Args:
-            dataset: What to open with.
+            dataset: What to open with. Something that opens one is called in a thread of its own,
+                and pages show how far it is; what it raises is raised by `run_forever`.
             params: What to start with and to reset to; None takes what the dataset prefers. What is
                 automatic is fitted to the dataset.
             host: Address to listen on. If other machines can reach it, everybody must bring the
                 token that `link` ends with.
             port: Port to listen on; if it is taken, the next free one. 0 takes any.
-            source: Path of the dataset, for the box in which it can be changed.
+            source: Path of the dataset, for the box in which it can be changed, and for the pages
+                that wait for it.
             saved: What to begin with in place of that.
             sessions: "shared": all pages see and change the same. "separate": each page has a
                 session of its own, which ends with it; what one has computed serves all.
@@ -81,15 +95,21 @@ class Viewer:
         Raises:
             InputError: If the dataset prefers parameters that there are not.
         """
-        # For as long as it serves: a BLAS that has worked in several threads lets them spin for
-        # many milliseconds more, on the processor that the helper needs.
-        self._quiet = contextlib.ExitStack()
-        self._quiet.enter_context(single_threaded_libraries())
-        start = params if params is not None else preferred_parameters(dataset, PipelineParams())
         budget = default_budget() if memory is None else memory
         self._memo = Memo(round(MEMO_SHARE * budget), store)
-        used = resolve_parameters(dataset.submaps, start, self._memo)
-        self._opened = Opened(dataset, start, source, saved, used)
+        opened = None
+        if not callable(dataset):
+            from app.viewer.opened import Opened  # noqa: PLC0415
+
+            asked = preferred_parameters(dataset, PipelineParams()) if params is None else params
+            used = resolve_parameters(dataset.submaps, asked, self._memo)
+            opened = Opened(dataset, asked, source, saved, used)
+        self._opened = opened
+        self._server, self._door = open_server(
+            host, port, admission, max_upload=permissions.max_upload, limits=limits
+        )
+        page = WaitingPage(self._server, Path(source).name) if opened is None else None
+        self._quiet = contextlib.ExitStack()
         self._uploads = TemporaryFolder("gpgrad-uploads-")
         self._permissions = replace(permissions, uploads=Path(self._uploads.name))
         self._capacity = Capacity(helper=start_helper())
@@ -98,17 +118,21 @@ class Viewer:
         self._num_leaving = 0
         self._left = threading.Condition(self._lock)
         self._closed = threading.Event()
-        self._server, self._door = open_server(
-            host, port, admission, max_upload=self._permissions.max_upload, limits=limits
-        )
-        set_theme(self._server, dark=False)
+        self._is_shared = sessions == "shared"
         self._shared: Session | None = None
         self._separate: dict[int, Session] = {}
-        if sessions == "shared":
-            self._shared = Session(
-                self._server, self._opened, self._memo, self._capacity, self._permissions
-            )
+        self._ready = threading.Event()
+        self._failure: BaseException | None = None
+        self._opener: threading.Thread | None = None
         self._door.told = Told(self._say_refused, self._say_upload_refused)
+        if callable(dataset) and page is not None:
+            self._opener = threading.Thread(
+                target=self._open, args=(dataset, page), name="opening", daemon=True
+            )
+            self._opener.start()
+        else:
+            self._be_quiet()
+            self._begin()
         self._server.on_client_connect(self._enter)
         self._server.on_client_disconnect(self._leave)
 
@@ -131,7 +155,7 @@ class Viewer:
         return self._memory.budget
 
     @property
-    def sessions(self) -> tuple[Session, ...]:
+    def sessions(self) -> "tuple[Session, ...]":
         """The shared session; else those of the pages that are open, the oldest first."""
         if self._shared is not None:
             return (self._shared,)
@@ -139,19 +163,28 @@ class Viewer:
             return tuple(self._separate.values())
 
     def run_forever(self) -> None:
-        """Serve until `close` or Ctrl-C (KeyboardInterrupt)."""
-        while not self._closed.wait(0.5):
-            pass
+        """Serve until `close` or Ctrl-C (KeyboardInterrupt).
+
+        Raises:
+            BaseException: What was raised while the dataset was being opened.
+        """
+        while not self._closed.wait(0.5 if self._ready.is_set() else 0.05):
+            if self._failure is not None:
+                raise self._failure
 
     def wait_idle(self, timeout: float = 60.0) -> bool:
         """Wait until all pictures are up to date; says whether that came true in time [s]."""
-        return all(session.wait_idle(timeout) for session in self.sessions)
+        return self._ready.wait(timeout) and all(
+            session.wait_idle(timeout) for session in self.sessions
+        )
 
     def close(self) -> None:
         """Stop working and serving."""
         if self._closed.is_set():
             return
         self._closed.set()
+        if self._opener is not None:
+            self._opener.join(LONGEST_OPENING)
         for session in self.sessions:
             session.close()
         with self._left:  # those whose pages have just gone must have ended too
@@ -164,13 +197,67 @@ class Viewer:
         self._uploads.cleanup()
         self._quiet.close()
 
+    def _open(self, opening: Opening, page: WaitingPage) -> None:
+        """Open the dataset, and begin; pages come and go meanwhile."""
+
+        def stage(words: str) -> Progress:
+            report = page.stage(words)
+
+            def progress(fraction: float) -> None:
+                if self._closed.is_set():
+                    raise Cancelled
+                report(fraction)
+
+            return progress
+
+        try:
+            self._be_quiet()
+            self._opened = opening(self._memo, stage)
+            stage("Preparing the picture")(0.0)
+            self._begin(page)
+        except Cancelled:
+            pass
+        except BaseException as error:
+            self._failure = error
+
+    def _be_quiet(self) -> None:
+        """Let libraries work in one thread each, for as long as it serves.
+
+        A BLAS that has worked in several threads lets them spin for many milliseconds more, on the
+        processor that the helper needs.
+        """
+        self._quiet.enter_context(single_threaded_libraries())
+
+    def _begin(self, page: WaitingPage | None = None) -> None:
+        """Make the session of all pages, or those of the pages that are there."""
+        from app.viewer.session import Session  # noqa: PLC0415
+
+        assert self._opened is not None
+        if page is not None:
+            page.remove()
+        if self._is_shared:
+            self._shared = Session(
+                self._server, self._opened, self._memo, self._capacity, self._permissions
+            )
+        self._ready.set()
+        for client in self._server.get_clients().values():
+            self._enter(client)
+
     # Called from the server's pool of threads, so in any order.
 
     def _enter(self, client: viser.ClientHandle) -> None:
         if self._shared is not None:
             self._count()
-            return
+        elif self._ready.is_set() and not self._is_shared:
+            self._begin_separate(client)
+
+    def _begin_separate(self, client: viser.ClientHandle) -> None:
+        from app.viewer.session import Session  # noqa: PLC0415
+
+        assert self._opened is not None
         with self._lock:
+            if client.client_id in self._separate:
+                return
             if self._closed.is_set() or client.client_id not in self._server.get_clients():
                 return  # it left before its turn came
             self._separate[client.client_id] = Session(
@@ -178,7 +265,7 @@ class Viewer:
             )
 
     def _leave(self, client: viser.ClientHandle) -> None:
-        if self._shared is not None:
+        if self._is_shared:
             self._count()
             return
         with self._lock:
@@ -193,7 +280,7 @@ class Viewer:
                 self._num_leaving -= 1
                 self._left.notify_all()
 
-    def _session_of(self, page: int) -> Session | None:
+    def _session_of(self, page: int) -> "Session | None":
         """Give the session that a page shows, if it has one yet."""
         with self._lock:
             return self._shared or self._separate.get(page)
@@ -209,8 +296,7 @@ class Viewer:
             session.data.refuse(text)
 
     def _count(self) -> None:
-        assert self._shared is not None
         with self._lock:  # so that the last to count is the last to tell
-            if self._closed.is_set():
-                return  # there is nobody left to tell
+            if self._shared is None or self._closed.is_set():
+                return  # there is nobody to tell
             self._shared.show_presence(len(self._server.get_clients()))

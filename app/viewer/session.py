@@ -15,7 +15,7 @@ from app.viewer.capacity import Capacity
 from app.viewer.data.tab import DataTab
 from app.viewer.demo.tab import DemoTab
 from app.viewer.feature import Desk
-from app.viewer.host import Host
+from app.viewer.host import PANEL_WIDTH, Host
 from app.viewer.inspect.tab import InspectTab
 from app.viewer.links.links import Links, add_script
 from app.viewer.modes.panel import Mode
@@ -37,8 +37,6 @@ from app.viewer.widgets.look import Look
 from app.viewer.widgets.presence import PresenceLine
 from app.viewer.world import WorldTab
 from gpgrad_core.run.memo import Memo
-
-CONTROL_WIDTH = 310
 
 
 class Session:
@@ -76,8 +74,7 @@ class Session:
         gui = host.gui
         # The verdict and the parameters are on the right, what is drawn on the left.
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(CONTROL_WIDTH)
-        add_script(host)
+        gui.main_panel.set_width(PANEL_WIDTH)
         Look(host)
         modes = desk.join(Modes(desk))
         tune, explore, demo = gui.add_panel(), gui.add_panel(), gui.add_panel()
@@ -114,6 +111,7 @@ class Session:
         modes.arrange(scene, self.world, panels, commands)
         add_shortcuts(commands, desk, self.pair, self.inspect.step)
         commands.add_buttons()
+        add_script(host)  # a page may be there already: what it says is heard by now
         desk.change()  # the first picture
 
     @property

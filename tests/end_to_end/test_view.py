@@ -24,11 +24,10 @@ def test_the_page_is_served_until_interrupted(traverse: Path, built_in: bool) ->
     ) as process:
         try:
             assert process.stdout is not None
-            # What was fitted comes first.
             said = next((line for line in process.stdout if "http" in line), "")
             address = re.search(r"http://\S+", said)
             assert address, said
-            assert built_in or said.startswith("small traverse is at http://127.0.0.1:")
+            assert said.startswith("The viewer is at http://127.0.0.1:")
             memory = process.stdout.readline()
             size = r"[\d.]+ [GM]B" if built_in else r"1\.5 GB"
             assert re.fullmatch(rf"Memory: up to {size} \(--memory changes it\)\n", memory)

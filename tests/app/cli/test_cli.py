@@ -14,9 +14,13 @@ import app.cli.inputs
 import app.cli.view
 from app.cli import FAILED, INTERRUPTED, run
 from app.cli.flags import Given, parse
+from app.viewer.opened import Opened
+from app.viewer.server import Opening
 from gpgrad_core.datasets import Outline
+from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import silent
 from gpgrad_core.types import Dataset, Submap
 
 DATASET = Dataset(
@@ -31,13 +35,12 @@ DATASET = Dataset(
 class FakeViewer:
     """Remembers how it was made and what became of it."""
 
-    dataset: Dataset
-    params: PipelineParams
+    opening: Opening
+    params: None
     host: str
     port: int
     source: str = ""
     sessions: str = "shared"
-    saved: object = None
     permissions: object = None
     admission: object = None
     store: object = None
@@ -45,11 +48,13 @@ class FakeViewer:
     on_full: object = None
     link: str = "http://127.0.0.1:8080"
     closed: bool = False
+    opened: Opened | None = None
 
     def __post_init__(self) -> None:
         self.memory = self.memory or 1_000_000_000
 
     def run_forever(self) -> None:
+        self.opened = self.opening(Memo(), lambda words: silent)  # noqa: ARG005
         raise KeyboardInterrupt
 
     def close(self) -> None:
@@ -81,6 +86,7 @@ def stage(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stage:
 
     monkeypatch.setattr(app.cli.view, "Viewer", make)
     monkeypatch.setattr(app.cli.inputs, "load_dataset", load)
+    (tmp_path / "demo").mkdir()
     monkeypatch.setattr(app.cli.view, "demo_path", lambda: tmp_path / "demo")
     monkeypatch.setattr(app.cli.view.webbrowser, "open", stage.pages.append)
     return stage
@@ -94,25 +100,30 @@ def test_view_opens_the_demo_in_the_browser(
     assert stage.loaded == [tmp_path / "demo"]
     assert viewer.source == str(tmp_path / "demo")
     assert (viewer.host, viewer.port) == ("127.0.0.1", 8080)
-    assert viewer.params.map.length_scale == 0.45  # as the dataset prefers
+    assert viewer.opened is not None
+    assert viewer.opened.params.map == MapParams(length_scale=0.45)  # as the dataset prefers
+    assert viewer.opened.used is not None
+    assert viewer.opened.used.map.noise_std is not None
     assert stage.pages == ["http://127.0.0.1:8080"]
     assert viewer.closed
     said = capsys.readouterr()
-    fitted, address, memory = said.out.splitlines()
+    starts, address, memory, fitted, is_open = said.out.splitlines()
+    assert starts == "The viewer starts …"
+    assert address == "The viewer is at http://127.0.0.1:8080 (Ctrl-C ends)"
     assert fitted.startswith("crater: fitted: noise ")
-    assert address == "crater is at http://127.0.0.1:8080 (Ctrl-C ends)"
+    assert is_open == "crater is open"
     assert memory == "Memory: up to 1.0 GB (--memory changes it)"
     assert said.err.splitlines() == [f"gpgrad: {DATASET.notes[0]}", "gpgrad: interrupted"]
 
 
-def test_view_takes_its_arguments(stage: Stage) -> None:
-    run(
-        "view here --no-open --host 0.0.0.0 --port 9000 --map.length-scale 0.2".split()  # noqa: SIM905
-    )
+def test_view_takes_its_arguments(stage: Stage, tmp_path: Path) -> None:
+    flags = "--no-open --host 0.0.0.0 --port 9000 --map.length-scale 0.2".split()  # noqa: SIM905
+    run(["view", str(tmp_path), *flags])
     (viewer,) = stage.viewers
-    assert stage.loaded == [Path("here")]
+    assert stage.loaded == [tmp_path]
     assert (viewer.host, viewer.port) == ("0.0.0.0", 9000)
-    assert viewer.params.map.length_scale == 0.2
+    assert viewer.opened is not None
+    assert viewer.opened.params.map.length_scale == 0.2
     assert stage.pages == []
 
 

@@ -1,5 +1,6 @@
 import gc
 import socket
+import threading
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -7,8 +8,11 @@ from contextlib import suppress
 import pytest
 from websockets.exceptions import InvalidStatus
 
+from app.viewer.opened import Opened
 from app.viewer.pair import tab as pair_module
-from app.viewer.server import Sharing, Viewer
+from app.viewer.server import Sharing, Stage, Viewer
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.memo import Memo
 from tests.app.page import ProtocolPage
 from tests.app.synthetic import FakePipeline, make_dataset, needing
 
@@ -147,3 +151,67 @@ def test_on_a_network_the_link_has_a_token_and_values_are_checked(
         page.close()
     finally:
         viewer.close()
+
+
+class Opener:
+    """Opens a dataset when it is let go."""
+
+    def __init__(self, error: Exception | None = None) -> None:
+        self.go, self.begun, self.error = threading.Event(), threading.Event(), error
+
+    def __call__(self, memo: Memo, stage: Stage) -> Opened:
+        del memo
+        progress = stage("Fitting the hills")
+        self.begun.set()
+        while not self.go.wait(0.005):
+            progress(0.5)
+        if self.error is not None:
+            raise self.error
+        return Opened(make_dataset(), needing(8), "", None, needing(8))
+
+
+@pytest.mark.parametrize("sessions", ["shared", "separate"])
+def test_pages_are_served_before_the_dataset_is_there(
+    monkeypatch: pytest.MonkeyPatch, sessions: Sharing
+) -> None:
+    monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
+    opener = Opener()
+    viewer = Viewer(opener, port=0, source="/data/the hills", sessions=sessions)
+    try:
+        page = ProtocolPage(viewer.url)
+        page.wait(lambda: "Opening the hills" in page.html(), "what is opened")
+        page.wait(lambda: "Fitting the hills" in page.html(), "what goes on")
+        assert viewer.sessions == ()
+        assert not viewer.wait_idle(0.0)
+        opener.go.set()
+        page.wait(lambda: "Up to date" in page.html(), "the picture")
+        assert "Opening" not in page.html()
+        assert viewer.wait_idle(20)
+        assert len(viewer.sessions) == 1
+        late = ProtocolPage(viewer.url)
+        late.wait(lambda: "Up to date" in late.html(), "the picture")
+        page.close()
+        late.close()
+    finally:
+        viewer.close()
+
+
+def test_what_cannot_be_opened_ends_the_viewer() -> None:
+    opener = Opener(InputError("hills/000.ply: is empty"))
+    viewer = Viewer(opener, port=0, source="hills")
+    try:
+        opener.go.set()
+        with pytest.raises(InputError, match="is empty"):
+            viewer.run_forever()
+    finally:
+        viewer.close()
+
+
+def test_a_viewer_that_is_still_opening_can_be_closed() -> None:
+    opener = Opener()
+    viewer = Viewer(opener, port=0, source="hills")
+    assert opener.begun.wait(20)
+    viewer.close()
+    assert viewer.sessions == ()
+    assert viewer._opener is not None
+    assert not viewer._opener.is_alive()
