@@ -115,6 +115,15 @@ def test_a_missing_folder_is_told_and_the_sliders_still_work(page: "ViewerPage")
 
 
 @pytest.mark.slow
+def test_escape_closes_the_help_and_it_can_be_opened_again(page: "ViewerPage") -> None:
+    dialog = page.page.get_by_role("dialog")
+    for _ in range(2):
+        page.key("h")
+        dialog.wait_for(timeout=60_000)
+        page.page.keyboard.press("Escape")
+        dialog.wait_for(state="detached", timeout=60_000)
+
+
 def test_layers_layout_and_switches_change_the_picture_only(page: "ViewerPage") -> None:
     from tests.browser.chromium import changed  # noqa: PLC0415
 

@@ -202,7 +202,7 @@ class Framing(Feature):
             caption = self._make_caption(self._desk.state)
             if caption == self._caption:
                 return
-            self._caption = caption
+            self._caption = self._desk.canvases.caption = caption
             for page in pages(self._desk.host).values():
                 if page in self._watched:
                     self._desk.canvases.show(page, "caption", caption)

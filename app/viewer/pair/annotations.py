@@ -27,19 +27,23 @@ class Annotations:
         """Prepare the nodes under a root node; nothing is shown."""
         scene = host.scene
         self._bar = LinesNode(host, f"{root}/scale/bar", BAR, thickness=4.0)
-        self._bar_label = scene.add_label(f"{root}/scale/label", "", anchor="top-center")
+        # A label without a word would be a white bar.
+        self._bar_label = scene.add_label(
+            f"{root}/scale/label", "", anchor="top-center", visible=False
+        )
         self._verdict = scene.add_label(
-            f"{root}/verdict", "", anchor="top-center", font_screen_scale=1.3
+            f"{root}/verdict", "", anchor="top-center", font_screen_scale=1.3, visible=False
         )
         self._swipe = LinesNode(host, f"{root}/swipe", BAR, thickness=2.0)
 
     def hide_verdict(self) -> None:
         """Say nothing of the pair."""
-        self._verdict.text = ""
+        self._verdict.visible = False
 
     def show_verdict(self, result: PairResult, corners: Float[NDArray[np.float64], "k 3"]) -> None:
         """Write the verdict in front of the corners (k, 3) of both submaps [m]."""
         self._verdict.text = headline_of(result, with_score=True)
+        self._verdict.visible = True
         low, high = corners.min(axis=0), corners.max(axis=0)
         x, y, z = (low[0] + high[0]) / 2, low[1] - 0.08 * (high[1] - low[1]), corners[:, 2].mean()
         self._verdict.position = (float(x), float(y), float(z))
@@ -68,6 +72,6 @@ class Annotations:
             return np.stack([start, end])[None].astype(np.float32)
 
         self._bar.show((length, *start), make)
-        self._bar_label.text = f"{length:g} m"
+        self._bar_label.text, self._bar_label.visible = f"{length:g} m", True
         middle = (start + end) / 2
         self._bar_label.position = (float(middle[0]), float(middle[1]), float(middle[2]))

@@ -208,6 +208,7 @@ class PairTab(Feature):
             self._desk.host.flush()
 
     def _show_legend(self, shown: Shown) -> None:
+        self._desk.canvases.scales["pair"] = shown.scale
         if shown.scale is None:
             self._view.show_legend(None)
         else:

@@ -5,14 +5,15 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import cv2
-import numpy as np
 import viser
 
 from app.viewer.closure_files import write_closure_file
 from app.viewer.decisions import Decisions, decide
 from app.viewer.downloads import Downloads, safe_name
-from app.viewer.feature import Desk, Feature
+from app.viewer.draw.cameras import view_of
+from app.viewer.draw.overlay import scale_bar
+from app.viewer.draw.placement import Canvas
+from app.viewer.feature import Desk, Feature, Subject
 from app.viewer.save.exports_panel import ExportPanel
 from app.viewer.state import ViewState
 from gpgrad_core.errors import InputError
@@ -33,6 +34,8 @@ CLOSURES = {
 MAPS = {"NPZ": ".npz", "GeoTIFF": ".tif", "PLY mesh": ".ply", "PNG": ".png"}
 """Ending by the format of a map."""
 
+PICTURE_PIXELS = 1800
+"""The larger side of an exported picture is near this: enough for a slide."""
 PICTURE_TIMEOUT = 60.0
 """A page without a graphics card draws for seconds [s]."""
 
@@ -43,6 +46,7 @@ class Exports(Feature):
     def __init__(self, desk: Desk) -> None:
         """Make the panel in the current container."""
         self._desk = desk
+        self._subject: Subject = "pair"
         self._panel = ExportPanel(
             desk.host,
             closures=tuple(CLOSURES),
@@ -65,8 +69,13 @@ class Exports(Feature):
         write = partial(_write_map, state, self._desk.memo, submap_id)
         self._downloads.order(page, name, write)
 
+    def turned(self, subject: Subject) -> None:
+        """Take that the scene shows the pair or the world."""
+        self._subject = subject
+
     def _order_picture(self, page: viser.ClientHandle) -> None:
-        self._downloads.order(page, "view.png", partial(_write_picture, page))
+        write = partial(_write_picture, self._desk, self._subject, page)
+        self._downloads.order(page, "view.png", write)
 
 
 def _write_closures(
@@ -90,25 +99,31 @@ def _write_map(
     write_map(path, gradient_map, name=submap_id, max_std_ratio=params.features.max_std_ratio)
 
 
-def _write_picture(page: viser.ClientHandle, path: Path, progress: Progress) -> None:
-    """Ask the page for its picture; in a worker's thread, because that takes seconds."""
+def _write_picture(
+    desk: Desk, subject: Subject, page: viser.ClientHandle, path: Path, progress: Progress
+) -> None:
+    """Ask the page for its view of the scene; in a worker's thread, because that takes seconds."""
+    from app.viewer.save.picture import Written, draw_picture  # noqa: PLC0415 - loads matplotlib
+
     progress(0.0)
-    camera = page.camera
+    camera, canvases = page.camera, desk.canvases
+    larger = max(1, round(PICTURE_PIXELS / max(camera.image_width, camera.image_height)))
+    width, height = larger * camera.image_width, larger * camera.image_height
+    caption = canvases.caption
+    written = Written(
+        title=f"{desk.state.dataset.name} · {caption.get('title', '')}".removesuffix(" · "),
+        line=" · ".join(filter(None, (caption.get("line"), caption.get("frame")))),
+        bar=scale_bar(view_of(page), Canvas(width, height)),
+        scale=canvases.scales.get(subject),
+        dark=desk.state.options.dark,
+    )
     try:
-        picture = page.get_render(
-            height=camera.image_height,
-            width=camera.image_width,
-            transport_format="png",
-            timeout=PICTURE_TIMEOUT,
+        view = page.get_render(
+            height=height, width=width, transport_format="png", timeout=PICTURE_TIMEOUT
         )
     except TimeoutError as error:
         raise InputError(
             f"the page sent no picture within {PICTURE_TIMEOUT:.0f} s; bring its window to the "
             "front and try again"
         ) from error
-    # With transparency, as PNG has it; OpenCV wants blue first.
-    order_of = [2, 1, 0, 3][: picture.shape[2]]
-    done, png = cv2.imencode(".png", np.ascontiguousarray(picture[..., order_of]))
-    if not done:
-        raise InputError("the picture could not be encoded")
-    path.write_bytes(png.tobytes())
+    draw_picture(view, written).savefig(path)

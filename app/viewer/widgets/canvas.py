@@ -13,6 +13,7 @@ import numpy as np
 import viser
 
 from app.viewer.draw.cameras import set_view, view_of
+from app.viewer.draw.layers import Scale
 from app.viewer.draw.placement import UNKNOWN_CANVAS, Camera, Canvas
 from app.viewer.host import Host
 from app.viewer.widgets.bridge import Bridge, Data, run_when_shown
@@ -160,7 +161,12 @@ SCRIPT = """
 
 
 class Canvases:
-    """What is known of the pages' canvases, and where their cameras were brought."""
+    """What is known of the pages' canvases, and where their cameras were brought.
+
+    Attributes:
+        caption: What is written over all of them.
+        scales: What the colours mean in each subject of the scene; None if nothing is coloured.
+    """
 
     def __init__(self, host: Host, bridge: Bridge) -> None:
         """Put the script into the current container, unseen.
@@ -177,6 +183,8 @@ class Canvases:
             weakref.WeakKeyDictionary()
         )
         self._told: list[OnCanvas] = []
+        self.caption: dict[str, str] = {}
+        self.scales: dict[str, Scale | None] = {}
         host.gui.add_html(run_when_shown(SCRIPT))
         bridge.hear("canvas", self._take)
 

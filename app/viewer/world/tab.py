@@ -320,6 +320,7 @@ class WorldTab(Feature):
             _summary(drawn.world, self.scene.num_cells, self.scene.num_arches, seconds)
         )
         self._panel.show_legend(legend_html(drawn.scale))
+        self._desk.canvases.scales["world"] = drawn.scale
         if job.selected is not None and job.infers:
             self._panel.select(job.selected, self._figures(job.selected))
         if self._framed is not job.state.dataset:

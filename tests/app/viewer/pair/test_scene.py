@@ -278,8 +278,18 @@ def test_without_a_canvas_over_it_only_a_scene_of_its_own_says_what_it_is(
     server: viser.ViserServer,
 ) -> None:
     PairScene(server, standalone=False).show(STATE, RESULT)
-    assert node(server, "/pair/scale/label").text == ""
-    assert node(server, "/pair/verdict").text == ""
+    assert not node(server, "/pair/scale/label").visible
+    assert not node(server, "/pair/verdict").visible
+
+
+@pytest.mark.parametrize("standalone", [False, True])
+def test_no_label_without_a_word_is_seen(server: viser.ViserServer, standalone: bool) -> None:
+    """It would be a white bar."""
+    PairScene(server, standalone=standalone).show(STATE, RESULT)
+    nodes = server.scene._handle_from_node_name.values()
+    labels = [one for one in nodes if isinstance(one, viser.LabelHandle)]
+    assert len(labels) > 4
+    assert all(label.text for label in labels if label.visible)
 
 
 def test_in_a_tall_canvas_names_stand_apart(server: viser.ViserServer) -> None:
@@ -424,7 +434,7 @@ def test_a_preview_of_another_pair_hides_what_was_found_on_the_last(
     assert not shown.registered
     found = ("/pair/query/keypoints", "/pair/database/keypoints", "/pair/matches/inliers")
     assert not any(node(server, name).visible for name in found)
-    assert node(server, "/pair/verdict").text == ""
+    assert not node(server, "/pair/verdict").visible
     assert "query 001" in node(server, "/pair/query/label").text
     scene.show(STATE, RESULT)
     assert all(node(server, name).visible for name in found)

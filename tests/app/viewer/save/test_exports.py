@@ -1,5 +1,6 @@
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -7,9 +8,10 @@ import numpy as np
 import pytest
 import viser
 
+from app.viewer.draw.layers import Scale
 from app.viewer.opened import Opened
 from app.viewer.save import exports as exports_module
-from app.viewer.save.exports import CLOSURES, MAPS, Exports
+from app.viewer.save.exports import CLOSURES, MAPS, PICTURE_PIXELS, Exports
 from app.viewer.state import open_dataset
 from gpgrad_core.loop_closure import classify
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
@@ -104,14 +106,31 @@ def test_maps_in_every_format(exports: Exports) -> None:
     }
 
 
-def test_a_picture_of_the_view_has_its_colours(exports: Exports) -> None:
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_picture_is_fit_for_a_slide(exports: Exports, dark: bool) -> None:
+    desk = exports._desk
+    desk.change(options=replace(desk.state.options, dark=dark))
+    desk.canvases.caption = {"title": "Query 003 → database 000", "line": "Loop closure"}
+    desk.canvases.scales["pair"] = Scale("Elevation", "m", "viridis", -1.0, 2.0)
     page = FakePage()
     order(exports, page, "picture")
     png = np.frombuffer(page.files["view.png"], np.uint8)
     picture = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
     assert picture is not None
-    assert picture.shape == (30, 40, 4)
-    assert tuple(picture[0, 0]) == (0, 0, 255, 255)  # blue, green, red, opaque
+    assert max(picture.shape) >= PICTURE_PIXELS
+    assert picture.shape[2] == 3 or (picture[..., 3] == 255).all()
+    rows, columns = picture.shape[:2]
+    blue, green, red = (int(value) for value in picture[rows // 2, columns // 3, :3])
+    assert (blue, green, red) == (0, 0, 255)  # what the page draws
+    corner = int(picture[0, -1, 0])
+    assert corner < 40 if dark else corner == 255
+    view = (picture[..., :3] == (0, 0, 255)).all(axis=2)
+    assert view.sum() >= 0.9 * PICTURE_PIXELS * PICTURE_PIXELS * 30 / 40
+    top, left = (int(np.flatnonzero(view.any(axis=axis))[0]) for axis in (1, 0))
+    bottom, right = (int(np.flatnonzero(view.any(axis=axis))[-1]) for axis in (1, 0))
+    for strip in (picture[:top], picture[bottom + 1 :], picture[:, right + 1 :]):
+        assert np.ptp(strip[..., 0]) > 150  # title, scale bar and colour bar
+    assert np.ptp(picture[top:bottom, :left, 0]) == 0
 
 
 def test_a_page_that_gives_no_picture_is_told_of(exports: Exports) -> None:
