@@ -16,7 +16,7 @@ def cloud(tmp_path: Path) -> Path:
     xy = rng.uniform(0, 4, (2000, 2))
     points = np.column_stack([xy, 3 + 0.2 * xy[:, 0] + rng.normal(0, 0.01, 2000)])
     points[[5, 50]] = np.nan
-    points[70, 2] += 4.0  # and one is a bird
+    points[70, 2] += 0.3  # and one is a bird
     np.save(tmp_path / "plane.npy", points)
     return tmp_path / "plane.npy"
 

@@ -21,7 +21,7 @@ STARTS = 5
 def test_the_first_page_comes_at_once(tmp_path: Path) -> None:
     starts = [start(tmp_path / f"cache {k}") for k in range(STARTS)]
     for words, served in starts:
-        print(f"first words after {words:.2f} s, first page after {served:.2f} s")  # noqa: T201
+        print(f"first words after {words:.2f} s, first page after {served:.2f} s")
     assert min(words for words, _ in starts) <= FIRST_WORDS
     assert min(served for _, served in starts) <= SERVED
 

@@ -27,7 +27,7 @@ def found(params: TerrainParams) -> FitResult:
 )
 def test_it_is_read_as_parameters(tmp_path: Path, params: TerrainParams) -> None:
     write_fitted(tmp_path / "fit.toml", found(params))
-    read = read_parameters(tmp_path / "fit.toml", PipelineParams()).map.terrain
+    read = read_parameters(tmp_path / "fit.toml", PipelineParams()).map.guessed.terrain
     for name in ("length_scale", "noise_model", "noise_growth", "noise_factor", "signal_std"):
         assert getattr(read, name) == getattr(params, name), name
     if params.noise_model in ("constant", "range"):

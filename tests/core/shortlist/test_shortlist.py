@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import DetectorParams, FeatureParams
+from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams, infer_features
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.shortlist import Candidate, Shortlist
@@ -179,7 +180,8 @@ def test_bytes_of_a_submap_are_bounded() -> None:
 
 @pytest.mark.parametrize("name", ["slope", "akaze", "surf"])
 def test_any_detector_will_do(name: str) -> None:
-    params = PipelineParams(features=FeatureParams(detector=DetectorParams(name)))  # pyright: ignore
+    detector = DetectorParams(name)  # pyright: ignore
+    params = PipelineParams(map=MapParams().guessed, features=FeatureParams(detector=detector))
     places = [submap(k, 900, (6.0, 6.0)) for k in range(3)]
     found = [infer_features(place, params, Memo()) for place in places]
     shortlist = Shortlist()

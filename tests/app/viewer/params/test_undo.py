@@ -8,10 +8,10 @@ from app.viewer.state import open_dataset
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.desk import Recorder, make_desk
-from tests.app.synthetic import make_dataset, needing
+from tests.app.synthetic import NUMBERS, make_dataset, needing
 from tests.app.widgets import find, user_presses
 
-STATE = open_dataset(make_dataset(), PipelineParams())
+STATE = open_dataset(make_dataset(), NUMBERS)
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_a_press_is_one_step(desk: Desk, server: viser.ViserServer) -> None:
     assert find(server, "Undo").disabled
     drag(desk, 5, 6, 7, 8)
     drag(desk, 9, 12)
-    assert undone(desk, server) == [needing(8), PipelineParams()]
+    assert undone(desk, server) == [needing(8), NUMBERS]
     forth = find(server, "Redo")
     assert forth.visible
     user_presses(forth)
@@ -64,7 +64,7 @@ def test_any_other_change_is_a_step(desk: Desk, server: viser.ViserServer) -> No
     desk.change(options=STATE.options)  # nothing to undo
     desk.change(params=needing(7), moving=True)
     desk.change(params=needing(20))  # by somebody else, while a hand is on a slider
-    assert undone(desk, server) == [needing(7), needing(6), needing(5), PipelineParams()]
+    assert undone(desk, server) == [needing(7), needing(6), needing(5), NUMBERS]
 
 
 def test_a_busy_page_says_late_where_a_press_ended(desk: Desk, server: viser.ViserServer) -> None:
@@ -76,7 +76,7 @@ def test_a_busy_page_says_late_where_a_press_ended(desk: Desk, server: viser.Vis
     desk.tell(Feature.rested, needing(9))
     desk.tell(Feature.rested, needing(11))
     desk.change(params=needing(11), moving=True)
-    assert undone(desk, server) == [needing(9), needing(6), PipelineParams()]
+    assert undone(desk, server) == [needing(9), needing(6), NUMBERS]
 
 
 def test_an_undo_before_the_slider_rests_goes_to_where_it_began(
@@ -84,7 +84,7 @@ def test_an_undo_before_the_slider_rests_goes_to_where_it_began(
 ) -> None:
     desk.change(params=needing(20), moving=True)
     user_presses(find(server, "Undo"))
-    assert desk.state.params == PipelineParams()
+    assert desk.state.params == NUMBERS
     desk.tell(Feature.rested, needing(20))  # said before the undo was known
     user_presses(find(server, "Redo"))
     assert desk.state.params == needing(20)
