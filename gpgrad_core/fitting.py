@@ -12,7 +12,7 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.likelihood import Hyperparameters, Patch, log_marginal_likelihood
-from gpgrad_core.gp.patches import Members, draw_patches
+from gpgrad_core.gp.patches import PATCH_POINTS, Members, draw_patches
 from gpgrad_core.gp.spacing import MOST_INFORMATION, information
 from gpgrad_core.gradient_map import (
     NoiseModel,
@@ -93,6 +93,8 @@ def fit_parameters(
     *,
     fixed: Collection[Hyperparameter] = (),
     seed: int = 0,
+    patch_points: int = PATCH_POINTS,
+    tolerance: float = TOLERANCE,
     progress: Progress = silent,
 ) -> FitResult:
     """Find the hyperparameters under which the points of all submaps are most likely.
@@ -113,6 +115,9 @@ def fit_parameters(
             noise differs from point to point, one factor for all of it is searched for.
         fixed: Hyperparameters that stay as they are in the start.
         seed: Seed of the random choice of points.
+        patch_points: Number of points of a patch. A submap of no more points is one patch, and its
+            likelihood is the exact one.
+        tolerance: See `TOLERANCE`.
         progress: Called with the fraction done; may raise Cancelled.
 
     Returns:
@@ -128,7 +133,8 @@ def fit_parameters(
     chosen = [few_of(submaps[k], MOST_POINTS) for k in representative(len(submaps))]
     with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
         evaluate = _Evaluate(executor, progress)
-        params, areas = _search(chosen, start, fixed, np.random.default_rng(seed), evaluate)
+        rng = np.random.default_rng(seed)
+        params, areas = _search(chosen, start, fixed, rng, evaluate, patch_points, tolerance)
         before, after = (_likelihood(areas, one, evaluate) for one in (start, params))
     progress(1.0)
     return FitResult(
@@ -147,19 +153,21 @@ def _search(
     fixed: Collection[Hyperparameter],
     rng: np.random.Generator,
     evaluate: "_Evaluate",
+    patch_points: int,
+    tolerance: float,
 ) -> tuple[TerrainParams, "list[_Area]"]:
     """Find the maximum of the likelihood, and the points that it was computed from."""
     count = int(np.ceil(PATCHES / np.sqrt(len(submaps))))
     params = replace(start, signal_std=_common_signal_std(submaps, start))
-    areas = [_Area.of(submap, start, count, 0.0, rng) for submap in submaps]
+    areas = [_Area.of(submap, start, count, 0.0, rng, patch_points) for submap in submaps]
     for rounds_left in reversed(range(MOST_ROUNDS)):
-        params = _maximum(areas, params, fixed, evaluate)
+        params = _maximum(areas, params, fixed, evaluate, tolerance)
         if "noise" not in fixed:
             params = _solvable(params, areas)
         radius = params.length_scale
         if rounds_left == 0 or radius <= MOST_LENGTH_SCALE * _reach(areas):
             break
-        areas = [_Area.of(submap, start, count, radius, rng) for submap in submaps]
+        areas = [_Area.of(submap, start, count, radius, rng, patch_points) for submap in submaps]
     return params, areas
 
 
@@ -207,9 +215,11 @@ class _Area:
         count: int,
         radius: float,
         rng: np.random.Generator,
+        patch_points: int,
     ) -> "_Area":
         kept = kept_rows(submap, start.max_points)
-        return cls(submap, kept, draw_patches(submap.points[kept, :2], count, radius, rng))
+        xy = submap.points[kept, :2]
+        return cls(submap, kept, draw_patches(xy, count, radius, rng, patch_points))
 
     @property
     def points(self) -> Float[Array, "n 3"]:
@@ -273,6 +283,7 @@ def _maximum(
     params: TerrainParams,
     fixed: Collection[Hyperparameter],
     evaluate: _Evaluate,
+    tolerance: float,
 ) -> TerrainParams:
     """Search from params, whose signal is set, for a maximum of the likelihood of all areas."""
     # Imported here because it loads slowly and only a fit needs it.
@@ -296,7 +307,7 @@ def _maximum(
         jac=True,
         method="L-BFGS-B",
         bounds=Bounds(*np.log(limits)),
-        options={"ftol": TOLERANCE, "gtol": 1e-3, "maxfun": MOST_EVALUATIONS},
+        options={"ftol": tolerance, "gtol": 1e-3, "maxfun": MOST_EVALUATIONS},
     ).x
     # Rounding may move the exponential of a limit beyond the limit.
     length_scale, signal_std, noise = np.clip(np.exp(found), *limits).tolist()

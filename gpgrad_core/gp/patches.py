@@ -17,7 +17,11 @@ MOST_OFTEN = 2.0
 
 
 def draw_patches(
-    xy: Float[Array, "n 2"], count: int, radius: float, rng: np.random.Generator
+    xy: Float[Array, "n 2"],
+    count: int,
+    radius: float,
+    rng: np.random.Generator,
+    size: int = PATCH_POINTS,
 ) -> list[Members]:
     """Draw patches spread over a cloud; each is a disc seen from above.
 
@@ -29,23 +33,24 @@ def draw_patches(
         count: Number of patches wanted; a small cloud has fewer.
         radius: Smallest radius of a patch [m], as far as the cloud reaches.
         rng: Generator of the random choices.
+        size: Number of points of a patch.
 
     Returns:
         The indices of each patch's points.
     """
-    if len(xy) <= PATCH_POINTS:
+    if len(xy) <= size:
         return [np.arange(len(xy))]
-    count = min(count, int(np.ceil(MOST_OFTEN * len(xy) / PATCH_POINTS)))
+    count = min(count, int(np.ceil(MOST_OFTEN * len(xy) / size)))
     # Imported here because it loads slowly and only a fit needs it.
     from scipy.spatial import KDTree  # noqa: PLC0415
 
     tree = KDTree(xy)
     patches: list[Members] = []
     for centre in xy[_centres(tree, count, rng)]:
-        members = np.asarray(tree.query(centre, PATCH_POINTS)[1])
+        members = np.asarray(tree.query(centre, size)[1])
         if np.hypot(*(xy[members[-1]] - centre)) < radius:
             within = np.sort(tree.query_ball_point(centre, radius))
-            members = rng.choice(within, PATCH_POINTS, replace=False)
+            members = rng.choice(within, size, replace=False)
         patches.append(members)
     return patches
 

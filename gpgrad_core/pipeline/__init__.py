@@ -5,6 +5,8 @@ Only this folder knows the order. What a changed parameter does not affect is no
 
 from gpgrad_core.pipeline.automatic import (
     describe_choice,
+    fit_submap,
+    given_hyperparameters,
     is_resolved,
     numbers_stay,
     resolve_parameters,
@@ -41,6 +43,8 @@ __all__ = [
     "describe_choice",
     "detect_loop_closures",
     "extract_kept",
+    "fit_submap",
+    "given_hyperparameters",
     "infer_features",
     "infer_gradient_map",
     "infer_map",

@@ -1,12 +1,26 @@
-"""Chooses automatic parameters: those that are None are fitted to the dataset."""
+"""Chooses automatic parameters: those that are None are fitted to the dataset, or to a submap."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from gpgrad_core.fitting import MOST_POINTS, Hyperparameter, fit_parameters, representative
-from gpgrad_core.gradient_map import MapParams, TerrainParams, few_of, ordinary_noise
+from gpgrad_core.fitting import (
+    MOST_POINTS,
+    FitResult,
+    Hyperparameter,
+    fit_parameters,
+    fitted_names,
+    representative,
+)
+from gpgrad_core.gradient_map import (
+    MapParams,
+    TerrainParams,
+    few_of,
+    kept_points,
+    ordinary_noise,
+    signal_std_of,
+)
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.pipeline.params import PipelineParams
@@ -16,6 +30,12 @@ from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.scale import FEWEST_ACROSS, finest_of_kernel, resolved_scale
 from gpgrad_core.types import Submap
 
+SUBMAP_PATCH_POINTS = 350
+"""Number of points of a patch if every submap gets its own fit. 16 such patches hold each of 5,000
+points about once. A fit takes a third of the time of one with patches of 500 points; the
+length-scales differ from that one's by 6 %, the noise by 2 %."""
+SUBMAP_TOLERANCE = 1e-4
+"""Gain, as in `fitting.TOLERANCE`, at which the fit of a single submap stops."""
 DIGITS = 4
 """Number of significant digits of the chosen values: enough for any use, and easy to type."""
 
@@ -63,7 +83,10 @@ def resolve_parameters(
     free = TerrainParams(noise_model=asked.noise_model, max_points=asked.max_points)
     if asked.noise_model != "constant":
         free = replace(free, noise_growth=asked.noise_growth, noise_factor=asked.noise_factor)
-    given, some = _given(asked), tuple(submaps[k] for k in representative(len(submaps)))
+    given, some = (
+        given_hyperparameters(asked),
+        tuple(submaps[k] for k in representative(len(submaps))),
+    )
     of_map = asked
     if not given or asked.scale is None:
         fitted = memo.lasting(_fitted, some, free, (), progress=part(progress, 0.0, 0.6))
@@ -122,6 +145,45 @@ def numbers_stay(before: PipelineParams, after: PipelineParams) -> bool:
     return same_fit and scale_stays and radius_stays
 
 
+def fit_submap(
+    submap: Submap,
+    start: TerrainParams,
+    fixed: tuple[Hyperparameter, ...] = (),
+    seed: int = 0,
+    progress: Progress = silent,
+) -> FitResult:
+    """Fit the hyperparameters to a single submap, as the paper does for each (Sec. VI-B).
+
+    Args:
+        submap: Its points.
+        start: Where the search starts; a signal of None starts at the points' own.
+        fixed: Hyperparameters that stay as they are in the start.
+        seed: Seed of the random choice of points.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        The fit, with a number for the signal too. The numbers have a few digits, so that a file
+        can give them exactly.
+
+    Raises:
+        InputError: If the noise model is ``file`` and the cloud gives no noise.
+    """
+    result = fit_parameters(
+        [submap],
+        start,
+        fixed=fixed,
+        seed=seed,
+        patch_points=SUBMAP_PATCH_POINTS,
+        tolerance=SUBMAP_TOLERANCE,
+        progress=progress,
+    )
+    found = result.params
+    signal_std = signal_std_of(kept_points(submap, found.max_points), found)
+    found, bounds = replace(found, signal_std=signal_std), bounds_of(TerrainParams)
+    rounded = {name: _rounded(getattr(found, name), bounds[name]) for name in fitted_names(found)}
+    return replace(result, params=replace(found, **rounded))
+
+
 def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
     """Describe the chosen parameters in one line; the line is empty if none was chosen.
 
@@ -146,7 +208,7 @@ def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
     return f"fitted: {', '.join(chosen)}" if chosen else ""
 
 
-def _given(asked: MapParams) -> tuple[Hyperparameter, ...]:
+def given_hyperparameters(asked: MapParams) -> tuple[Hyperparameter, ...]:
     """List the hyperparameters that a fit must not change."""
     given: list[Hyperparameter] = []
     if asked.length_scale is not None:
