@@ -28,6 +28,22 @@ class ClosureParams:
         Bounds(0.0, 1_000_000.0, 0.1, "", slider=(0.0, 12.0)),
         Doc("Lowest score of a loop closure. One in 1000 unrelated pairs reaches a score of 3."),
     ] = 3.0
+    max_dissimilarity: Annotated[
+        float | None,
+        Bounds(0.0, 1e30, 1e7, "1/m⁴", slider=(1e8, 1e13)),
+        Doc(
+            "Largest dissimilarity of a loop closure, the paper's threshold on h. Automatic: there "
+            "is none."
+        ),
+    ] = None
+    max_mean_dissimilarity: Annotated[
+        float | None,
+        Bounds(0.0, 1e30, 1e3, "1/m⁴", slider=(1e4, 1e9)),
+        Doc(
+            "Largest dissimilarity divided by the number of common cells, so that a small overlap "
+            "has no advantage. Automatic: there is none."
+        ),
+    ] = None
     max_std: Annotated[
         float,
         Bounds(0.01, 1000.0, 0.01, "m", slider=(0.05, 2.0)),
@@ -44,6 +60,20 @@ class ClosureParams:
     def __post_init__(self) -> None:
         """Check the bounds."""
         check_bounds(self)
+
+    def too_dissimilar(self, dissimilarity: float, mean: float) -> str:
+        """Give the reason why a motion is refused by the paper's h, or nothing if it is not.
+
+        Args:
+            dissimilarity: h under the motion.
+            mean: The same divided by the number of common cells.
+        """
+        of_whole, of_mean = self.max_dissimilarity, self.max_mean_dissimilarity
+        if of_whole is not None and dissimilarity > of_whole:
+            return f"dissimilarity {dissimilarity:.3g} > {of_whole:g}"
+        if of_mean is not None and mean > of_mean:
+            return f"dissimilarity of a cell {mean:.3g} > {of_mean:g}"
+        return ""
 
 
 def classify(
@@ -67,6 +97,7 @@ def classify(
     params = params or ClosureParams()
     num, score = registration.num_inliers, registration.score
     std = _worst_std(registration)
+    dissimilar = params.too_dissimilar(registration.dissimilarity, registration.mean_dissimilarity)
     accepted, reason = False, ""
     if registration.T_database_query is None:
         reason = "no motion was found: the maps have too little in common"
@@ -74,6 +105,8 @@ def classify(
             reason = "cannot judge: the variance mask trusts no cell of one of the maps"
     elif num < params.min_inliers:
         reason = f"{num} inliers < {params.min_inliers}"
+    elif dissimilar:
+        reason = dissimilar
     elif score < params.min_score:
         reason = f"score {score:.3g} < {params.min_score:g}" + _why(registration)
     elif std is not None and std > params.max_std:

@@ -5,6 +5,7 @@ radians; only `Grid` knows pixels.
 """
 
 import hashlib
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -527,7 +528,7 @@ class Registration:
             found.
         inliers: Which associations agree with the motion (m,). A keypoint counts in one inlier
             at most.
-        dissimilarity: The paper's SSD metric h over the overlap; infinite if there is none.
+        dissimilarity: The paper's SSD metric h over the overlap [1/m⁴]; infinite if there is none.
         overlap_area: Area of the cells that both maps trust under the motion [m²].
         correlation: Correlation of the two slope fields over that area, in [-1, 1].
         score: How likely the pair is a loop closure. Pairs are ranked by it.
@@ -542,6 +543,8 @@ class Registration:
         evidence: What was added up to give the score: for the inliers, and for each band of
             wavelengths from the shortest. What is below 0 speaks against the motion. Empty if
             the terrain was not compared.
+        mean_dissimilarity: The dissimilarity divided by the number of common cells [1/m⁴];
+            infinite if there is none.
     """
 
     T_database_query: SE2 | None
@@ -557,6 +560,7 @@ class Registration:
     agreement: Agreement | None = None
     nothing_trusted: bool = False
     evidence: tuple[float, ...] = ()
+    mean_dissimilarity: float = math.inf
 
     @property
     def num_inliers(self) -> int:

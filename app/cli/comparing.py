@@ -92,7 +92,7 @@ def compare(
             result = detect_loop_closures(
                 dataset,
                 params,
-                detector=keeping(method.detector(params, Memo()), store),
+                detector=keeping(method.detector(params, Memo(store=store)), store),
                 candidates=candidates,
                 executor=executor,
                 progress=progress,

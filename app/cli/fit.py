@@ -12,9 +12,19 @@ from app.cli.inputs import ParamsFile, base_params, load
 from app.cli.terminal import count, progress_bar, say
 from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.gradient_map import TerrainParams
-from gpgrad_core.outputs import check_apart, check_output, write_fitted
+from gpgrad_core.methods.paper import paper_params, paper_start
+from gpgrad_core.outputs import (
+    check_apart,
+    check_output,
+    fitted_rows,
+    write_fitted,
+    write_fitted_table,
+)
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.pipeline import fit_submap
+from gpgrad_core.run.progress import part
+from gpgrad_core.types import Dataset
 
 
 @dataclass(frozen=True)
@@ -28,9 +38,19 @@ class Fit:
     ]
     out: Annotated[
         Path | None,
-        Doc("Also write the parameters to this file, which the other verbs can read."),
-        tyro.conf.arg(metavar="FILE.toml"),
+        Doc(
+            "Also write the parameters to this file, which the other verbs can read; with --each, "
+            "the table, to a file that ends in .csv."
+        ),
+        tyro.conf.arg(metavar="FILE.toml|FILE.csv"),
     ] = None
+    each: Annotated[
+        bool,
+        Doc(
+            "Fit every submap by itself, as --method paper does (the paper's Sec. VI-B), and print "
+            "a table. Then the start is the paper's where nothing is given."
+        ),
+    ] = False
     seed: Annotated[int, Doc("Seed of the random choice of points.")] = 0
     params: ParamsFile = None
     map: Annotated[
@@ -40,10 +60,13 @@ class Fit:
     def run(self) -> None:
         """Fit, print and write."""
         if self.out:
-            check_output(self.out, (".toml",))
+            check_output(self.out, (".csv",) if self.each else (".toml",))
             check_apart([self.out], [self.dataset, self.params])
         SEEDS.check("--seed", self.seed)
         dataset = load(self.dataset)
+        if self.each:
+            self._fit_each(dataset)
+            return
         start = self.map.over(base_params(dataset, self.params).map.guessed.terrain)
         with progress_bar("fit") as progress:
             result = fit_parameters(dataset.submaps, start, seed=self.seed, progress=progress)
@@ -51,6 +74,21 @@ class Fit:
             say(line)
         if self.out:
             write_fitted(self.out, result)
+            say(str(self.out))
+
+    def _fit_each(self, dataset: Dataset) -> None:
+        asked, num = paper_params(base_params(dataset, self.params)).map, len(dataset.submaps)
+        start, results = self.map.over(paper_start(asked)), list[FitResult]()
+        with progress_bar("fit") as progress:
+            for k, submap in enumerate(dataset.submaps):
+                of_one = part(progress, k / num, (k + 1) / num)
+                results.append(fit_submap(submap, start, seed=self.seed, progress=of_one))
+        rows = fitted_rows(results)
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        for row in rows:
+            say("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)))
+        if self.out:
+            write_fitted_table(self.out, results)
             say(str(self.out))
 
 

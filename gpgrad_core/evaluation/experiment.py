@@ -63,7 +63,7 @@ def run_methods(
         result = detect_loop_closures(
             dataset,
             adapted,
-            detector=method.detector(adapted, Memo()),
+            detector=method.detector(adapted, Memo(store=store)),
             candidates=candidates,
             executor=executor,
             progress=part(progress, k / len(methods), (k + 1) / len(methods)),

@@ -1,88 +1,230 @@
-"""The paper to the letter: its map, its keypoints, and its Algorithm 1 with n and h.
+"""The paper to the letter: its tuning, its map, its keypoints, and its Algorithm 1 with n and h.
 
 If the paper leaves a number or a step open, `paper_params` says what is used. The pipeline differs
 from the paper by its detector, its noise, its one-to-one inliers and its dense check.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Bool, Int
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.features import DetectorParams
+from gpgrad_core.features import DetectorParams, FeatureParams
 from gpgrad_core.features.interpolation import interpolate
-from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.gp.likelihood import Hyperparameters
+from gpgrad_core.gradient_map import MapParams, TerrainParams
+from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.matching import MatchParams, match_features
-from gpgrad_core.pipeline import PipelineParams, extract_kept, infer_map
-from gpgrad_core.pipeline.all_pairs import StagedDetector
+from gpgrad_core.pipeline import (
+    PairResult,
+    PipelineParams,
+    check_affordable,
+    extract_kept,
+    fit_submap,
+    given_hyperparameters,
+    infer_map,
+    judge_pair,
+)
+from gpgrad_core.pipeline.all_pairs import TunedDetector
+from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, fit_se2
 from gpgrad_core.types import Features, GradientMap, Matches, Registration, Submap
 
-LENGTH_SCALE = 0.316
+P = TypeVar("P")
+
+START_LENGTH_SCALE = 0.316
 """√0.1 m: Eq. (6) prints 2 l_k in place of the usual 2 l², and l_k is about 0.1 (Sec. VI-B)."""
-MIN_INLIERS = 5
-"""Smallest number of inliers of a loop closure; in the paper's Sec. VII-C all closures with five or
-more inliers were right."""
-RATIO = 0.8
-"""Largest ratio of the nearest descriptor's distance to the second's. Without it, pairs without
-overlap reach five inliers too."""
-INLIER_RADIUS = 0.15
-"""The paper's "2D distance threshold" [m], which has no number there: five pixels of its maps."""
-ITERATIONS = 5000
-"""Max Nb Iterations of Algorithm 1, for which the paper gives no number."""
-MAX_DISSIMILARITY = np.inf
-"""Threshold on h in AcceptTransformation; the paper found a threshold on n "the most effective"."""
+START_NOISE_STD = 0.05
+"""Where the search for the noise starts [m]; the paper starts at "the typical elevation accuracy of
+the submapping system", which it does not give."""
+PAPER = PipelineParams(
+    map=MapParams(max_points=5000, resolution=0.03),
+    features=FeatureParams(max_keypoints=20_000, detector=DetectorParams("surf")),
+    matching=MatchParams(ratio=1.0, mutual=True),
+    registration=RegistrationParams(inlier_radius=0.15, trials=5000),
+    closure=ClosureParams(min_inliers=5, min_score=0.0),
+)
+"""The paper's parameters, with `paper_params`' choices where the paper has no number."""
 
 
 def paper_params(params: PipelineParams) -> PipelineParams:
-    """Replace all parameters but the seed and the noise by the paper's (Secs. V and VI-B).
+    """Replace the parameters that are left at their default by the paper's (Secs. V to VII).
+
+    A parameter with another value stays: a length-scale, noise or signal that is given is used for
+    every submap as it is, and only the others are fitted.
 
     | what | paper | taken |
     |---|---|---|
     | points, resolution | 5000, 0.03 m/pixel | the same |
-    | length-scale | l_k "around 0.1 m" in Eq. (6), unsquared, before fine-tuning | √0.1 m |
-    | signal | the empirical variance | the same |
-    | noise | "typical elevation accuracy" of the sensor | that of the parameters |
+    | length-scale | starts at l_k "around 0.1 m" in Eq. (6), unsquared | starts at √0.1 m |
+    | signal | starts at the submap's empirical variance | the same |
+    | noise | starts at the "typical elevation accuracy" of the system | starts at 5 cm |
+    | tuning | "fine-tuned as described in [2]" | the same for each submap: marginal likelihood |
     | keypoints | SURF, masked by variance | the same, all of them; the default mask |
-    | matching | brute force, L2 | the same, nearest of each other, with Lowe's ratio of 0.8 |
-    | inliers | "2D distance threshold" | 0.15 m |
+    | matching | brute force, L2 | the same, nearest of each other |
+    | inliers | "2D distance threshold" | 0.15 m, which is five pixels |
     | iterations | a maximum | 5000 |
-    | acceptance | by h and n, later n alone, right from n = 5 | n of five |
+    | acceptance | by h and n, later n alone, right from n = 5 | n of five; h if a limit is given |
     """
-    return replace(
-        params,
-        map=MapParams(
-            length_scale=LENGTH_SCALE,
-            noise_std=params.map.guessed.noise_std,
-            max_points=5000,
-            resolution=0.03,
-        ),
-        features=replace(params.features, max_keypoints=20_000, detector=DetectorParams("surf")),
-        matching=MatchParams(ratio=RATIO, mutual=True),
-        registration=replace(params.registration, inlier_radius=INLIER_RADIUS, trials=ITERATIONS),
-        closure=replace(params.closure, min_inliers=MIN_INLIERS, min_score=0.0),
+    return _with_defaults(params, PipelineParams(), PAPER)
+
+
+def _with_defaults(params: P, usual: P, wanted: P) -> P:
+    """Replace each value that is the usual one by the wanted one."""
+    changes: dict[str, object] = {}
+    for field in fields(cast("Any", params)):
+        value, of_usual, of_wanted = (getattr(one, field.name) for one in (params, usual, wanted))
+        if is_dataclass(value):
+            changes[field.name] = _with_defaults(value, of_usual, of_wanted)
+        elif value == of_usual:
+            changes[field.name] = of_wanted
+    return cast("P", replace(cast("Any", params), **changes))
+
+
+def paper_start(params: MapParams) -> TerrainParams:
+    """Give the terrain's parameters at which the fit of every submap starts (Sec. VI-B)."""
+    return TerrainParams(
+        length_scale=START_LENGTH_SCALE if params.length_scale is None else params.length_scale,
+        noise_std=START_NOISE_STD if params.noise_std is None else params.noise_std,
+        noise_model=params.noise_model,
+        noise_growth=params.noise_growth,
+        noise_factor=params.noise_factor,
+        signal_std=params.signal_std,
+        max_points=params.max_points,
     )
 
 
+def tune(
+    submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
+) -> TerrainParams:
+    """Fit the terrain's parameters to a submap, except those that are given.
+
+    Args:
+        submap: Its points.
+        params: The map's parameters; None stands for what is to be fitted. If length-scale and
+            noise are given, nothing is fitted, and a signal of None is that of the points.
+        memo: Keeps the fit; with a store also for later runs.
+        progress: Called with the fraction done; may raise Cancelled.
+    """
+    start, given = paper_start(params), given_hyperparameters(params)
+    if {"length_scale", "noise"} <= set(given):
+        return start
+    return memo.lasting(fit_submap, submap, start, given, progress=progress).params
+
+
 @dataclass(frozen=True, eq=False)
-class PaperSubmap:
-    """What the paper's comparison needs of one submap.
+class TunedMap:
+    """A gradient map, with the parameters that were fitted to its submap.
 
     Attributes:
-        gradient_map: Its gradient map.
-        features: Its keypoints.
+        gradient_map: The map.
+        terrain: Its own parameters, with which it was made.
     """
 
     gradient_map: GradientMap
+    terrain: TerrainParams
+
+
+@dataclass(frozen=True, eq=False)
+class PaperSubmap(TunedMap):
+    """What the paper's comparison needs of one submap.
+
+    Attributes:
+        features: Its keypoints.
+    """
+
     features: Features
 
 
 @dataclass(frozen=True, eq=False)
-class PaperDetector(StagedDetector):
-    """The paper as a `LoopDetector`: the pipeline's maps and keypoints, and Algorithm 1 as printed.
+class PaperPair(PairResult):
+    """The results of all stages of the paper for one pair of submaps.
+
+    Attributes:
+        query_terrain: The terrain's parameters that were fitted to the query.
+        database_terrain: Those that were fitted to the database.
+    """
+
+    query_terrain: TerrainParams
+    database_terrain: TerrainParams
+
+
+def infer_tuned(
+    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> TunedMap:
+    """Fit the terrain's parameters to a submap, and make its map with them.
+
+    Args:
+        submap: Its points.
+        params: Parameters of all stages.
+        memo: Keeps the fit, the Gaussian process and the map separately.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Raises:
+        InputError: If the map cannot be made.
+    """
+    check_affordable(submap, params)  # refused before the long work
+    terrain = tune(submap, params.map, memo, part(progress, 0.0, 0.6))
+    of_map = replace(
+        params.map,
+        length_scale=terrain.length_scale,
+        noise_std=terrain.noise_std,
+        noise_growth=terrain.noise_growth,
+        noise_factor=terrain.noise_factor,
+        signal_std=terrain.signal_std,
+    )
+    made = infer_map(submap, replace(params, map=of_map), memo, part(progress, 0.6, 1.0))
+    return TunedMap(made, terrain)
+
+
+def register_paper_pair(
+    query: Submap,
+    database: Submap,
+    params: PipelineParams,
+    memo: Memo,
+    progress: Progress = silent,
+) -> PaperPair:
+    """Run the paper's stages for one pair; what the memo has is not computed again.
+
+    Args:
+        query: The submap to be placed.
+        database: The submap on which it is placed.
+        params: Parameters of all stages, used as they are; `paper_params` gives the paper's.
+        memo: Shared by all calls that may need the same results.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        The results of all stages. The registration has n as ``num_inliers``, h as
+        ``dissimilarity`` and h for a cell as ``mean_dissimilarity``.
+
+    Raises:
+        InputError: If a submap's map cannot be made.
+    """
+    detector = PaperDetector(params, memo)
+    of_query = detector.extract(detector.infer(query, part(progress, 0.0, 0.4)))
+    of_database = detector.extract(detector.infer(database, part(progress, 0.4, 0.8)))
+    matches, registration = detector.match_and_register(of_query, of_database)
+    progress(1.0)
+    return PaperPair(
+        of_query.gradient_map,
+        of_database.gradient_map,
+        of_query.features,
+        of_database.features,
+        matches,
+        registration,
+        judge_pair(query, database, registration, params, memo),
+        of_query.terrain,
+        of_database.terrain,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PaperDetector(TunedDetector):
+    """The paper as a `LoopDetector`: every submap's own tuning, SURF, and Algorithm 1 as printed.
 
     Attributes:
         params: The parameters from `paper_params`.
@@ -92,25 +234,36 @@ class PaperDetector(StagedDetector):
     params: PipelineParams
     memo: Memo
 
-    def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
-        """Make the map."""
-        return infer_map(submap, self.params, self.memo, progress)
+    def infer(self, submap: Submap, progress: Progress = silent) -> TunedMap:
+        """Fit the terrain's parameters, and make the map."""
+        return infer_tuned(submap, self.params, self.memo, progress)
 
-    def extract(self, made: GradientMap, progress: Progress = silent) -> PaperSubmap:
+    def extract(self, made: TunedMap, progress: Progress = silent) -> PaperSubmap:
         """Extract the keypoints."""
-        features = extract_kept(made, self.params, self.memo)
+        features = extract_kept(made.gradient_map, self.params, self.memo)
         progress(1.0)
-        return PaperSubmap(made, features)
+        return PaperSubmap(made.gradient_map, made.terrain, features)
 
     def keypoints(self, extracted: PaperSubmap) -> Features:
         """Give the keypoints."""
         return extracted.features
 
+    def hyperparameters(self, extracted: PaperSubmap) -> Hyperparameters:
+        """Give the submap's own hyperparameters."""
+        of_map = extracted.gradient_map
+        return Hyperparameters(of_map.length_scale, of_map.signal_std, extracted.terrain.noise_std)
+
     def compare(self, query: PaperSubmap, database: PaperSubmap) -> Registration:
         """Register the query to the database; the score is n."""
+        return self.match_and_register(query, database)[1]
+
+    def match_and_register(
+        self, query: PaperSubmap, database: PaperSubmap
+    ) -> tuple[Matches, Registration]:
+        """Associate the keypoints, and run Algorithm 1 with the associations."""
         matches = self.memo(match_features, query.features, database.features, self.params.matching)
         params = self.params.registration
-        return self.memo(
+        return matches, self.memo(
             register_as_printed,
             query.gradient_map,
             database.gradient_map,
@@ -118,7 +271,23 @@ class PaperDetector(StagedDetector):
             params.radius(None),
             params.trials,
             params.seed,
+            _limits(self.params.closure),
         )
+
+
+def _limits(closure: ClosureParams) -> ClosureParams | None:
+    """Keep what the loop of Algorithm 1 needs to know to accept a motion by h; None is nothing.
+
+    A limit on n alone chooses the same motion before the loop's end as after it. Without it in the
+    loop, another one costs nothing.
+    """
+    if closure.max_dissimilarity is None and closure.max_mean_dissimilarity is None:
+        return None
+    return ClosureParams(
+        min_inliers=closure.min_inliers,
+        max_dissimilarity=closure.max_dissimilarity,
+        max_mean_dissimilarity=closure.max_mean_dissimilarity,
+    )
 
 
 def register_as_printed(
@@ -128,11 +297,13 @@ def register_as_printed(
     inlier_radius: float,
     iterations: int,
     seed: int,
+    limits: ClosureParams | None = None,
 ) -> Registration:
     """Run Algorithm 1 line by line.
 
-    Two things are computed differently, with the same result: the inliers of all iterations are
-    counted at once, and the expensive h is computed only if the rest of the condition holds.
+    The loop keeps an accepted motion only if it has more inliers than all before. So it ends with
+    the first of the accepted motions with the most inliers. That one is found here from the most
+    inliers downwards, and the expensive h is computed until one is accepted.
 
     Args:
         query: The query's map: I_g^q and I_v^q.
@@ -141,10 +312,13 @@ def register_as_printed(
         inlier_radius: Distance threshold of GetInliers [m].
         iterations: Max Nb Iterations.
         seed: Seed of SelectRandomAsso.
+        limits: Thresholds of AcceptTransformation on n and h; None accepts every motion, because
+            the threshold on n may also come after the loop.
 
     Returns:
         The motion T, n as inliers and score, and h as dissimilarity. T is None if no iteration
-        has two inliers.
+        has two inliers. If none is accepted, the result is the motion with the most inliers, so
+        that it can be shown, with a score of 0.
     """
     best = Registration(None, np.zeros(len(matches), bool), np.inf, 0.0, 0.0, 0.0)
     if len(matches) < 2:
@@ -152,24 +326,37 @@ def register_as_printed(
     pairs = _random_pairs(len(matches), iterations, seed)
     inliers_of_all = _inliers_of_all(pairs, matches, inlier_radius)
     counts = np.count_nonzero(inliers_of_all, axis=1)
-    for inliers, count in zip(inliers_of_all, counts, strict=True):
-        if count <= max(best.num_inliers, 1):
+    seen: set[bytes] = set()
+    for k in np.argsort(-counts, kind="stable"):
+        inliers, count = inliers_of_all[k], int(counts[k])
+        if count < 2 or (seen and limits is not None and count < limits.min_inliers):
+            break
+        if inliers.tobytes() in seen:
             continue
+        seen.add(inliers.tobytes())
         # GetSE2Transform(A_i), the motion fitted to all inliers.
         motion = fit_se2(matches.query_xy[inliers], matches.database_xy[inliers])
-        h, area = ssd_metric(query, database, motion)
-        # AcceptTransformation by h; that by n comes afterwards, so that n can be varied.
-        if h <= MAX_DISSIMILARITY:
-            best = Registration(motion, inliers, h, area, 0.0, float(count))
+        h, num_cells = ssd_metric(query, database, motion)
+        mean = h / num_cells if num_cells else np.inf
+        accepted = limits is None or not limits.too_dissimilar(h, mean)
+        if accepted or best.T_database_query is None:
+            area = num_cells * database.grid.resolution**2
+            score = float(count) if accepted else 0.0
+            best = Registration(motion, inliers, h, area, 0.0, score, mean_dissimilarity=mean)
+        if accepted:
+            break
     return best
 
 
 def ssd_metric(
     query: GradientMap, database: GradientMap, T_database_query: SE2
-) -> tuple[float, float]:
-    """Compute the paper's metric h over all common cells (ComputeSSDMetric).
+) -> tuple[float, int]:
+    """Compute the paper's ComputeSSDMetric.
 
-        h = Σ (I_g^q - I_g^d)² / (I_v^q I_v^d)    Le Gentil 2020, Sec. V
+        h = Σ (I_g^q - I_g^d)² / (I_v^q I_v^d)
+
+    The sum goes over the cells of the database's map that lie in both maps. The query's map is
+    interpolated there.
 
     Args:
         query: The query's map.
@@ -177,18 +364,18 @@ def ssd_metric(
         T_database_query: The motion.
 
     Returns:
-        h, which is infinite if the maps do not overlap; and the area of the common cells [m²].
+        h, which is infinite if the maps do not overlap; and the number of common cells.
     """
     there = T_database_query.inverse().apply(database.grid.positions)
     pixels = query.grid.to_pixel(there)
     common = ((pixels >= 0) & (pixels <= np.array(query.grid.shape[::-1]) - 1)).all(axis=1)
     if not common.any():
-        return np.inf, 0.0
+        return np.inf, 0
     image = np.dstack([query.gradient, query.variance]).astype(np.float32)
     gradient, variance = interpolate(image, pixels[common][:, None])[:, 0].astype(np.float64).T
     difference = gradient - database.gradient.ravel()[common]
     h = np.sum(difference**2 / (variance * database.variance.ravel()[common]))
-    return float(h), float(common.sum() * database.grid.resolution**2)
+    return float(h), int(common.sum())
 
 
 def _random_pairs(num: int, iterations: int, seed: int) -> Int[NDArray[np.intp], "t 2"]:

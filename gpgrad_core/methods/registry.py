@@ -34,6 +34,10 @@ def _as_given(params: PipelineParams) -> PipelineParams:
     return params
 
 
+def _guessed(params: PipelineParams) -> PipelineParams:
+    return replace(params, map=params.map.guessed)
+
+
 @dataclass(frozen=True, eq=False)
 class Method:
     """A method of loop-closure detection.
@@ -43,8 +47,8 @@ class Method:
         summary: What it does, in one line.
         detector: Makes its detector, which keeps the results of each submap in the memo.
         adapt: Turns the given parameters into those with which the method runs.
-        fitted: Whether automatic parameters are fitted to the dataset. The other methods have
-            defaults of their own in their place, those of `TerrainParams`.
+        fitted: Whether automatic parameters are fitted to the dataset. What takes their place in
+            another method, ``adapt`` says.
         package: A module that it needs and that may be missing, because it belongs to an extra or
             needs a shared library of the system.
         install: The argument of ``pip install`` that brings the package.
@@ -78,8 +82,6 @@ class Method:
         """
         if self.fitted and submaps:
             params = resolve_parameters(submaps, params, memo, progress)
-        elif not self.fitted:
-            params = replace(params, map=params.map.guessed)
         return self.adapt(params)
 
     def check_searchable(self, candidates: Candidates) -> None:
@@ -116,7 +118,9 @@ METHODS: dict[str, Method] = {
             elevation_params,
             fitted=True,
         ),
-        Method("smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector),
+        Method(
+            "smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector, _guessed
+        ),
         Method(
             "fpfh",
             "FPFH and RANSAC.",

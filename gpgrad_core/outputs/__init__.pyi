@@ -16,7 +16,7 @@ from .closures import (
     table_of,
 )
 from .files import check_apart, check_output, replacing
-from .fitted import write_fitted
+from .fitted import fitted_rows, write_fitted, write_fitted_table
 from .maps import MAP_ENDINGS, write_map
 from .shortlists import read_shortlist, resume_shortlist, write_shortlist
 
@@ -31,6 +31,7 @@ __all__ = [
     "check_output",
     "closure_of",
     "count_images",
+    "fitted_rows",
     "read_closures",
     "read_decision",
     "read_pair",
@@ -44,6 +45,7 @@ __all__ = [
     "write_closure_table",
     "write_closures",
     "write_fitted",
+    "write_fitted_table",
     "write_map",
     "write_shortlist",
 ]

@@ -3,6 +3,7 @@
 import json
 import shutil
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 
 from gpgrad_core.outputs.closures import ClosureReport, PairRecord, record_of, table_of
@@ -84,7 +85,11 @@ class ClosureWriter:
             "params": report.params,
             "versions": report.versions,
             "seconds": report.seconds,
-            "submaps": [{"id": id, "num_points": count} for id, count in report.submaps.items()],
+            "submaps": [
+                {"id": id, "num_points": count}
+                | (asdict(report.hyperparameters[id]) if id in report.hyperparameters else {})
+                for id, count in report.submaps.items()
+            ],
             "num_pairs_skipped": report.num_pairs_skipped,
         }
         head = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, fields
+from dataclasses import asdict, astuple, dataclass, field, fields
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.reading.json_files import Record, is_number, read_json
 from gpgrad_core.se2 import SE2
@@ -36,6 +37,9 @@ MAX_YAW = 1e6
 MAX_COVARIANCE = MAX_COORDINATE**2
 """[m²]"""
 
+
+OWN = tuple(one.name for one in fields(Hyperparameters))
+"""Keys of a submap for its own hyperparameters."""
 
 LONGEST_NOTE = 200
 """Letters of a note on a pair."""
@@ -69,7 +73,7 @@ class PairRecord:
         database: Id of the earlier one.
         num_inliers: Number of associations that agree with the motion.
         score: A pair with a higher score is more likely a loop closure.
-        dissimilarity: The paper's SSD metric h; infinite if the maps were not compared.
+        dissimilarity: The paper's SSD metric h [1/m⁴]; infinite if the maps were not compared.
         overlap_area: Trusted area that both maps share [m²].
         accepted: Whether the pair is a loop closure.
         reason: Why it is accepted or refused.
@@ -84,6 +88,7 @@ class PairRecord:
         decision: What a person decided about the pair; it outweighs `accepted` and `reason`. None
             if nobody did.
         images: What camera images say of the motion; None if they were not asked.
+        mean_dissimilarity: h divided by the number of common cells; None if it is not known.
     """
 
     query: str
@@ -102,6 +107,7 @@ class PairRecord:
     agreement: Agreement | None = None
     decision: Decision | None = None
     images: ImageVerdict | None = None
+    mean_dissimilarity: float | None = None
 
     @property
     def verdict(self) -> bool:
@@ -129,6 +135,7 @@ class ClosureReport:
         submaps: Number of points by the submap's id, in the dataset's order.
         pairs: Every unordered pair that was compared once.
         num_pairs_skipped: Number of pairs that were not compared.
+        hyperparameters: Those of each submap by its id, if the method fits them to every submap.
     """
 
     dataset: str
@@ -140,6 +147,9 @@ class ClosureReport:
     submaps: Mapping[str, int]
     pairs: tuple[PairRecord, ...]
     num_pairs_skipped: int = 0
+    hyperparameters: Mapping[str, Hyperparameters] = field(
+        default_factory=dict[str, Hyperparameters]
+    )
 
     @property
     def accepted(self) -> tuple[PairRecord, ...]:
@@ -192,6 +202,7 @@ def report_closures(
             for closure in result.closures
         ),
         num_pairs_skipped=math.comb(len(dataset.submaps), 2) - len(result.closures),
+        hyperparameters=result.hyperparameters,
     )
 
 
@@ -228,6 +239,11 @@ def read_closures(path: Path | str) -> ClosureReport:
         num_pairs_skipped=0  # other tools may not count them
         if content.values.get("num_pairs_skipped") is None
         else content.count("num_pairs_skipped", MOST_PAIRS),
+        hyperparameters={
+            one.text("id"): Hyperparameters(*(one.number(name, 0.0) for name in OWN))
+            for one in content.records("submaps")
+            if all(name in one.values for name in OWN)
+        },
     )
 
 
@@ -290,6 +306,7 @@ def closure_of(pair: PairRecord) -> LoopClosure:
         z_std=pair.z_std,
         scale=pair.scale,
         agreement=pair.agreement,
+        mean_dissimilarity=math.inf if pair.mean_dissimilarity is None else pair.mean_dissimilarity,
     )
     decided = pair.decision is not None and pair.decision.accepted is not None
     reason = pair.decision.reason if pair.decision is not None and decided else pair.reason
@@ -325,6 +342,9 @@ def record_of(closure: LoopClosure, decision: Decision | None = None) -> PairRec
         else Agreement(*(_rounded(value) for value in astuple(registration.agreement))),
         decision=decision,
         images=closure.images,
+        mean_dissimilarity=_rounded(registration.mean_dissimilarity)
+        if math.isfinite(registration.mean_dissimilarity)
+        else None,
     )
 
 
@@ -332,7 +352,7 @@ def table_of(pair: PairRecord) -> dict[str, Any]:
     """Write a record as the table that the file has of it; `read_pair` reads it back."""
     finite = pair.dissimilarity if math.isfinite(pair.dissimilarity) else None
     table = asdict(pair) | {"dissimilarity": finite}
-    for name in ("decision", "images"):
+    for name in ("decision", "images", "mean_dissimilarity"):
         if table[name] is None:
             del table[name]
     return table
@@ -369,6 +389,7 @@ def read_pair(pair: Record) -> PairRecord:
         if pair.values.get("decision") is None
         else read_decision(pair.record("decision")),
         images=None if pair.values.get("images") is None else _read_images(pair.record("images")),
+        mean_dissimilarity=pair.optional_number("mean_dissimilarity", 0.0),
     )
     if found.query == found.database:
         raise pair.wrong("database", "another submap than the query")

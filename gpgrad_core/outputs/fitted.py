@@ -1,11 +1,15 @@
-"""Fitted hyperparameters as a TOML file that ``--params`` reads."""
+"""Fitted hyperparameters: a TOML file that ``--params`` reads, or a table of every submap's."""
 
+import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import tomli_w
 
 from gpgrad_core.fitting import FitResult, fitted_names
+from gpgrad_core.gradient_map import TerrainParams
 from gpgrad_core.outputs.files import replacing
+from gpgrad_core.params.fields import bounds_of
 
 
 def write_fitted(path: Path | str, result: FitResult) -> None:
@@ -32,3 +36,33 @@ def write_fitted(path: Path | str, result: FitResult) -> None:
     text = "\n".join([*lines, tomli_w.dumps({"map": fitted})])
     with replacing(path) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
+
+
+def fitted_rows(results: Sequence[FitResult]) -> list[list[str]]:
+    """Write the fits of single submaps as the rows of a table; the first one names the columns.
+
+    Args:
+        results: One fit or more, with the same noise model.
+    """
+    units = {name: bounds.unit for name, bounds in bounds_of(TerrainParams).items()}
+    names = fitted_names(results[0].params)
+    head = [f"{name} [{units[name]}]" if units[name] else name for name in names]
+    rows = [["submap", *head, "log likelihood per point"]]
+    for result in results:
+        values = (f"{getattr(result.params, name):.4g}" for name in names)
+        rows.append([*result.submap_ids, *values, f"{result.log_likelihood_after:.4f}"])
+    return rows
+
+
+def write_fitted_table(path: Path | str, results: Sequence[FitResult]) -> None:
+    """Write the fits of single submaps as comma-separated values with a header.
+
+    Args:
+        path: File to write.
+        results: One fit or more, with the same noise model.
+
+    Raises:
+        InputError: If it cannot be written there.
+    """
+    with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows(fitted_rows(results))

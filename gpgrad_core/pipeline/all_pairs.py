@@ -8,6 +8,7 @@ from math import ceil, sqrt
 from time import perf_counter
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
+from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.run.parallel import Work, num_side_by_side, take_in_turn
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.threads import at_most_workers, num_workers, single_threaded_libraries
@@ -94,6 +95,15 @@ class SearchableDetector(StagedDetector, Protocol):
 
 
 @runtime_checkable
+class TunedDetector(StagedDetector, Protocol):
+    """A `StagedDetector` that fits the hyperparameters of the terrain to every submap."""
+
+    def hyperparameters(self, extracted: Any) -> Hyperparameters:
+        """Give those of an extracted submap."""
+        ...
+
+
+@runtime_checkable
 class KeepingDetector(SearchableDetector, Protocol):
     """A `SearchableDetector` with a store, which later runs share."""
 
@@ -113,6 +123,7 @@ def compare_all(
     executor: Executor | None = None,
     progress: Progress = silent,
     choose: Choose | None = None,
+    look: Callable[[list[Any]], None] | None = None,
 ) -> dict[str, float]:
     """Register every submap to all earlier ones, or to those that are chosen.
 
@@ -127,6 +138,7 @@ def compare_all(
         progress: Called from this thread; may raise Cancelled.
         choose: Chooses the pairs by what was extracted of each submap, or by their places alone;
             None compares all.
+        look: Called with what was extracted of each submap, before the first pair.
 
     Returns:
         The seconds of each stage.
@@ -137,6 +149,8 @@ def compare_all(
     if isinstance(detector, StagedDetector):
         compare, until_pairs = detector.compare, part(progress, 0.0, STAGES["features"][1])
         extracted = _extract_all(extracted, detector, executor, until_pairs, seconds)
+        if look is not None:
+            look(extracted)
     start = perf_counter()
     first, last = STAGES["pairs"]
     if choose is None:

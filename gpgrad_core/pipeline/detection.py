@@ -11,6 +11,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.features import check_detector, detect_features, select_trusted
 from gpgrad_core.fitting import representative
 from gpgrad_core.gp.inference import Posterior
+from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.gradient_map import fit_terrain, map_grid, sample_map
 from gpgrad_core.images import extract_images, judge_by_images, some_of
 from gpgrad_core.loop_closure import classify, with_images
@@ -20,6 +21,7 @@ from gpgrad_core.pipeline.all_pairs import (
     Pair,
     SearchableDetector,
     StagedDetector,
+    TunedDetector,
     compare_all,
 )
 from gpgrad_core.pipeline.automatic import is_resolved, resolve_parameters
@@ -93,6 +95,7 @@ class DetectionResult:
             if another detector ran.
         shortlists: By the id of each query that was not compared with all earlier submaps: the
             ones it was compared with and why, the best first.
+        hyperparameters: Those of each submap by its id, if the detector fits them to every submap.
     """
 
     closures: tuple[LoopClosure, ...]
@@ -100,6 +103,9 @@ class DetectionResult:
     params: PipelineParams | None = None
     shortlists: Mapping[str, tuple[Candidate, ...]] = field(
         default_factory=dict[str, tuple[Candidate, ...]]
+    )
+    hyperparameters: Mapping[str, Hyperparameters] = field(
+        default_factory=dict[str, Hyperparameters]
     )
 
 
@@ -431,15 +437,21 @@ def detect_loop_closures(
         choice = _Choice(names, detector, candidates, params.registration.seed)
     closures: list[LoopClosure] = []
     take, of_images = take or closures.append, Memo()
+    hyperparameters: dict[str, Hyperparameters] = {}
+
+    def look(extracted: list[Any]) -> None:
+        if isinstance(detector, TunedDetector):
+            own = map(detector.hyperparameters, extracted)
+            hyperparameters.update(zip((submap.id for submap in bare), own, strict=True))
 
     def judge(pair: Pair, registration: Registration) -> None:
         query, database = (bare[k] for k in pair)
         take(judge_pair(query, database, registration, params, of_images))
 
-    spent = compare_all(submaps, detector, judge, executor, progress, choice or listed)
+    spent = compare_all(submaps, detector, judge, executor, progress, choice or listed, look)
     spent["total"] += seconds.get("fit", 0.0)
     shortlists = choice.shortlists if choice else {}
-    return DetectionResult(tuple(closures), spent | seconds, used, shortlists)
+    return DetectionResult(tuple(closures), spent | seconds, used, shortlists, hyperparameters)
 
 
 def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> None:

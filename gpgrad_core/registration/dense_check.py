@@ -103,8 +103,8 @@ class DenseCheck:
         energy = float(np.sqrt(np.vdot(query, query) * np.vdot(database, database)))
         return area, float(np.vdot(query, database)) / energy if energy > 0 else 0.0
 
-    def dissimilarity(self, T_database_query: SE2) -> float:
-        """Compute the paper's metric h (ComputeSSDMetric) over the overlap.
+    def dissimilarity(self, T_database_query: SE2) -> tuple[float, int]:
+        """Compute the paper's metric h (ComputeSSDMetric), and over how many of the map's cells.
 
             h = Σ (I_g^q - I_g^d)² / (I_v^q I_v^d)    Le Gentil 2020, Sec. V
 
@@ -112,6 +112,6 @@ class DenseCheck:
         """
         common, query, variance = self._overlap(T_database_query)
         difference = np.hypot(*query.T) - np.hypot(*self._slope[common].T)
-        return float(
-            self._database.map_cells * np.sum(difference**2 / (variance * self._variance[common]))
-        )
+        terms = difference**2 / (variance * self._variance[common])
+        cells = self._database.map_cells
+        return float(cells * np.sum(terms)), cells * len(terms)

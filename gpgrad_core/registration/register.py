@@ -183,10 +183,11 @@ def _finish(
         best = _judge(placed, 0, maps, matches, params)
     check = DenseCheck(query.thin, database.thin)
     area, correlation = check.compare(best.motion)
+    dissimilarity, num_cells = check.dissimilarity(best.motion)
     return Registration(
         best.motion,
         best.inliers,
-        check.dissimilarity(best.motion),
+        dissimilarity,
         area,
         correlation,
         max(rough.score, best.score),
@@ -196,6 +197,7 @@ def _finish(
         scale=maps[1].scale,
         agreement=best.agreement,
         evidence=(rough if rough.score > best.score else best).evidence,
+        mean_dissimilarity=dissimilarity / num_cells if num_cells else np.inf,
     )
 
 

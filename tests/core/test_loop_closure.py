@@ -127,3 +127,18 @@ def test_ground_that_lets_a_submap_slide_is_refused() -> None:
     assert "its standard deviation is 0.8 m (at most 0.5 m)" in closure.reason
     firm = replace(registration(20, 9.0), covariance=covariance / 16)
     assert classify(firm).accepted
+
+
+def test_dissimilarity_above_a_threshold_refuses_and_says_so() -> None:
+    found = replace(registration(9, 5.0), dissimilarity=2e6, mean_dissimilarity=300.0)
+    free = ClosureParams(min_score=0.0)
+    assert classify(found, free).accepted
+    assert classify(
+        found, replace(free, max_dissimilarity=2e6, max_mean_dissimilarity=300)
+    ).accepted
+    whole = classify(found, replace(free, max_dissimilarity=1e6))
+    assert (whole.accepted, whole.reason) == (False, "dissimilarity 2e+06 > 1e+06")
+    mean = classify(found, replace(free, max_mean_dissimilarity=299.0))
+    assert (mean.accepted, mean.reason) == (False, "dissimilarity of a cell 300 > 299")
+    nothing = replace(found, dissimilarity=np.inf, mean_dissimilarity=np.inf)
+    assert not classify(nothing, replace(free, max_dissimilarity=1e30)).accepted

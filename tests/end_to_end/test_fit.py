@@ -1,5 +1,6 @@
 """`gpgrad fit`, as a process."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,31 @@ def test_what_is_found_is_told_and_serves_other_verbs(
     read = gpgrad("fit", ground, "--params", out, "--map.noise-model", "measured")
     assert read.out.startswith(f"length_scale: {length_scale.split()[3]} -> ")
     assert "noise_factor: 1 -> " in read.out
+
+
+def test_every_submap_gets_the_numbers_that_the_paper_method_uses(
+    gpgrad: Run, tmp_path: Path
+) -> None:
+    folder, out = tmp_path / "data", tmp_path / "fits.csv"
+    folder.mkdir()
+    for k in range(2):
+        np.save(folder / f"{k:03d}.npy", cloud(k, 300, noise=0.02))
+    finished = gpgrad("fit", folder, "--each", "--out", out)
+    assert finished.code == 0, finished.err
+    head, *rows, file = finished.out.splitlines()
+    names = ("submap", "length_scale [m]", "signal_std [m]", "noise_std [m]")
+    assert all(name in head for name in names)
+    assert file == str(out)
+    assert [line.split(",") for line in out.read_text().splitlines()[1:]] == [
+        row.split() for row in rows
+    ]
+    closures = tmp_path / "closures.json"
+    assert gpgrad("detect", folder, "--out", closures, "--method", "paper").code == 0
+    for row, own in zip(rows, json.loads(closures.read_text())["submaps"], strict=True):
+        numbers = (own[name] for name in ("length_scale", "signal_std", "noise_std"))
+        assert row.split()[:4] == [own["id"], *(f"{number:.4g}" for number in numbers)]
+    refused = gpgrad("fit", folder, "--each", "--out", tmp_path / "fits.toml")
+    assert refused.refusal.endswith("the ending must be one of .csv")
 
 
 def test_a_seed_below_zero(gpgrad: Run, ground: Path) -> None:

@@ -42,8 +42,8 @@ BUILT_IN: tuple[Preset, ...] = (
     ),
     Preset(
         "paper",
-        "The numbers of Le Gentil et al. 2020: 5,000 points, a length-scale of √0.1 m, SURF and "
-        "five inliers. For their Algorithm 1 itself run gpgrad detect --method paper.",
+        "The numbers of Le Gentil et al. 2020: 5,000 points, SURF and five inliers. For their "
+        "tuning of every submap and their Algorithm 1 run gpgrad detect --method paper.",
         paper_params(PipelineParams()),
     ),
     Preset(

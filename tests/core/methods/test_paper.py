@@ -1,19 +1,31 @@
 """Algorithm 1 as printed: against a loop that is the print, and h against its own formula."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.methods.paper import paper_params, register_as_printed, ssd_metric
-from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.loop_closure import ClosureParams, classify
+from gpgrad_core.methods.paper import (
+    paper_params,
+    paper_start,
+    register_as_printed,
+    register_paper_pair,
+    ssd_metric,
+    tune,
+)
+from gpgrad_core.pipeline import PipelineParams, fit_submap
 from gpgrad_core.registration import RegistrationParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import SE2, fit_se2
 from gpgrad_core.types import GradientMap, Grid, Matches
 from tests.core.features.maps import seen_from
-from tests.core.ground import Ground
+from tests.core.ground import Ground, submap
 
 GRID = Grid((-2.0, -2.0), 0.1, (41, 41))
 RADIUS = 0.15
@@ -33,11 +45,27 @@ def associations(seed: int, right: int, wrong: int, motion: SE2) -> Matches:
 
 
 @settings(max_examples=15)
-@given(st.integers(0, 2**32 - 1), st.integers(0, 12), st.integers(0, 20))
-def test_it_is_the_printed_loop(seed: int, right: int, wrong: int) -> None:
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 12),
+    st.integers(0, 20),
+    st.sampled_from([None, 1e2, 1e4, 1e6]),
+)
+def test_it_is_the_printed_loop(
+    seed: int, right: int, wrong: int, max_dissimilarity: float | None
+) -> None:
     matches = associations(seed, right, wrong, SE2(0.4, -0.3, 0.7))
     query, database = a_map(SE2(0.4, -0.3, 0.7)), a_map(SE2())
-    found = register_as_printed(query, database, matches, RADIUS, 60, seed)
+    limits = ClosureParams(min_inliers=2, max_dissimilarity=max_dissimilarity)
+    found = register_as_printed(
+        query,
+        database,
+        matches,
+        RADIUS,
+        60,
+        seed,
+        None if max_dissimilarity is None else limits,
+    )
     best, motion = 0, None
     generator = np.random.default_rng(seed)
     if len(matches) >= 2:
@@ -47,20 +75,30 @@ def test_it_is_the_printed_loop(seed: int, right: int, wrong: int) -> None:
             pair = fit_se2(matches.query_xy[[a, b]], matches.database_xy[[a, b]])
             errors = np.hypot(*(pair.apply(matches.query_xy) - matches.database_xy).T)
             inliers = errors <= RADIUS
-            if inliers.sum() > max(best, 1):
-                best = int(inliers.sum())
-                motion = fit_se2(matches.query_xy[inliers], matches.database_xy[inliers])
-    assert found.num_inliers == best == found.score
-    assert (found.T_database_query is None) == (motion is None)
-    if motion is not None and found.T_database_query is not None:
-        np.testing.assert_allclose(
-            [found.T_database_query.x, found.T_database_query.y, found.T_database_query.yaw],
-            [motion.x, motion.y, motion.yaw],
-            atol=1e-9,
-        )
-        h, area = ssd_metric(query, database, motion)
-        assert found.dissimilarity == pytest.approx(h)
-        assert found.overlap_area == pytest.approx(area)
+            if inliers.sum() <= max(best, 1):
+                continue
+            fitted = fit_se2(matches.query_xy[inliers], matches.database_xy[inliers])
+            h, _ = ssd_metric(query, database, fitted)
+            if max_dissimilarity is None or h <= max_dissimilarity:  # AcceptTransformation
+                best, motion = int(inliers.sum()), fitted
+    assert found.score == best
+    if motion is None:  # of refused motions, the one with the most inliers is shown
+        verdict = classify(found, limits)
+        assert not verdict.accepted
+        shown = found.T_database_query is not None
+        assert ("dissimilarity" in verdict.reason) == shown
+        return
+    assert found.num_inliers == best
+    assert found.T_database_query is not None
+    np.testing.assert_allclose(
+        [found.T_database_query.x, found.T_database_query.y, found.T_database_query.yaw],
+        [motion.x, motion.y, motion.yaw],
+        atol=1e-9,
+    )
+    h, num_cells = ssd_metric(query, database, motion)
+    assert found.dissimilarity == pytest.approx(h)
+    assert found.mean_dissimilarity == pytest.approx(h / num_cells)
+    assert found.overlap_area == pytest.approx(0.01 * num_cells)
 
 
 def test_it_finds_the_motion() -> None:
@@ -78,23 +116,75 @@ def test_it_finds_the_motion() -> None:
 def test_h_is_its_formula_and_lowest_where_the_maps_meet() -> None:
     motion = SE2(0.5, 0.2)  # by whole cells: nothing to interpolate
     query, database = a_map(motion), a_map(SE2())
-    h, area = ssd_metric(query, database, SE2(0.3, 0.2))
+    h, num_cells = ssd_metric(query, database, SE2(0.3, 0.2))
     there = (query.gradient[:-2, :-3] - database.gradient[2:, 3:]) ** 2
     expected = np.sum(there / (query.variance[:-2, :-3] * database.variance[2:, 3:]))
     # Cells on the last row or column may or may not count, by rounding.
     assert h == pytest.approx(expected, rel=0.1)
-    assert area == pytest.approx(there.size * 0.01, rel=0.06)
+    assert num_cells == pytest.approx(there.size, rel=0.06)
     assert ssd_metric(query, database, motion)[0] < 1e-3 * h
-    assert ssd_metric(query, database, SE2(40.0, 0.0)) == (np.inf, 0.0)
+    assert ssd_metric(query, database, SE2(40.0, 0.0)) == (np.inf, 0)
 
 
 def test_the_parameters_are_the_papers() -> None:
     asked = replace(PipelineParams(), registration=RegistrationParams(seed=7))
     params = paper_params(asked)
     assert (params.map.max_points, params.map.resolution) == (5000, 0.03)
-    assert params.map.length_scale**2 == pytest.approx(0.1, rel=0.01)
-    assert params.map.signal_std is None
+    assert params.map.length_scale is params.map.noise_std is params.map.signal_std is None
+    assert paper_start(params.map).length_scale ** 2 == pytest.approx(0.1, rel=0.01)
+    assert params.matching.ratio == 1
     assert params.features.detector.name == "surf"
     assert params.closure.min_inliers == 5
     assert params.closure.min_score == 0
     assert params.registration.seed == 7
+    assert paper_params(params) == params
+
+
+def test_what_is_given_stays() -> None:
+    asked = PipelineParams(
+        map=MapParams(length_scale=0.2, noise_std=0.01),
+        closure=ClosureParams(min_inliers=9, max_dissimilarity=1e6),
+    )
+    params = paper_params(asked)
+    assert (params.map.length_scale, params.map.noise_std) == (0.2, 0.01)
+    assert params.map.max_points == 5000
+    assert (params.closure.min_inliers, params.closure.min_score) == (9, 0)
+    assert params.closure.max_dissimilarity == 1e6
+    assert params.features.detector.name == "surf"
+
+
+def test_given_hyperparameters_are_not_fitted() -> None:
+    bumps, memo = submap(3, 200), Memo()
+    params = paper_params(PipelineParams()).map
+    assert tune(bumps, replace(params, length_scale=0.2), memo).length_scale == 0.2
+    both = tune(bumps, replace(params, length_scale=0.2, noise_std=0.01), memo)
+    assert (both.length_scale, both.noise_std, both.signal_std) == (0.2, 0.01, None)
+    assert not memo.holds(fit_submap, bumps, paper_start(params), ())
+    assert tune(bumps, params, memo).length_scale != paper_start(params).length_scale
+    assert memo.holds(fit_submap, bumps, paper_start(params), ())
+
+
+def test_a_fit_of_a_submap_is_kept_for_later_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bumps, params = submap(3, 200), paper_params(PipelineParams()).map
+    first = tune(bumps, params, Memo(store=Store(tmp_path)))
+    monkeypatch.setattr("gpgrad_core.pipeline.automatic.fit_parameters", None)
+    assert tune(bumps, params, Memo(store=Store(tmp_path))) == first
+
+
+def test_a_threshold_runs_only_what_it_touches() -> None:
+    query, database, memo = submap(3, 200), submap(4, 200), Memo()
+    params = paper_params(PipelineParams())
+    first = register_paper_pair(query, database, params, memo)
+    moved = {
+        "closure": replace(params.closure, min_inliers=7),
+        "registration": replace(params.registration, inlier_radius=0.3),
+        "features": replace(params.features, max_std_ratio=0.2),
+    }
+    for name, group in moved.items():
+        again = register_paper_pair(query, database, replace(params, **{name: group}), memo)
+        assert again.query_map is first.query_map
+        assert again.database_map is first.database_map
+        assert (again.registration is first.registration) == (name == "closure")
+        assert (again.query_features is first.query_features) == (name != "features")

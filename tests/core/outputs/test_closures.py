@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.outputs import (
     ClosureWriter,
     Decision,
@@ -330,3 +331,28 @@ def test_a_table_has_no_digits_that_nobody_knows_and_no_negative_zero(
     assert row == "004,000,true,44,9,20,9.94881405e+11,0,4.9,0,9 inliers >= 8"
     write_closures(tmp_path / "closures.json", report)
     assert "-0.0" not in (tmp_path / "closures.json").read_text()
+
+
+def test_each_submaps_own_numbers_are_kept_and_checked(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    path, own = tmp_path / "closures.json", {"002": Hyperparameters(0.5, 0.25, 0.0125)}
+    compared = [
+        replace(one, registration=replace(one.registration, mean_dissimilarity=2.5 * k or math.inf))
+        for k, one in enumerate(result.closures)
+    ]
+    result = replace(result, closures=tuple(compared), hyperparameters=own)
+    report = report_closures(dataset, result, PipelineParams(), method="paper")
+    write_closures(path, report)
+    content = json.loads(path.read_text())
+    assert content["submaps"][0] == {"id": "000", "num_points": 10}
+    numbers = {"length_scale": 0.5, "signal_std": 0.25, "noise_std": 0.0125}
+    assert content["submaps"][1] == {"id": "002", "num_points": 10, **numbers}
+    assert ["mean_dissimilarity" in pair for pair in content["pairs"]] == [False, True, True]
+    read = read_closures(path)
+    assert read.hyperparameters == own
+    assert [pair.mean_dissimilarity for pair in read.pairs] == [None, 2.5, 5.0]
+    content["submaps"][1]["noise_std"] = "much"
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"noise_std"):
+        read_closures(path)
