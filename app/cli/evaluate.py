@@ -26,6 +26,7 @@ from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.evaluation import (
     Evaluation,
     EvaluationParams,
+    Protocol,
     Section,
     calibrate,
     check_directory,
@@ -33,6 +34,7 @@ from gpgrad_core.evaluation import (
     describe_calibration,
     describe_images,
     describe_problems,
+    describe_protocol,
     evaluate,
     measure_pairs,
     rank_pairs,
@@ -96,6 +98,13 @@ class Evaluate:
         tyro.conf.arg(help_behavior_hint="(default: the registration's seed)"),
     ] = None
     candidates: CandidatesFlag = "automatic"
+    protocol: Annotated[
+        Protocol,
+        Doc(
+            "paper: also judge as in the paper's Sec. VII, which leaves no pair out, and set both "
+            "side by side."
+        ),
+    ] = "gpgrad"
     calibration: Annotated[
         bool,
         Doc("Also test the maps' uncertainty on points held out. This takes about a minute."),
@@ -154,6 +163,8 @@ class Evaluate:
                 seed=params.registration.seed,
             )
             sections = self._sections(dataset, params) + describe_images(found | rivals, evaluation)
+            if self.protocol == "paper":
+                sections = (*sections, describe_protocol(dataset, found | rivals, evaluation))
             if self.pairs is not None:
                 listed = describe_problems(problems, dataset, evaluation, self.pairs)
                 sections = (*sections, listed)

@@ -29,6 +29,7 @@ from gpgrad_core.evaluation.problems import (
     describe_problems,
     read_problems,
 )
+from gpgrad_core.evaluation.protocol import Protocol, describe_protocol
 from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
 from gpgrad_core.evaluation.report import (
     Section,
@@ -49,6 +50,7 @@ __all__ = [
     "PoseErrors",
     "PrecisionRecall",
     "Problem",
+    "Protocol",
     "Ranked",
     "Ranking",
     "Rule",
@@ -64,6 +66,7 @@ __all__ = [
     "describe_calibration",
     "describe_images",
     "describe_problems",
+    "describe_protocol",
     "evaluate",
     "measure_pairs",
     "pose_errors",

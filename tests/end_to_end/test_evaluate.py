@@ -63,11 +63,14 @@ def test_what_was_found_can_be_judged_again_otherwise(
     finished = gpgrad(
         *("evaluate", known, "--out", tmp_path / "again", "--min-overlap", "0.99"),
         *("--closures", report / "closures_gradient.json", mine, "--neighbours", "0"),
+        *("--protocol", "paper"),
     )
     assert finished.code == 0, finished.err
     assert finished.err == "gpgrad: a tool of mine lists 3 of 6 pairs: the others rank last\n"
     content = json.loads((tmp_path / "again" / "report.json").read_text())
     assert [method["name"] for method in content["methods"]] == ["gradient", "a tool of mine"]
+    assert len(content["protocols"]["by_inliers"]) == 8
+    assert "## The paper's protocol" in (tmp_path / "again" / "report.md").read_text()
     assert content["rules"][0]["true"] == 0  # none overlaps so far
     assert content["rules"][1]["true"] == 1
     first, second = (method["rules"]["surface"] for method in content["methods"])

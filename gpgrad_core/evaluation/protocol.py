@@ -1,0 +1,160 @@
+"""The paper's protocol (Secs. VI and VII) beside ours, as a section of the report."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from gpgrad_core.evaluation.judge import Evaluation, evaluate
+from gpgrad_core.evaluation.report import Section
+from gpgrad_core.evaluation.rules import EvaluationParams
+from gpgrad_core.outputs import ClosureReport
+from gpgrad_core.pipeline import DetectionResult
+from gpgrad_core.types import Dataset
+
+Protocol = Literal["gpgrad", "paper"]
+
+MIN_OVERLAPS = (0.3, 0.1)
+"""Smallest overlap of a true pair in the paper: on Etna, and in Morocco (Sec. VII-A)."""
+SURE_INLIERS = 5
+"""From so many inliers on, all pairs of the paper were right (Sec. VII-C)."""
+
+INTRODUCTION = """\
+## The paper's protocol
+
+In the paper, every pair of submaps is judged, neighbours too. A pair is true if the boxes'
+intersection over union is above 0.3 (Etna) or 0.1 (Morocco), and every other pair is false.
+Nothing is left out: that two submaps overlap a little counts as false. Pairs are ranked by their
+number of inliers *n* alone. Our protocol leaves out neighbours and pairs that overlap too little to
+be true, and its rules are those above. The table has both, ranked by *n*.
+
+- **right from n**: the smallest *n* from which no pair is false; *none* if there is no such *n*.
+- **false from 5**: the paper found that all pairs with *n* of five or more are right. This is how
+  many are false here; of these, *placed right* are within {offset:g} m and {turn:g}° of the true
+  motion, so that only their overlap is too small.
+
+| protocol | method | true | false | left out | AP by n | R100 by n | right from n | n >= 4: P (R) \
+| n >= 5: P (R) | false from 5 | placed right |
+| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
+"""
+
+
+@dataclass(frozen=True)
+class ByInliers:
+    """How a method ranks the pairs by their inliers, under one protocol.
+
+    Attributes:
+        protocol: The protocol in a few words.
+        method: Name of the method.
+        true: Number of true pairs.
+        false: Number of false pairs.
+        left_out: Number of pairs that are not judged.
+        average_precision: Of the ranking by n; None if no pair is true.
+        recall_at_full_precision: Of the same.
+        right_from: The smallest n from which all pairs are true; None if there is none.
+        found_from_4: Numbers of true and of false pairs with four inliers or more.
+        found_from_5: The same with five inliers or more.
+        false_placed_right: Number of the latter false pairs whose motion is right.
+    """
+
+    protocol: str
+    method: str
+    true: int
+    false: int
+    left_out: int
+    average_precision: float | None
+    recall_at_full_precision: float | None
+    right_from: int | None
+    found_from_4: tuple[int, int]
+    found_from_5: tuple[int, int]
+    false_placed_right: int
+
+
+def paper_rules(params: EvaluationParams) -> tuple[EvaluationParams, ...]:
+    """Give the parameters of the paper's protocol: one for each of its overlaps."""
+    kept = replace(params, neighbours=0, count_grey=True, num_resamples=0)
+    return tuple(replace(kept, min_overlap=overlap) for overlap in MIN_OVERLAPS)
+
+
+def describe_protocol(
+    dataset: Dataset,
+    detections: Mapping[str, DetectionResult | ClosureReport],
+    evaluation: Evaluation,
+) -> Section:
+    """Judge detections by the paper's protocol too, and set the results beside ours.
+
+    Args:
+        dataset: The dataset that was searched.
+        detections: The detections of each method by its name.
+        evaluation: How they were judged by our protocol.
+
+    Returns:
+        The section of the report.
+    """
+    rows: list[ByInliers] = []
+    for params in paper_rules(evaluation.params):
+        judged = evaluate(dataset, detections, params, pairs=evaluation.pairs, seed=evaluation.seed)
+        rows += _rows(judged, f"paper's, {judged.rules[0].name}", 0)
+    for k, rule in enumerate(evaluation.rules):
+        rows += _rows(evaluation, f"ours, {rule.name}", k)
+    introduction = INTRODUCTION.format(
+        offset=evaluation.params.max_offset_error, turn=evaluation.params.max_turn_error
+    )
+    text = introduction + "".join(f"{_line(row)}\n" for row in rows)
+    return Section("protocols", {"by_inliers": [asdict(row) for row in rows]}, text)
+
+
+def _rows(evaluation: Evaluation, protocol: str, rule: int) -> list[ByInliers]:
+    labels, rows = evaluation.labels[rule], list[ByInliers]()
+    true, false = labels.positive, labels.negative
+    for method in evaluation.methods:
+        ranked, n = method.rules[rule].ranked, method.ranking.num_inliers
+        most = int(n[false].max(initial=0))  # of a false pair
+        rows.append(
+            ByInliers(
+                protocol=protocol,
+                method=method.name,
+                true=int(np.sum(true)),
+                false=int(np.sum(false)),
+                left_out=int(np.sum(~labels.judged)),
+                average_precision=ranked and ranked.average_precision_by_inliers,
+                recall_at_full_precision=ranked and ranked.recall_at_full_precision_by_inliers,
+                right_from=most + 1 if (true & (n > most)).any() else None,
+                found_from_4=(int(np.sum(true & (n >= 4))), int(np.sum(false & (n >= 4)))),
+                found_from_5=(
+                    int(np.sum(true & (n >= SURE_INLIERS))),
+                    int(np.sum(false & (n >= SURE_INLIERS))),
+                ),
+                false_placed_right=int(np.sum(false & (n >= SURE_INLIERS) & method.errors.near)),
+            )
+        )
+    return rows
+
+
+def _line(row: ByInliers) -> str:
+    cells = (
+        row.protocol,
+        row.method.replace("|", "/"),
+        row.true,
+        row.false,
+        row.left_out,
+        _share(row.average_precision),
+        _share(row.recall_at_full_precision),
+        "none" if row.right_from is None else row.right_from,
+        _precision(row.found_from_4, row.true),
+        _precision(row.found_from_5, row.true),
+        row.found_from_5[1],
+        row.false_placed_right,
+    )
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def _share(value: float | None) -> str:
+    return "n/a" if value is None else f"{value:.3f}"
+
+
+def _precision(found: tuple[int, int], true: int) -> str:
+    if true == 0 or sum(found) == 0:
+        return "n/a"
+    return f"{found[0] / sum(found):.2f} ({found[0] / true:.2f})"
