@@ -82,8 +82,15 @@ def height_between(
     return float(np.median(database[nearest[near], 2] - moved[near, 2]))
 
 
-def mutual_matches(query: DescribedCloud, database: DescribedCloud) -> Int[NDArray[np.intp], "m 2"]:
+def mutual_matches(
+    query: DescribedCloud, database: DescribedCloud, max_distance: float = np.inf
+) -> Int[NDArray[np.intp], "m 2"]:
     """Associate keypoints whose descriptors are the nearest of each other.
+
+    Args:
+        query: The keypoints of the query.
+        database: The keypoints of the database.
+        max_distance: Largest L2 distance of two associated descriptors.
 
     Returns:
         Indices (query, database) of each association (m, 2).
@@ -97,14 +104,22 @@ def mutual_matches(query: DescribedCloud, database: DescribedCloud) -> Int[NDArr
     squared += (a * a).sum(axis=1)[:, None]
     rows = np.arange(len(a))
     kept = squared.argmin(axis=0)[nearest] == rows
+    kept &= squared[rows, nearest] <= max_distance**2
     return np.column_stack([rows, nearest])[kept]
 
 
 def register_by_ransac(
-    query: DescribedCloud, database: DescribedCloud, params: PipelineParams
+    query: DescribedCloud,
+    database: DescribedCloud,
+    params: PipelineParams,
+    max_distance: float = np.inf,
 ) -> Registration:
-    """Make mutual associations, find the motion by RANSAC, and score it by its inliers."""
-    pairs = mutual_matches(query, database)
+    """Make mutual associations, find the motion by RANSAC, and score it by its inliers.
+
+    The paper speaks of thresholds on the descriptors' distance without numbers. The default has
+    none; what others give is measured by ``poe bench-paper``.
+    """
+    pairs = mutual_matches(query, database, max_distance)
     found = ransac_se3(
         query.points[pairs[:, 0]],
         database.points[pairs[:, 1]],
