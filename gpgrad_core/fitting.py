@@ -3,6 +3,7 @@
 from collections.abc import Collection, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -256,15 +257,18 @@ class _Evaluate:
         self._executor, self._progress = executor, progress
         self.count = 0
 
-    def __call__(self, patches: list[Patch], at: list[Hyperparameters]) -> tuple[float, Array]:
+    def __call__(
+        self, patches: list[Patch], at: list[Hyperparameters], *, gradient: bool = True
+    ) -> tuple[float, Array]:
         """Evaluate each patch at its hyperparameters; errors of the progress hook pass through."""
         self._progress(self.count / (self.count + HALF_WAY))
         self.count += 1
-        value, gradient = 0.0, np.zeros(3)
-        for one_value, one_gradient in self._executor.map(log_marginal_likelihood, patches, at):
+        value, slope = 0.0, np.zeros(3)
+        one_patch = partial(log_marginal_likelihood, gradient=gradient)
+        for one_value, one_slope in self._executor.map(one_patch, patches, at):
             value += one_value
-            gradient += one_gradient
-        return value, gradient
+            slope += one_slope
+        return value, slope
 
 
 def _likelihood(areas: list[_Area], params: TerrainParams, evaluate: _Evaluate) -> float:
@@ -275,7 +279,7 @@ def _likelihood(areas: list[_Area], params: TerrainParams, evaluate: _Evaluate) 
         patches += area.with_noise(params)
         signal_std = signal_std_of(area.points, params)
         at += [Hyperparameters(params.length_scale, signal_std, 1.0)] * len(area.patches)
-    return evaluate(patches, at)[0] / sum(map(len, patches))
+    return evaluate(patches, at, gradient=False)[0] / sum(map(len, patches))
 
 
 def _maximum(

@@ -37,6 +37,7 @@ def test_it_is_scikit_learns(seed: int, at: Hyperparameters) -> None:
     by_signal_squared, by_length_scale = gradient
     found, slope = log_marginal_likelihood(ours, at)
     assert found == pytest.approx(value, rel=1e-8, abs=1e-6)
+    assert log_marginal_likelihood(ours, at, gradient=False)[0] == found
     # They have the signal's variance, and do not move the jitter with it.
     assert slope[:2] == pytest.approx([by_length_scale, 2 * by_signal_squared], rel=1e-3, abs=1e-3)
 
