@@ -39,15 +39,15 @@ class Fit:
     out: Annotated[
         Path | None,
         Doc(
-            "Also write the parameters to this file, which the other verbs can read; with --each, "
-            "the table, to a file that ends in .csv."
+            "Also write the parameters to this file, which the other verbs can read. The table of "
+            "every submap goes to a file that ends in .csv."
         ),
         tyro.conf.arg(metavar="FILE.toml|FILE.csv"),
     ] = None
     each: Annotated[
         bool,
         Doc(
-            "Fit every submap by itself, as --method paper does (the paper's Sec. VI-B), and print "
+            "Fit every submap by itself, as the method paper does (its Sec. VI-B), and print "
             "a table. Then the start is the paper's where nothing is given."
         ),
     ] = False

@@ -71,9 +71,9 @@ READINGS: dict[str, Change] = {
     "not tuned, l_k of Eq. (6) as a length-scale: 0.1 m": _of_map(length_scale=0.1, noise_std=0.05),
     "matching: each keypoint of the query has its nearest": _of_matching(mutual=False),
     "matching: with Lowe's ratio of 0.8": _of_matching(ratio=0.8),
-    "not tuned and with the ratio (gpgrad until 0.1)": lambda params: _of_matching(ratio=0.8)(
-        UNTUNED(params)
-    ),
+    "not tuned and with the ratio (as gpgrad had it before)": lambda params: _of_matching(
+        ratio=0.8
+    )(UNTUNED(params)),
     "accepted by n and by h: at most 1e6 a cell": _of_closure(
         max_mean_dissimilarity=LARGEST_MEAN, min_inliers=2
     ),
