@@ -28,6 +28,7 @@ VERBS: dict[str, str] = {
         "Register every pair of submaps of a dataset, and accept or refuse each as a loop closure."
     ),
     "evaluate": "Evaluate methods by the true poses: precision, recall, pose errors and figures.",
+    "reproduce": "Make the paper's figures from datasets, with one page that shows all of them.",
     "map": "Infer the elevation, its variance and both slopes of one cloud.",
     "fit": "Fit the terrain's length-scale, signal and noise by maximum marginal likelihood.",
     "build": (

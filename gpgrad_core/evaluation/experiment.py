@@ -2,17 +2,19 @@
 
 from collections.abc import Collection, Sequence
 from concurrent.futures import Executor
+from itertools import combinations
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods import Method
 from gpgrad_core.outputs import ClosureReport, read_closures, report_closures
-from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
+from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
+from gpgrad_core.pipeline.all_pairs import OrderedDetector
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
-from gpgrad_core.run.store import Store
+from gpgrad_core.run.store import Store, key_of
 from gpgrad_core.shortlist import Candidates
-from gpgrad_core.types import Dataset
+from gpgrad_core.types import Dataset, LoopClosure, Submap
 
 
 def run_methods(
@@ -71,6 +73,75 @@ def run_methods(
         )
         reports[method.name] = report_closures(dataset, result, adapted, method=method.name)
     return reports
+
+
+def detect_kept(
+    dataset: Dataset,
+    method: Method,
+    params: PipelineParams,
+    store: Store | None = None,
+    *,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> DetectionResult:
+    """Compare all pairs of a dataset with any method, and keep the verdict on each.
+
+    A run that was stopped goes on with the pairs that it had not reached, and a second run compares
+    nothing.
+
+    Args:
+        dataset: The dataset to search.
+        method: The method.
+        params: Parameters from the method's ``settle``.
+        store: Keeps the verdicts; None keeps nothing. It does not keep those that images have a
+            part in, because a submap is known by its points alone.
+        executor: Threads or processes that share the work.
+        progress: Called from this thread with the fraction done; may raise Cancelled.
+
+    Returns:
+        The verdict on every pair. Its seconds are those of the pairs that were not kept.
+
+    Raises:
+        InputError: If a submap cannot be used by the method.
+    """
+    detector = method.detector(params, Memo(store=store))
+    if isinstance(detector, OrderedDetector) or params.closure.images != "off":
+        store = None
+
+    def key(query: Submap, database: Submap) -> str:
+        return key_of("verdict", method.name, query.id, database.id, query, database, params)
+
+    verdicts: dict[tuple[str, str], LoopClosure] = {}
+    missing: set[tuple[str, str]] = set()
+    for database, query in combinations(dataset.submaps, 2):
+        kept = None if store is None else store.get(key(query, database))
+        if isinstance(kept, LoopClosure):
+            verdicts[query.id, database.id] = kept
+        else:
+            missing.add((query.id, database.id))
+
+    def take(verdict: LoopClosure) -> None:
+        pair = verdict.query_id, verdict.database_id
+        verdicts[pair] = verdict
+        if store is not None:
+            store.put(key(*map(dataset.submap, pair)), verdict)
+
+    seconds: dict[str, float] = {}
+    if missing:
+        seconds = detect_loop_closures(
+            dataset,
+            params,
+            detector=detector,
+            candidates="all",
+            executor=executor,
+            progress=progress,
+            take=take,
+            only=missing,
+        ).seconds
+    progress(1.0)
+    order = {submap.id: k for k, submap in enumerate(dataset.submaps)}
+    ordered = sorted(verdicts, key=lambda pair: (order[pair[0]], order[pair[1]]))
+    return DetectionResult(tuple(verdicts[pair] for pair in ordered), dict(seconds))
 
 
 def read_rivals(paths: Sequence[Path], taken: Collection[str] = ()) -> dict[str, ClosureReport]:

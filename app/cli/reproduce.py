@@ -1,0 +1,188 @@
+"""``gpgrad reproduce``: the paper's figures from any datasets."""
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import comb
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import tyro
+from typing_extensions import Doc
+
+from app.cli.flags import Given
+from app.cli.inputs import (
+    ALL_PARAMS,
+    USERS_CACHE,
+    AllParams,
+    Cache,
+    ParamsFile,
+    base_params,
+    load,
+    open_store,
+    tell_damaged,
+)
+from app.cli.outputs import Overwrite
+from app.cli.terminal import progress_bar, say, warn
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation import EvaluationParams, check_directory
+from gpgrad_core.evaluation.reproduction import TITLES, Subject, check_method, study
+from gpgrad_core.methods import METHODS, Method, find_method
+from gpgrad_core.outputs import check_apart
+from gpgrad_core.params.bounds import SEEDS
+from gpgrad_core.params.fields import AUTOMATIC
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.progress import part
+from gpgrad_core.run.threads import num_workers
+from gpgrad_core.run.whole import whole_folder
+from gpgrad_core.types import Dataset
+
+COMPARED = ("paper", "shot", "cshot", "gradient")
+"""Methods of Fig. 8 unless others are named: the paper's, and gpgrad's default."""
+FIGURES = ("figure_*.png", "figure_*.svg")
+PAGE = "index.html"
+OF_PAIRS = 0.8
+"""Share of the progress that finding the loop closures takes up."""
+
+
+@dataclass(frozen=True)
+class Reproduce:
+    """Arguments of ``gpgrad reproduce``."""
+
+    datasets: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        Doc("Dataset folders. Those without true poses have no Figs. 8 and 9."),
+        tyro.conf.arg(metavar="DATASET [DATASET ...]"),
+    ]
+    out: Annotated[
+        Path,
+        Doc("Folder to write index.html and the figures to. Other files in it stay."),
+        tyro.conf.arg(metavar="FOLDER"),
+    ]
+    figure: Annotated[
+        tuple[int, ...],
+        Doc(f"Numbers of the figures to make: {', '.join(map(str, TITLES))}."),
+        tyro.conf.arg(metavar="N [N ...]", help_behavior_hint="(default: all)"),
+    ] = ()
+    method: Annotated[
+        tuple[str, ...],
+        Doc(
+            f"Methods of Fig. 8: {', '.join(METHODS)}. All other figures are of the first one, "
+            "which must have gradient maps."
+        ),
+        tyro.conf.arg(
+            metavar="NAME [NAME ...]", help_behavior_hint=f"(default: {' '.join(COMPARED)})"
+        ),
+    ] = ()
+    seed: Annotated[
+        int | None,
+        Doc("Seed of all random choices."),
+        tyro.conf.arg(help_behavior_hint="(default: the registration's seed)"),
+    ] = None
+    evaluation: Annotated[Given[EvaluationParams], tyro.conf.arg(name="")] = Given(EvaluationParams)
+    overwrite: Overwrite = False
+    cache: Cache = USERS_CACHE
+    params: ParamsFile = None
+    pipeline: AllParams = ALL_PARAMS
+
+    def run(self) -> None:
+        """Compare all pairs of all datasets, draw, and write the page."""
+        numbers, methods = self._check()
+        self._check_out()
+        store = open_store(self.cache)
+        datasets = [load(path) for path in self.datasets]
+        given = [self._params(dataset) for dataset in datasets]
+        judging = self.evaluation.over(EvaluationParams())
+        sizes = [comb(len(dataset.submaps), 2) + 1 for dataset in datasets]
+        subjects: list[Subject] = []
+        with whole_folder(self.out, earlier=self._earlier()) as folder:
+            self._check_out()  # another process may just have ended
+            num_jobs = sum(sizes) * len(methods)
+            with progress_bar("reproduce") as progress:
+                with workers(num_workers(), num_jobs) as executor:
+                    for k, (dataset, params) in enumerate(zip(datasets, given, strict=True)):
+                        low, high = (OF_PAIRS * sum(sizes[:end]) / sum(sizes) for end in (k, k + 1))
+                        subjects.append(
+                            study(
+                                dataset,
+                                methods,
+                                params,
+                                judging,
+                                numbers,
+                                store=store,
+                                executor=executor,
+                                progress=part(progress, low, high),
+                            )
+                        )
+                tell_damaged(store)
+                # Imported here because Matplotlib takes half a second to load.
+                from gpgrad_core.evaluation.reproduction.page import write_figures  # noqa: PLC0415
+
+                drawing = part(progress, OF_PAIRS, 1.0)
+                notes = write_figures(folder, subjects, numbers, self.command, drawing)
+        for note in notes:
+            warn(note)
+        say(str(self.out / PAGE))
+
+    def command(self, numbers: frozenset[int]) -> str:
+        """Write the command that makes the figures of these numbers."""
+        words = ["gpgrad", "reproduce", *map(str, self.datasets), "--out", str(self.out)]
+        if numbers != frozenset(TITLES):
+            words += ["--figure", *map(str, sorted(numbers))]
+        if self.method:
+            words += ["--method", *self.method]
+        if self.seed is not None:
+            words += ["--seed", str(self.seed)]
+        if self.params is not None:
+            words += ["--params", str(self.params)]
+        return shlex.join([*words, *_words(self.evaluation), *_words(self.pipeline)])
+
+    def _check(self) -> tuple[frozenset[int], list[Method]]:
+        """Check what can be checked before anything is read."""
+        if self.seed is not None:
+            SEEDS.check("--seed", self.seed)
+        for number in self.figure:
+            if number not in TITLES:
+                known = ", ".join(map(str, TITLES))
+                raise InputError(f"--figure {number}: there is no such figure; known: {known}")
+        if not self.datasets:
+            raise InputError("name at least one dataset")
+        places = [path.resolve() for path in self.datasets]
+        for path in self.datasets:
+            if places.count(path.resolve()) > 1:
+                raise InputError(f"{path}: is given twice; give it once")
+        names = self.method or COMPARED
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"method {name!r} is given twice; give it once")
+        methods = [find_method(name) for name in names]
+        check_method(methods[0])
+        return frozenset(self.figure or TITLES), methods
+
+    def _check_out(self) -> None:
+        check_directory(self.out, (PAGE, *FIGURES), overwrite=self.overwrite)
+        check_apart([self.out / PAGE], [*self.datasets, self.params])
+
+    def _earlier(self) -> tuple[str, ...]:
+        """List what an earlier run has written; the page comes last."""
+        found = (path.name for pattern in FIGURES for path in self.out.glob(pattern))
+        return (*sorted(found), PAGE)
+
+    def _params(self, dataset: Dataset) -> PipelineParams:
+        params = self.pipeline.over(base_params(dataset, self.params))
+        if self.seed is None:
+            return params
+        return replace(params, registration=replace(params.registration, seed=self.seed))
+
+
+def _words(given: Given[Any], group: str = "") -> Iterator[str]:
+    """Write the parameters that a command line names as its flags."""
+    for name, value in given.values.items():
+        flag = name.replace("_", "-")
+        if isinstance(value, Given):
+            yield from _words(cast("Given[Any]", value), f"{group}{flag}.")
+        elif isinstance(value, bool):
+            yield f"--{group}{flag}" if value else f"--{group}no-{flag}"
+        else:
+            yield from (f"--{group}{flag}", AUTOMATIC if value is None else str(value))

@@ -1,0 +1,148 @@
+"""How figures for a paper look: a column's width, small type, colours that all can tell."""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.types import Grid
+
+COLUMN, PAGE = 3.5, 7.16
+"""Width of a column, and of both columns and the gap between them [inches]: IEEE's."""
+DPI = 300
+QUERY, DATABASE = "#d7191c", "#0072b2"
+"""Red and blue, as in the paper; this blue and this red differ in brightness too."""
+INLIER, OUTLIER, REST = "#e69f00", "#56b4e9", "#bdbdbd"
+HEIGHT_COLOURS, VARIANCE_COLOURS, SLOPE_COLOURS, GRADIENT_COLOURS = (
+    "viridis",
+    "cividis",
+    "RdBu_r",
+    "inferno",
+)
+RULES: dict[Any, Any] = {
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 3.0,
+    "axes.labelsize": 7.5,
+    "axes.labelpad": 2.0,
+    "axes.linewidth": 0.6,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "legend.fontsize": 7.0,
+    "lines.linewidth": 1.2,
+    "svg.hashsalt": "gpgrad",  # the same figure is the same file
+}
+
+
+@contextmanager
+def in_print() -> Generator[None]:
+    """Let figures that are drawn and saved in the block look the same on every machine."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(RULES)
+        yield
+
+
+def new_figure(width: float, height: float, *, layout: bool = True) -> Figure:
+    """Make an empty figure, which needs no screen.
+
+    Args:
+        width: Width [inches].
+        height: Height [inches].
+        layout: Whether the panels find their places; otherwise `add_panel` gives them.
+    """
+    figure = Figure((width, height), layout="constrained" if layout else None, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def add_panel(
+    figure: Figure, left: float, top: float, width: float, height: float, **options: Any
+) -> Any:
+    """Add a panel by the edges of its room, from the upper left corner of the figure [inches].
+
+    A panel from above keeps its shape in that room. Labels need 0.4 inches on the left and below,
+    a title 0.2 above, and a colour bar 0.6 on the right.
+    """
+    full_width, full_height = figure.get_size_inches()
+    low = 1 - (top + height) / full_height
+    room = (left / full_width, low, width / full_width, height / full_height)
+    return figure.add_axes(room, **options)
+
+
+def shape_of(*grids: Grid) -> float:
+    """Give the height of a panel for grids, for a width of 1; not more than a page has room for."""
+    sizes = np.array([[np.ptp(grid.y), np.ptp(grid.x)] for grid in grids]) + 1e-9
+    return float(np.clip((sizes[:, 0] / sizes[:, 1]).max(), 0.4, 1.4))
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Save a figure; the ending of the path chooses the format."""
+    metadata = {"Date": None} if path.suffix == ".svg" else None
+    figure.savefig(path, dpi=DPI, metadata=metadata)
+
+
+def show_field(
+    panel: Axes,
+    grid: Grid,
+    field: Float[NDArray[np.floating], "rows columns ..."],
+    **options: Any,
+) -> AxesImage:
+    """Draw a field of a map in metres; ``options`` are those of `imshow`."""
+    image = panel.imshow(
+        field,
+        origin="lower",
+        extent=extent_of(grid),
+        interpolation="nearest",
+        **options,
+    )
+    in_metres(panel)
+    return image
+
+
+def extent_of(grid: Grid) -> tuple[float, float, float, float]:
+    """Give the outer edges of a grid: left, right, bottom and top [m]."""
+    half = grid.resolution / 2
+    x, y = grid.x, grid.y
+    return float(x[0] - half), float(x[-1] + half), float(y[0] - half), float(y[-1] + half)
+
+
+def in_metres(panel: Axes) -> None:
+    """Label the axes of a panel that is seen from above, with one scale for both."""
+    panel.set_aspect("equal")
+    panel.set_xlabel("x [m]")
+    panel.set_ylabel("y [m]")
+
+
+def add_bar(image: ScalarMappable, panel: Axes, label: str) -> None:
+    """Put a colour bar beside a panel, as high as it is."""
+    figure = panel.get_figure()
+    assert figure is not None
+    bar = figure.colorbar(image, cax=panel.inset_axes((1.03, 0.0, 0.06, 1.0)))
+    bar.set_label(label, fontsize=7.0)
+    bar.ax.tick_params(labelsize=6.5, pad=1.5)
+
+
+def letter(k: int) -> str:
+    """Give the letter of a panel: (a), (b) …; after (z) comes (aa)."""
+    name = ""
+    k += 1
+    while k:
+        k, rest = divmod(k - 1, 26)
+        name = chr(ord("a") + rest) + name
+    return f"({name})"
