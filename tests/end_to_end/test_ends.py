@@ -278,6 +278,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
     for place in (
         *("gpgrad_core.datasets.simulate.run_jobs", "app.cli.comparing.detect_loop_closures"),
         *("app.cli.detect.settled", "app.cli.evaluate.run_methods", "app.cli.slam.settled"),
+        "app.cli.reproduce.study",
         *("app.cli.fit.fit_parameters", "app.cli.map.infer_gradient_map"),
         *("gpgrad_core.scans.simulate.make_terrain", "gpgrad_core.scans.build.open_recording"),
     ):
@@ -316,6 +317,8 @@ def test_a_route_that_fits_nowhere_is_told_so(tmp_path: Path) -> None:
         ),
         (("evaluate", "{data}", "--out", "{tmp}/no/report"), "there is no folder"),
         (("evaluate", "{data}", "--out", "{tmp}"), "holds report.json of an earlier run"),
+        (("reproduce", "{data}", "--out", "{tmp}/no/figures"), "there is no folder"),
+        (("reproduce", "{data}", "--out", "{tmp}"), "holds index.html of an earlier run"),
         (("slam", "{data}", "--out", "{tmp}/old.json"), "is a file"),
         (("slam", "{data}", "--out", "{tmp}"), "holds report.json of an earlier run"),
         (("slam", "{data}", "--out", "{tmp}/map", "--closures", "{tmp}/no.json"), "no.json"),
@@ -327,12 +330,13 @@ def test_a_route_that_fits_nowhere_is_told_so(tmp_path: Path) -> None:
 def test_what_can_be_known_is_refused_before_the_work(
     traverse: Path, tmp_path: Path, arguments: tuple[str, ...], said: str
 ) -> None:
-    for name in ("old.json", "old.g2o", "report.json"):
+    there = ["index.html", "old.g2o", "old.json", "report.json"]
+    for name in there:
         (tmp_path / name).write_text("old")
     places = {"data": traverse, "tmp": tmp_path}
     line = run_here(*(argument.format(**places) for argument in arguments)).refusal
     assert said in line
-    assert names(tmp_path) == ["old.g2o", "old.json", "report.json"]
+    assert names(tmp_path) == there
 
 
 # Never over an input.
@@ -370,6 +374,7 @@ def data(traverse: Path, tmp_path: Path) -> Path:
         "detect {data} --out {data}/images/closures.json",
         "evaluate {data} --out {data}/submaps",
         "evaluate {data} --out {tmp} --closures {tmp}/report.json --overwrite",
+        "reproduce {data} --out {data}/submaps",
         "slam {data}/submaps --out {data}/submaps",
         "slam {tmp}/link --out {data}/submaps",
         "slam {data} --out {tmp} --params {tmp}/report.json --overwrite",

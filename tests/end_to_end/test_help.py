@@ -11,6 +11,11 @@ import pytest
 from gpgrad_core.version import VERSION
 from tests.end_to_end.process import ROOT, Run, environment, run_here
 
+VERBS = (
+    *("view", "detect", "evaluate", "reproduce", "map", "fit", "build", "slam", "locate"),
+    "simulate",
+)
+
 
 def test_version(gpgrad: Run) -> None:
     finished = gpgrad("--version")
@@ -20,13 +25,11 @@ def test_version(gpgrad: Run) -> None:
 def test_the_verbs_are_listed(gpgrad: Run) -> None:
     finished = gpgrad("--help")
     assert finished.code == 0
-    for verb in ("view", "detect", "evaluate", "map", "fit", "build", "slam", "locate", "simulate"):
+    for verb in VERBS:
         assert re.search(rf"\b{verb}\b", finished.out)
 
 
-@pytest.mark.parametrize(
-    "verb", ["view", "detect", "evaluate", "map", "fit", "build", "slam", "locate", "simulate"]
-)
+@pytest.mark.parametrize("verb", VERBS)
 def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
     finished = run_here(verb, "--help")
     assert finished.code == 0
@@ -50,12 +53,8 @@ def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ((), "Expected one of {view, detect, evaluate, map, fit, build, slam, locate, simulate}"),
-        (
-            ("detekt", "x"),
-            "unknown verb 'detekt'; known: view, detect, evaluate, map, fit, build, slam, locate, "
-            "simulate",
-        ),
+        ((), f"Expected one of {{{', '.join(VERBS)}}}"),
+        (("detekt", "x"), f"unknown verb 'detekt'; known: {', '.join(VERBS)}"),
         (("detect",), "--out"),
         (("detect", "x", "--out", "a.json", "--bogus", "3"), "--bogus"),
         (("detect", "x", "--out", "a.json", "--method", "magic"), "known: gradient"),
@@ -68,6 +67,12 @@ def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
         (("detect", "x", "--out", "no/where/a.json"), "no/where/a.json: cannot write"),
         (("detect", "x", "--out", "a.json", "--g2o", "no/a.g2o"), "no/a.g2o: cannot write"),
         (("evaluate", "x", "--out", "r", "--method", "magic"), "unknown --method 'magic'"),
+        (("reproduce", "--out", "r"), "DATASET"),
+        (("reproduce", "x"), "--out"),
+        (("reproduce", "x", "--out", "r", "--method", "magic"), "unknown --method 'magic'"),
+        (("reproduce", "x", "--out", "r", "--figure", "7"), "--figure 7: there is no such figure"),
+        (("reproduce", "x", "x", "--out", "r"), "x: is given twice; give it once"),
+        (("reproduce", "x", "--out", "r", "--method", "chance"), "chance: has no gradient maps"),
         (("map", "x.ply", "--out", "a.jpg"), "a.jpg: the ending must be one of .npz"),
         (("fit", "x", "--out", "a.json"), "a.json: the ending must be one of .toml"),
         (("simulate", "x", "--num-submaps", "-3"), "--num-submaps: the value must be from"),

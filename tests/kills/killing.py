@@ -83,6 +83,12 @@ VERBS = (
     ),
     Verb("detect", ("detect", "{dataset}", "--out", "{out}/closures.json"), "closures.json"),
     Verb("evaluate", ("evaluate", "{dataset}", "--out", "{out}/report"), "report"),
+    Verb(
+        "reproduce",
+        ("reproduce", "{dataset}", "--out", "{out}/figures", "--method", "paper"),
+        "figures",
+        exact=True,
+    ),
     Verb("slam", ("slam", "{dataset}", "--out", "{out}/map"), "map"),
     Verb("map", ("map", "{dataset}/submaps/000.ply", "--out", "{out}/map.npz"), "map.npz"),
     Verb("fit", ("fit", "{dataset}", "--out", "{out}/fitted.toml"), "fitted.toml"),

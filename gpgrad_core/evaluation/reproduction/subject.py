@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -243,14 +244,20 @@ def _show(
     mask = params.features.max_std_ratio
     if closure is None:
         submap = dataset.submaps[0]
-        return Shown(submap, detector.infer(submap), mask)
+        return Shown(submap, _map_of(detector.infer(submap)), mask)
     query, database = dataset.submap(closure.query_id), dataset.submap(closure.database_id)
-    maps = [detector.infer(submap) for submap in (query, database)]
-    keypoints = [detector.keypoints(detector.extract(one)) for one in maps]
+    inferred = [detector.infer(submap) for submap in (query, database)]
+    keypoints = [detector.keypoints(detector.extract(one)) for one in inferred]
+    query_map, database_map = map(_map_of, inferred)
     matches = match_features(keypoints[0], keypoints[1], params.matching)
     assert len(matches) == len(closure.registration.inliers)
     right = is_right(closure, evaluation)
-    return Shown(query, maps[0], mask, database, maps[1], matches, closure, right)
+    return Shown(query, query_map, mask, database, database_map, matches, closure, right)
+
+
+def _map_of(inferred: Any) -> GradientMap:
+    """Give the gradient map of what a detector infers: the map alone, or more with it."""
+    return inferred if isinstance(inferred, GradientMap) else inferred.gradient_map
 
 
 def trusted_range(

@@ -83,7 +83,7 @@ def draw_map(shown: Shown) -> Figure:
         zip(VIEWS, ("(a) the cloud from one side", "(d) from the other side"), strict=True)
     ):
         top = 0.2 + row * (height + 0.35)
-        panel = add_panel(figure, 0.05, top, 1.9, height, projection="3d")
+        panel = add_panel(figure, 0.2, top, 1.9, height, projection="3d")
         _scatter_in_space(panel, submap, view)
         figure.text(0.1 / PAGE, 1 - (top - 0.04) / figure.get_figheight(), title)
     steepest = trusted_range(made, np.abs(made.slope[..., 0]), shown.mask, 0, 99)[1]
@@ -175,7 +175,7 @@ def _scatter_in_space(panel: Any, submap: Submap, view: tuple[float, float]) -> 
     panel.tick_params(labelsize=6.0, pad=-3)
     for name, axis in (("x", panel.xaxis), ("y", panel.yaxis), ("z", panel.zaxis)):
         axis.set_label_text(f"{name} [m]", fontsize=6.5)
-        axis.labelpad = -9
+        axis.labelpad = -6
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
 
 

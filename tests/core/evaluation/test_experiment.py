@@ -1,5 +1,6 @@
 """Methods run in turn, and files of others under names of their own."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,10 +8,13 @@ import pytest
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import read_rivals, run_methods
+from gpgrad_core.evaluation.experiment import detect_kept
+from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.methods import Method
 from gpgrad_core.outputs import write_closures
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, LoopDetector, Registration, Submap
 from tests.core.evaluation.conftest import record, registration, report
@@ -57,3 +61,54 @@ def test_files_get_names_of_their_own(tmp_path: Path) -> None:
     assert list(read_rivals(paths[:2], taken=["gradient"])) == [f"gradient ({paths[0]})", "slam"]
     with pytest.raises(InputError, match=r"a\.json: is given twice"):
         read_rivals([paths[0], paths[0]])
+
+
+class Interrupted(Exception):
+    pass
+
+
+def test_a_stopped_search_goes_on_where_it_was(dataset: Dataset, tmp_path: Path) -> None:
+    compared: list[tuple[str, str]] = []
+
+    def counting(params: PipelineParams, memo: Memo) -> LoopDetector:
+        detect = nearness(params, memo)
+
+        def count(query: Submap, database: Submap) -> Registration:
+            if len(compared) == stop_at:
+                raise Interrupted
+            compared.append((query.id, database.id))
+            return detect(query, database)
+
+        return count
+
+    method = Method("counting", "Counts.", counting)
+    params, store = PipelineParams(), Store(tmp_path / "cache")
+    stop_at = 6
+    with pytest.raises(Interrupted):
+        detect_kept(dataset, method, params, store)
+    stop_at = -1
+    fractions: list[float] = []
+    whole = detect_kept(dataset, method, params, store, progress=fractions.append)
+    pairs = [(one.query_id, one.database_id) for one in whole.closures]
+    assert pairs == [
+        (query.id, database.id)
+        for k, query in enumerate(dataset.submaps)
+        for database in dataset.submaps[:k]
+    ]
+    assert len(compared) < 6 + len(pairs)  # what was handed over before is not compared again
+    assert fractions[-1] == 1.0
+    before = len(compared)
+    again = detect_kept(dataset, method, params, store)
+    assert len(compared) == before
+    scores = [one.registration.score for one in whole.closures]
+    assert [one.registration.score for one in again.closures] == scores
+    other = replace(params, closure=replace(params.closure, min_inliers=11))
+    assert not any(one.accepted for one in detect_kept(dataset, method, other, store).closures)
+    assert len(compared) == before + len(pairs)  # a verdict belongs to its parameters
+
+
+def test_verdicts_with_images_are_not_kept(dataset: Dataset, tmp_path: Path) -> None:
+    store = Store(tmp_path / "cache")
+    params = PipelineParams(closure=ClosureParams(images="show"))
+    detect_kept(dataset, CHEAT, params, store)
+    assert not (tmp_path / "cache").exists()

@@ -1,0 +1,160 @@
+"""The paper's figures: which pair is shown, what captions say, and maps of odd shapes."""
+
+import numpy as np
+import pytest
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation import Evaluation, EvaluationParams, PrecisionRecall, evaluate
+from gpgrad_core.evaluation.reproduction import TITLES, Subject, check_method
+from gpgrad_core.evaluation.reproduction.closure import draw_check, draw_session
+from gpgrad_core.evaluation.reproduction.curves import (
+    draw_precision_by_inliers,
+    draw_precision_recall,
+    mean_precision,
+)
+from gpgrad_core.evaluation.reproduction.figures import list_figures
+from gpgrad_core.evaluation.reproduction.style import COLUMN, PAGE, in_print, letter
+from gpgrad_core.evaluation.reproduction.subject import Shown, choose
+from gpgrad_core.evaluation.reproduction.terrain import draw_map, draw_matching_maps
+from gpgrad_core.evaluation.reproduction.tracks import draw_tracks
+from gpgrad_core.methods import METHODS
+from gpgrad_core.pipeline import DetectionResult
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Dataset, GradientMap, Grid, Matches
+from tests.core.evaluation.conftest import RIGHT, closure
+
+EVERY = frozenset(TITLES)
+
+
+@pytest.fixture(scope="module")
+def evaluation(dataset: Dataset, result: DetectionResult) -> Evaluation:
+    return evaluate(dataset, {"paper": result}, EvaluationParams(num_resamples=0))
+
+
+def a_map(width: float, height: float, step: float = 0.05) -> GradientMap:
+    """Waves on a rectangle, known in its middle and unknown at its rim."""
+    grid = Grid((0.0, 0.0), step, (int(height / step), int(width / step)))
+    x, y = np.meshgrid(grid.x, grid.y)
+    rim = np.maximum(np.abs(2 * x / width - 1), np.abs(2 * y / height - 1)) > 0.9
+    slope = 0.3 * np.dstack([np.cos(x), np.sin(y)])
+    return GradientMap(grid, 0.3 * np.sin(x), np.where(rim, 0.04, 1e-5), slope, 0.2, 0.3)
+
+
+def shown(dataset: Dataset, width: float, height: float, *, inliers: int = 2) -> Shown:
+    at = np.array([[0.5, 0.5], [0.8, 0.4]])[:inliers]
+    matches = Matches(np.tile(np.arange(inliers)[:, None], 2), np.zeros(inliers), at, at + 0.1)
+    found = closure("003", "000", 9.0, RIGHT, inliers, accepted=True)
+    query, database = dataset.submap("003"), dataset.submap("000")
+    maps = a_map(width, height), a_map(height, width)
+    return Shown(query, maps[0], 0.3, database, maps[1], matches, found, right=True)
+
+
+def test_the_pair_that_is_shown_is_right_if_that_is_known(
+    dataset: Dataset, evaluation: Evaluation
+) -> None:
+    pairs = (
+        closure("001", "000", 99.0, SE2(), 99, accepted=True),  # neighbours, and wrong
+        closure("002", "000", 50.0, SE2(), 50, accepted=True),  # wrong
+        closure("003", "000", 9.0, RIGHT, 20, accepted=True),
+        closure("004", "003", 999.0, None, 0),
+    )
+    found = choose(dataset, pairs, evaluation)
+    assert found is not None
+    assert (found.query_id, found.database_id) == ("003", "000")
+    found = choose(dataset, pairs, None)
+    assert found is not None
+    assert (found.query_id, found.database_id) == ("002", "000")
+    refused = (pairs[3], closure("004", "000", 1.0, SE2(), 3), closure("004", "001", 9.0, SE2(), 2))
+    found = choose(dataset, refused, None)
+    assert found is not None
+    assert (found.query_id, found.database_id) == ("004", "000")
+    assert choose(dataset, pairs[3:], evaluation) is None
+
+
+def test_the_mean_precision_is_over_the_sets_of_which_a_pair_passes() -> None:
+    at = np.array([1.0, 2.0, 3.0])
+    first = PrecisionRecall(at, np.array([0.5, 1.0, np.nan]), np.array([1.0, 0.5, 0.0]))
+    second = PrecisionRecall(at, np.array([0.7, np.nan, np.nan]), np.array([1.0, 0.0, 0.0]))
+    assert mean_precision([first, second]) == pytest.approx([0.6, 1.0, np.nan], nan_ok=True)
+
+
+def test_letters_go_on_after_z() -> None:
+    assert [letter(k) for k in (0, 4, 25, 26, 27)] == ["(a)", "(e)", "(z)", "(aa)", "(ab)"]
+
+
+def test_captions_say_what_was_found(dataset: Dataset, evaluation: Evaluation) -> None:
+    subject = Subject(dataset, METHODS["paper"], shown(dataset, 3.0, 4.0), evaluation)
+    figures, notes = list_figures([subject], EVERY)
+    assert notes == []
+    assert [figure.number for figure in figures] == sorted(EVERY)
+    captions = {figure.number: figure.caption for figure in figures}
+    for number in (1, 4, 10):
+        assert (
+            "accepts the pair 003, 000: because. By the true poses this is right"
+            in (captions[number])
+        )
+    # By hand: of the false pairs, 003 and 001 have the most inliers, which are 6.
+    assert "From n = 7 on, all pairs that pass are true." in captions[9]
+    assert "A pair is true if the boxes' intersection over union" in captions[8]
+
+
+def test_datasets_of_one_name_get_files_of_their_own(dataset: Dataset) -> None:
+    subject = Subject(dataset, METHODS["paper"], shown(dataset, 3.0, 4.0))
+    figures, notes = list_figures([subject, subject], frozenset({3, 8}))
+    assert [figure.name for figure in figures] == ["figure_3_squares", "figure_3_squares_2"]
+    assert len(notes) == 2
+    assert "not in Fig. 8" in notes[0]
+
+
+@pytest.mark.parametrize(("width", "height"), [(3.0, 4.0), (8.0, 0.6), (0.6, 8.0)])
+@pytest.mark.parametrize("inliers", [0, 2])
+def test_maps_of_any_shape_are_drawn(
+    dataset: Dataset, width: float, height: float, inliers: int
+) -> None:
+    one = shown(dataset, width, height, inliers=inliers)
+    with in_print():
+        for figure, wide in (
+            (draw_matching_maps(dataset, one), PAGE),
+            (draw_map(one), PAGE),
+            (draw_check(one), COLUMN),
+            (draw_session(dataset, one), COLUMN),
+        ):
+            figure.set_dpi(30)
+            figure.draw_without_rendering()
+            assert figure.get_figwidth() == wide
+            assert 1.0 < figure.get_figheight() < 9.5  # a page of a paper has no more
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_any_number_of_datasets_is_drawn(
+    dataset: Dataset, evaluation: Evaluation, count: int
+) -> None:
+    with in_print():
+        for figure in (
+            draw_tracks([dataset] * count),
+            draw_precision_recall([evaluation] * count),
+            draw_precision_by_inliers([evaluation] * count),
+        ):
+            figure.draw_without_rendering()
+            titles = [panel.get_title("left") for panel in figure.axes if panel.get_title("left")]
+            assert titles in ([], ["squares"], [f"{letter(k)} squares" for k in range(count)])
+
+
+def test_a_rule_that_calls_no_pair_true_is_told(dataset: Dataset, result: DetectionResult) -> None:
+    params = EvaluationParams(num_resamples=0, min_overlap=0.99)
+    strict = evaluate(dataset, {"paper": result}, params)
+    figures, notes = list_figures(
+        [Subject(dataset, METHODS["paper"], None, strict)], frozenset({8, 9})
+    )
+    assert [figure.number for figure in figures] == [8]
+    assert notes == ["Fig. 9 left out: no pair of any dataset is true"]
+    with in_print():
+        (panel,) = figures[0].draw().axes
+    assert [text.get_text() for text in panel.texts] == ["no pair is true"]
+
+
+def test_the_first_method_must_have_maps() -> None:
+    for name in ("paper", "gradient", "elevation", "smoothed"):
+        check_method(METHODS[name])
+    with pytest.raises(InputError, match="--method chance: has no gradient maps"):
+        check_method(METHODS["chance"])
