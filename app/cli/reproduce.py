@@ -147,7 +147,7 @@ class Reproduce:
                 known = ", ".join(map(str, TITLES))
                 raise InputError(f"--figure {number}: there is no such figure; known: {known}")
         if not self.datasets:
-            raise InputError("name at least one dataset")
+            raise InputError("missing: DATASET; name at least one dataset")
         places = [path.resolve() for path in self.datasets]
         for path in self.datasets:
             if places.count(path.resolve()) > 1:
