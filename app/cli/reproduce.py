@@ -25,7 +25,8 @@ from app.cli.inputs import (
 from app.cli.outputs import Overwrite
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation import EvaluationParams, check_directory
+from gpgrad_core.evaluation import EvaluationParams, Protocol, check_directory
+from gpgrad_core.evaluation.protocol import as_in_paper
 from gpgrad_core.evaluation.reproduction import TITLES, Subject, check_method, study
 from gpgrad_core.methods import METHODS, Method, find_method
 from gpgrad_core.outputs import check_apart
@@ -80,6 +81,13 @@ class Reproduce:
         Doc("Seed of all random choices."),
         tyro.conf.arg(help_behavior_hint="(default: the registration's seed)"),
     ] = None
+    protocol: Annotated[
+        Protocol,
+        Doc(
+            "paper: judge as in the paper's Sec. VII, which leaves no pair out. gpgrad: leave out "
+            "neighbours, and pairs that touch without being true."
+        ),
+    ] = "gpgrad"
     evaluation: Annotated[Given[EvaluationParams], tyro.conf.arg(name="")] = Given(EvaluationParams)
     overwrite: Overwrite = False
     cache: Cache = USERS_CACHE
@@ -93,7 +101,10 @@ class Reproduce:
         store = open_store(self.cache)
         datasets = [load(path) for path in self.datasets]
         given = [self._params(dataset) for dataset in datasets]
-        judging = self.evaluation.over(EvaluationParams())
+        judging = EvaluationParams()
+        judging = self.evaluation.over(
+            as_in_paper(judging) if self.protocol == "paper" else judging
+        )
         sizes = [comb(len(dataset.submaps), 2) + 1 for dataset in datasets]
         subjects: list[Subject] = []
         with whole_folder(self.out, earlier=self._earlier()) as folder:
@@ -134,6 +145,8 @@ class Reproduce:
             words += ["--method", *self.method]
         if self.seed is not None:
             words += ["--seed", str(self.seed)]
+        if self.protocol != "gpgrad":
+            words += ["--protocol", self.protocol]
         if self.params is not None:
             words += ["--params", str(self.params)]
         return shlex.join([*words, *_words(self.evaluation), *_words(self.pipeline)])

@@ -71,9 +71,14 @@ class ByInliers:
     false_placed_right: int
 
 
+def as_in_paper(params: EvaluationParams) -> EvaluationParams:
+    """Leave no pair out: neighbours are judged too, and every pair that is not true is false."""
+    return replace(params, neighbours=0, count_grey=True)
+
+
 def paper_rules(params: EvaluationParams) -> tuple[EvaluationParams, ...]:
     """Give the parameters of the paper's protocol: one for each of its overlaps."""
-    kept = replace(params, neighbours=0, count_grey=True, num_resamples=0)
+    kept = replace(as_in_paper(params), num_resamples=0)
     return tuple(replace(kept, min_overlap=overlap) for overlap in MIN_OVERLAPS)
 
 

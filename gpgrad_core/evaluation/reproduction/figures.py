@@ -197,7 +197,8 @@ def _caption_of_map(subject: Subject, shown: Shown) -> str:
         f"{subject.dataset.name}, submap {shown.query.id}: (a) and (d) the point cloud "
         f"({shown.query.num_points:,} points) from two sides, (b) elevation and (c) its variance, "
         "Eqs. (2) and (3), (e) the slope along x, Eq. (4), and (f) the gradient map. Length-scale "
-        f"{made.length_scale:.3g} m, {made.grid.resolution:g} m per pixel."
+        f"{made.length_scale:.3g} m, signal {made.signal_std:.3g} m, {made.grid.resolution:g} m "
+        "per pixel."
     )
 
 

@@ -186,7 +186,7 @@ def study(
     shown = None
     if numbers & DETAILS:
         closure = choose(dataset, results[leading.name].closures, evaluation)
-        shown = _show(dataset, leading, settled, closure, evaluation)
+        shown = _show(dataset, leading, settled, closure, evaluation, store)
     progress(1.0)
     return Subject(dataset, leading, shown, evaluation, tuple(notes))
 
@@ -238,8 +238,9 @@ def _show(
     params: PipelineParams,
     closure: LoopClosure | None,
     evaluation: Evaluation | None,
+    store: Store | None,
 ) -> Shown:
-    detector = method.detector(params, Memo())
+    detector = method.detector(params, Memo(store=store))
     assert isinstance(detector, SearchableDetector)
     mask = params.features.max_std_ratio
     if closure is None:
