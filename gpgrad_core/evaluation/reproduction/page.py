@@ -119,7 +119,8 @@ def _table(evaluations: Sequence[Evaluation]) -> str:
                 "" if ranked is None else _summary(ranked.recall_at_full_precision),
             )
             rows.append("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
-    return f"<table>{''.join(rows)}</table><p>In brackets: intervals of 95 %.</p>"
+    brackets = "<p>In brackets: intervals of 95 %.</p>" if any("[" in row for row in rows) else ""
+    return f"<table>{''.join(rows)}</table>{brackets}"
 
 
 def _summary(summary: Summary) -> str:

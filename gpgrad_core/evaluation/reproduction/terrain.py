@@ -175,7 +175,7 @@ def _scatter_in_space(panel: Any, submap: Submap, view: tuple[float, float]) -> 
     panel.tick_params(labelsize=6.0, pad=-3)
     for name, axis in (("x", panel.xaxis), ("y", panel.yaxis), ("z", panel.zaxis)):
         axis.set_label_text(f"{name} [m]", fontsize=6.5)
-        axis.labelpad = -6
+        axis.labelpad = -10 if name == "z" else -6
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
 
 
