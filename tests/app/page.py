@@ -66,6 +66,7 @@ class ProtocolPage:
         self.widgets: dict[str, dict[str, Any]] = {}  # by uuid
         self.nodes: dict[str, dict[str, Any]] = {}  # by name; arrays as their digests
         self.received: list[tuple[float, str]] = []  # when each message came, for latencies
+        self.look_at: list[float] | None = None  # where the server has turned the camera last
         self.num_bytes = 0
         self._socket = connect(
             url.replace("http", "ws"),
@@ -156,6 +157,8 @@ class ProtocolPage:
             self.nodes[message["name"]].update(message["updates"])
             for name in message["updates"]:
                 self.received.append((time.monotonic(), f"{message['name']}.{name}"))
+        elif kind == "SetCameraLookAtMessage" and not message["initial"]:
+            self.look_at = list(message["look_at"])
         elif kind == "RemoveSceneNodeMessage":
             self.nodes.pop(message["name"], None)
         elif "props" in message and "name" in message:

@@ -5,6 +5,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 import viser
 from jaxtyping import Float
+from viser._messages import SetCameraLookAtMessage
 
 from app.viewer.draw.placement import FIELD_OF_VIEW, Camera
 from gpgrad_core.arrays import Array
@@ -89,11 +90,15 @@ def view_of(client: viser.ClientHandle) -> Camera:
 def set_view(client: viser.ClientHandle, camera: Camera) -> None:
     """Bring a page to a view."""
     distance = float(np.linalg.norm(np.array(camera.position) - np.array(camera.look_at)))
+    connection = client._websock_connection  # pyright: ignore[reportPrivateUsage]
     with client.atomic():
         client.camera.far = max(FAR, FAR_DISTANCES * distance)
         client.camera.fov = float(FIELD_OF_VIEW)
         client.camera.position = camera.position
         client.camera.look_at = camera.look_at
+        # A new position takes the point that is looked at along. If the page reports just then that
+        # it looks where it should, from a view before, viser has nothing to set and sends nothing.
+        connection.queue_message(SetCameraLookAtMessage(camera.look_at))
     client.flush()
 
 

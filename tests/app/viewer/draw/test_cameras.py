@@ -1,13 +1,17 @@
+from typing import Any
+
 import numpy as np
 import pytest
+import viser
 from hypothesis import given
 from hypothesis import strategies as st
 
 from app.viewer.demo.page import Composed, save_page
 from app.viewer.draw.animation import Animation
-from app.viewer.draw.cameras import blend, follow, orbit, top
+from app.viewer.draw.cameras import blend, follow, orbit, set_view, top
 from app.viewer.draw.placement import Camera, Extent, glide, place
 from gpgrad_core.se2 import SE2
+from tests.app.page import ProtocolPage
 
 VIEW = Camera((0.0, -8.0, 6.0), (0.0, 0.0, 0.0))
 QUERY = Extent((-2.0, -1.0, 0.0), (4.0, 3.0, 1.0))
@@ -81,3 +85,23 @@ def test_a_page_holds_title_legend_and_every_moment() -> None:
     assert drawn[0] == 0.0
     assert drawn[-1] == 1.0
     assert len(drawn) == 13
+
+
+def test_a_page_that_reports_late_looks_where_it_was_brought(
+    server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A report may come in the midst of being brought somewhere, and be true already."""
+    page = ProtocolPage(f"http://127.0.0.1:{server.get_port()}")
+    page.wait(lambda: len(server.get_clients()) == 1, "the page")
+    (client,) = server.get_clients().values()
+    moved: Any = viser.CameraHandle.position
+
+    def move(camera: Any, position: Any) -> None:
+        moved.fset(camera, position)
+        camera._state.look_at = np.array(VIEW.look_at)
+
+    monkeypatch.setattr(viser.CameraHandle, "position", moved.setter(move))
+    client.camera.look_at = (1.0, 2.0, 3.0)
+    set_view(client, VIEW)
+    page.wait(lambda: page.look_at == list(VIEW.look_at), "the view")
+    page.close()
