@@ -147,7 +147,7 @@ class Gate:
             for key, value in parse_qsl(path.partition("?")[2])
             if key == "token"
         ):
-            cookie = f"{cookie_name(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+            cookie = f"{cookie_name(port)}={self.token}; Path=/; HttpOnly; SameSite=Lax"
             headers["Set-Cookie"] = cookie
         return headers
 

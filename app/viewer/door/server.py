@@ -29,6 +29,7 @@ from websockets.protocol import State
 from app.viewer.door.admission import Admission, Gate
 from app.viewer.door.inputs import Malformed, is_small_enough, read_message, why_not
 from app.viewer.door.limits import Limits, Pace
+from app.viewer.door.page import add_script
 from app.viewer.door.uploads import RefusedUpload, Uploads
 
 _log = logging.getLogger(__name__)
@@ -127,6 +128,7 @@ class Door:
             given = self.gate.answer_headers(request.headers.get_all, request.path, address[1])
             for name, value in given.items():
                 response.headers[name] = value
+            add_script(response)
         return response
 
     # What pages say.

@@ -49,6 +49,7 @@ class Links(Feature):
         self._pacer: Pacer[viser.ClientHandle] = Pacer(self._publish, BETWEEN, "addresses")
         self.workers = (self._pacer,)
         desk.bridge.hear("arrived", self._arrive)
+        desk.bridge.hear("asked", self._take)
         desk.bridge.hear("link copied", _say_copied)
         commands.add_for_page(
             "Session", "Copy link", lambda page: desk.bridge.call(page, "copy", {})
@@ -111,6 +112,14 @@ class Links(Feature):
 
         self._pacer.ask(page)
 
+    def _take(self, page: viser.ClientHandle, data: Data) -> None:
+        """Show what a page asks for that is there already: by a pasted link, back or forward."""
+        text = data.get("text")
+        if page in self._arrived and isinstance(text, str):
+            self._arrived[page] = text  # so that what is shown is written over it
+            self._open(page, text)
+            self._pacer.ask(page)
+
     def _open(self, page: viser.ClientHandle, text: str, *, again: bool = False) -> None:
         """Show what an address asks for, unless others would lose what they look at.
 
@@ -134,6 +143,8 @@ class Links(Feature):
                     "Others have this viewer open, and all pages show the same. What your link "
                     "asks for is not shown. Open it again when the others have left.",
                 )
+            elif link.subject == self._subject == "pair" and link.saved.camera is not None:
+                self._desk.tell(Feature.look, page, link.saved.camera)
             return
         if _has_open(link, state):
             self._change(page, link)
@@ -167,8 +178,13 @@ class Links(Feature):
             return
         if link.subject == "world":
             self._desk.tell(Feature.explore)
-        elif saved.camera is not None:
+            return
+        if self._subject == "world":
+            self._desk.tell(Feature.tune)
+        if saved.camera is not None:
             self._desk.tell(Feature.look, page, saved.camera)
+        elif self._desk.canvases.is_by_hand(page):
+            self._desk.tell(Feature.frame, page)
 
 
 def _has_open(link: Link, state: ViewState) -> bool:

@@ -9,9 +9,9 @@ from app.viewer.links.address import LONGEST
 from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.html import paragraph
 
-# viser drops what is behind # when it starts, if there is something behind ?; the browser still
-# knows with what the page was opened. The canvas is to be known first: it decides how submaps
-# stand, and so what a camera sees.
+# The canvas is to be known first: it decides how submaps stand, and so what a camera sees. The
+# address is written over while the page stays on one entry of the browser's history; a link that a
+# person puts into the address is another entry, and back and forward go between them.
 SCRIPT = """
 (function run() {
   if (!window.gpgrad) { setTimeout(run, 50); return; }  // the bridge may come later
@@ -21,8 +21,6 @@ SCRIPT = """
   };
   // After the server was gone: what was shown is asked for again.
   if (window.gpgradLink) { show(); window.gpgradLink.arrive(window.gpgradLink.text, true); return; }
-  const opened = performance.getEntriesByType('navigation')[0];
-  const asked = (location.hash || (opened ? new window.URL(opened.name).hash : '')).slice(1);
   const own = window.gpgradLink = {
     text: '',
     link() { return own.text ? location.origin + location.pathname + '#' + own.text : ''; },
@@ -39,12 +37,21 @@ SCRIPT = """
       else navigator.clipboard.writeText(link).then(() => done(true), by_box);
     },
   };
+  const asked = () => location.hash.slice(1);
   gpgrad.acts.address = text => {
     own.text = text;
     history.replaceState(history.state, '', location.pathname + location.search +
       (text ? '#' + text : ''));
     show();
   };
+  window.addEventListener('hashchange', () => {
+    if (!asked()) gpgrad.acts.address(own.text);
+    else if (asked() !== own.text) {
+      own.text = asked();  // which is asked for again, should the server be gone now
+      show();
+      gpgrad.say('asked', {text: own.text.slice(0, LONGEST + 1)}, true);
+    }
+  });
   gpgrad.acts.where = data => gpgrad.say('here', {...data, link: own.link()});
   gpgrad.acts.copy = () => own.copy(copied => gpgrad.say('link copied', {copied}));
   own.arrive = (text, again) => {
@@ -52,9 +59,9 @@ SCRIPT = """
       gpgrad.say('arrived', {text: text.slice(0, LONGEST + 1), again});
     else setTimeout(own.arrive, 100, text, again);
   };
-  own.arrive(asked, false);
+  own.arrive(asked(), false);
 })()
-""".replace("LONGEST", str(LONGEST))
+""".replace("LONGEST + 1", str(LONGEST + 1))
 COPY = (
     "const one=this;gpgradLink.copy(done=>{one.textContent=done?'Copied':"
     "'Select the link and copy it';})"

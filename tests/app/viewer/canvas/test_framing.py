@@ -9,6 +9,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 import viser
+from viser._messages import RunJavascriptMessage
 
 from app.viewer.canvas import framing as framing_module
 from app.viewer.capacity import Capacity
@@ -47,7 +48,8 @@ class FakePage:
     @property
     def told(self) -> list[str]:
         calls = self.page._websock_connection.queue_message.call_args_list
-        return [call.args[0].source for call in calls]
+        messages = [call.args[0] for call in calls]
+        return [one.source for one in messages if isinstance(one, RunJavascriptMessage)]
 
 
 @pytest.fixture
@@ -205,6 +207,35 @@ def test_a_page_that_joins_changes_nothing_and_is_told(
     late = arrive(link=f"{same}&view.layer=gradient")
     assert session.state is before
     assert "joined" in late.page.add_notification.call_args.args[0]
+
+
+def test_a_page_that_joins_what_its_link_shows_sees_it_from_there(
+    arrive: Callable[..., FakePage],
+) -> None:
+    first = arrive(link="dataset=/data/set&query=002&database=000")
+    seen = first.camera
+    late = arrive(link="dataset=/data/set&query=002&database=000&camera=1,-9,12,0,0,0")
+    assert late.camera == Camera((1.0, -9.0, 12.0), (0.0, 0.0, 0.0))
+    assert first.camera == seen
+
+
+def test_a_page_goes_to_another_link_and_back(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    links = "dataset=/data/set&query=002&database=000", "dataset=/data/set&query=003&database=001"
+    page = arrive(link=links[0])
+    seen = page.camera
+    for link in (f"{links[1]}&scene=world", links[1], links[0]):
+        page.move()
+        session.desk.bridge._acts["asked"](page.page, {"text": link})
+        assert session.wait_idle(20)
+        assert session.state.query_id == link.partition("query=")[2][:3]
+        assert session.pair.scene.visible == ("world" not in link)
+    assert page.camera == seen
+    session.desk.bridge._acts["asked"](page.page, {"text": "dataset=/data/set&query=999"})
+    assert session.wait_idle(20)
+    addresses = [text for text in page.told if '"address"' in text]
+    assert "query=002&database=000" in addresses[-1]  # over the one that cannot be opened
 
 
 @pytest.mark.parametrize("text", ["query=999", "nonsense", "params.map.length_scale=-3"])

@@ -168,7 +168,7 @@ def test_the_page_gets_the_token_as_a_cookie_that_no_script_reads() -> None:
     headers = Headers({"Host": "localhost:8080"}).get_all
     given = gate.answer_headers(headers, "/?fixedDpr=1&token=a-token-to-share", 8080)
     assert given["Set-Cookie"] == (
-        "gpgrad-token-8080=a-token-to-share; Path=/; HttpOnly; SameSite=Strict"
+        "gpgrad-token-8080=a-token-to-share; Path=/; HttpOnly; SameSite=Lax"
     )
     assert given["Referrer-Policy"] == "no-referrer"  # the link stays here
     assert "Set-Cookie" not in gate.answer_headers(headers, "/", 8080)

@@ -1,5 +1,6 @@
 """The viewer's server over real sockets: who gets in, what gets through, and what ends."""
 
+import gzip
 import http.client
 import socket
 import threading
@@ -18,6 +19,7 @@ from websockets.typing import Origin, Subprotocol
 
 from app.viewer.door.admission import Admission
 from app.viewer.door.limits import Limits
+from app.viewer.door.page import SCRIPT
 from app.viewer.door.server import Door, Told, open_server
 from tests.app.page import ProtocolPage
 from tests.waiting import until
@@ -149,6 +151,18 @@ def test_the_own_page_is_served(served: Served, page: ProtocolPage) -> None:
     assert headers["X-Content-Type-Options"] == "nosniff"
     page.set("Slider", 12)
     until(lambda: served.values == [12], "the value")
+
+
+@pytest.mark.parametrize("coding", ["gzip, deflate", "identity"])
+def test_the_page_begins_with_our_script(served: Served, coding: str) -> None:
+    for _ in range(2):
+        status, headers, body = fetch(served, Accept_Encoding=coding)
+        page = gzip.decompress(body) if headers["Content-Encoding"] == "gzip" else body
+        assert (status, int(headers["Content-Length"])) == (200, len(body))
+        assert (headers["Content-Encoding"] == "gzip") == ("gzip" in coding)
+        assert page.index(SCRIPT) == page.index(b"<script")
+        assert page.count(SCRIPT) == 1
+    assert fetch(served, "/not_there")[0] == 404
 
 
 @pytest.mark.parametrize("origin", [None, "null", "http://evil.com", "http://127.0.0.1.evil.com"])

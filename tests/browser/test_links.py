@@ -1,0 +1,212 @@
+"""Addresses as people open them: typed, reloaded, copied, kept, and gone back and forward to."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.viewer.door.admission import Admission
+from app.viewer.server import Viewer
+from gpgrad_core.datasets import demo_path, load_dataset
+from gpgrad_core.run.store import Store
+from tests.browser.conftest import QUICK
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+PATIENCE_MS = 60_000
+SMALL: Any = {"width": 960, "height": 600}
+TOKEN = "a-token-to-share"
+
+
+def start(token: str | None, port: int = 0) -> Viewer:
+    return Viewer(
+        load_dataset(demo_path()),
+        QUICK,
+        port=port,
+        source=str(demo_path()),
+        store=Store(),
+        admission=Admission(token=token),
+    )
+
+
+@pytest.fixture(params=[None, TOKEN], ids=["without a token", "with a token"])
+def viewer(request: pytest.FixtureRequest) -> Iterator[Viewer]:
+    made = start(request.param)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def person(browser: Any) -> Iterator[Any]:
+    """A browser with nothing in it yet."""
+    context = browser.new_context(viewport=SMALL)
+    yield context
+    context.close()
+
+
+def is_there(page: Any) -> None:
+    """Wait until the viewer is on the page, and the page's address says what is shown."""
+    page.get_by_test_id("verdict").wait_for(timeout=PATIENCE_MS)
+    shows(page, "#query=")
+
+
+def shows(page: Any, part: str) -> None:
+    """Wait until the address of a page has a part."""
+    page.wait_for_function(
+        "part => location.href.includes(part)", arg=part, polling=100, timeout=PATIENCE_MS
+    )
+
+
+def address(page: Any) -> str:
+    return str(page.evaluate("location.href"))
+
+
+def follows(page: Any, viewer: Viewer, link: str) -> None:
+    """Wait until a page and its session show what a link asks for."""
+    is_there(page)
+    for _ in range(300):
+        state, text = viewer.sessions[0].state, page.evaluate("window.gpgradLink?.text")
+        asked = f"#query={state.query_id}&" in link, "gradient" in link
+        if asked == (True, state.options.layer == "gradient") and text == link.partition("#")[2]:
+            break
+        page.wait_for_timeout(200)
+    else:
+        raise AssertionError(f"{address(page)} in place of {link}")
+    shows(page, "#" + text)
+
+
+def press(page: Any, key: str, part: str) -> str:
+    """Press a key that changes what is shown; gives the address that comes of it."""
+    page.evaluate("document.activeElement && document.activeElement.blur()")
+    page.keyboard.press(key)
+    shows(page, part)
+    return address(page)
+
+
+def test_a_page_is_reloaded(person: Any, viewer: Viewer) -> None:
+    page = person.new_page()
+    page.goto(viewer.link)
+    is_there(page)
+    link = press(page, "3", "view.layer=gradient")
+    assert link.startswith(f"{viewer.link}/#" if "?" not in viewer.link else f"{viewer.link}#")
+    for _ in range(2):
+        page.reload()
+        follows(page, viewer, link)
+        assert address(page) == link
+
+
+def test_a_link_is_opened_in_another_browser_and_kept_there(
+    browser: Any, person: Any, viewer: Viewer
+) -> None:
+    page = person.new_page()
+    page.goto(viewer.link)
+    is_there(page)
+    press(page, "j", "query=008")  # the next query
+    canvas = page.get_by_test_id("over-canvas").bounding_box()
+    page.mouse.move(canvas["x"] + canvas["width"] / 2, 300)
+    page.mouse.wheel(0, 300)
+    shows(page, "camera=")
+    page.wait_for_timeout(2000)  # until the camera stands still
+    copied = page.evaluate("gpgradLink.link()")
+    other = browser.new_context(viewport=SMALL)
+    try:
+        guest = other.new_page()  # while the first is open: it sees the same from there, too
+        guest.goto(address(page))
+        follows(guest, viewer, copied)
+        guest.close()
+        link = press(page, "j", "query=009")
+        press(page, "j", "query=000")
+        page.close()
+        page = other.new_page()
+        page.goto(link)
+        follows(page, viewer, link)
+        page.close()
+        kept = other.new_page()  # a bookmark, or the link of a report, which holds no token
+        assert TOKEN not in copied
+        kept.goto(copied)
+        follows(kept, viewer, copied)
+    finally:
+        other.close()
+
+
+def test_a_link_in_a_page_from_elsewhere_is_clicked(
+    person: Any, viewer: Viewer, tmp_path: Path
+) -> None:
+    """As that of a report, which lies on the disk."""
+    page = person.new_page()
+    page.goto(viewer.link)
+    is_there(page)
+    link = page.evaluate("gpgradLink.link()")
+    report = tmp_path / "report.html"
+    report.write_text(f'<a href="{link.replace("&", "&amp;")}">the pair</a>')
+    page.goto(report.as_uri())
+    page.get_by_text("the pair").click()
+    follows(page, viewer, link)
+
+
+def test_back_and_forward_go_between_links(person: Any, viewer: Viewer) -> None:
+    page = person.new_page()
+    page.goto("about:blank")
+    page.goto(viewer.link)
+    is_there(page)
+    first = press(page, "j", "query=008")
+    other = first.replace("query=008", "query=006")
+    other = other.replace("&params", "&view.layer=gradient&params", 1)
+    page.goto(other)  # the page stays: only what is after # is another
+    follows(page, viewer, other)
+    page.evaluate("window.gpgradSame = true")
+    page.go_back()
+    follows(page, viewer, first)
+    page.go_forward()
+    follows(page, viewer, other)
+    assert page.evaluate("window.gpgradSame")
+    page.goto("about:blank")
+    page.go_back()  # from elsewhere, where the page is made anew
+    follows(page, viewer, other)
+    page.go_back()
+    follows(page, viewer, first)
+
+
+def test_a_link_that_cannot_be_opened_leaves_the_page_and_its_address(
+    person: Any, viewer: Viewer
+) -> None:
+    page = person.new_page()
+    page.goto(viewer.link)
+    is_there(page)
+    link = address(page)
+    page.evaluate("location.hash = 'query=nobody&database=001'")
+    page.get_by_text("The link cannot be opened").wait_for(timeout=PATIENCE_MS)
+    follows(page, viewer, link)
+    page.evaluate("location.hash = ''")
+    follows(page, viewer, link)
+
+
+def test_a_page_that_came_by_a_link_outlives_its_server(person: Any, viewer: Viewer) -> None:
+    page = person.new_page()
+    page.goto(viewer.link)
+    is_there(page)
+    link = press(page, "j", "query=008")
+    page.reload()
+    follows(page, viewer, link)
+    port, token = viewer._server.get_port(), viewer._door.gate.token
+    viewer.close()
+    again = start(token, port)
+    try:
+        assert again._server.get_port() == port
+        follows(page, again, link)
+        page.reload()
+        follows(page, again, link)
+    finally:
+        again.close()
+
+
+@pytest.mark.parametrize("between", ["#", "/#", "/?#", "/?fixedDpr=1#"])
+def test_old_links_still_open(person: Any, between: str) -> None:
+    viewer = start(None)
+    try:
+        page = person.new_page()
+        page.goto(f"{viewer.url}{between}query=006&database=001")
+        is_there(page)
+        shows(page, "query=006")
+    finally:
+        viewer.close()
