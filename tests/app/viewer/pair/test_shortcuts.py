@@ -130,7 +130,7 @@ def test_the_camera_moves_on_the_page_that_asks_only(
     server: viser.ViserServer, session: Session
 ) -> None:
     page = MagicMock(spec=viser.ClientHandle)
-    page.camera = SimpleNamespace()
+    page.camera, page._websock_connection = SimpleNamespace(), MagicMock()
     press(server, "T", page=page)
     x, y, z = np.array(page.camera.position) - page.camera.look_at
     assert z > 0
