@@ -30,7 +30,7 @@ class ClosureParams:
     ] = 3.0
     max_dissimilarity: Annotated[
         float | None,
-        Bounds(0.0, 1e30, 1e7, "1/m⁴", slider=(1e8, 1e13)),
+        Bounds(0.0, 1e20, 1e7, "1/m⁴", slider=(1e8, 1e13)),
         Doc(
             "Largest dissimilarity of a loop closure, the paper's threshold on h. Automatic: there "
             "is none."
@@ -38,7 +38,7 @@ class ClosureParams:
     ] = None
     max_mean_dissimilarity: Annotated[
         float | None,
-        Bounds(0.0, 1e30, 1e3, "1/m⁴", slider=(1e4, 1e9)),
+        Bounds(0.0, 1e15, 1e3, "1/m⁴", slider=(1e4, 1e9)),
         Doc(
             "Largest dissimilarity divided by the number of common cells, so that a small overlap "
             "has no advantage. Automatic: there is none."
