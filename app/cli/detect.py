@@ -110,7 +110,7 @@ class Detect:
             compared = compare(
                 dataset,
                 sources,
-                method.adapt(asked),
+                method.ready(asked),
                 self.out,
                 method=method,
                 store=kept,

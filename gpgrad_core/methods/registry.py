@@ -3,6 +3,7 @@
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
@@ -34,8 +35,9 @@ def _as_given(params: PipelineParams) -> PipelineParams:
     return params
 
 
-def _guessed(params: PipelineParams) -> PipelineParams:
-    return replace(params, map=params.map.guessed)
+Automatic = Literal["dataset", "submap", "guess"]
+"""What gives automatic parameters their numbers: a fit to the dataset, a fit of the method's own to
+each submap, or a first guess (`MapParams.guessed`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +49,7 @@ class Method:
         summary: What it does, in one line.
         detector: Makes its detector, which keeps the results of each submap in the memo.
         adapt: Turns the given parameters into those with which the method runs.
-        fitted: Whether automatic parameters are fitted to the dataset. What takes their place in
-            another method, ``adapt`` says.
+        automatic: What gives automatic parameters their numbers.
         package: A module that it needs and that may be missing, because it belongs to an extra or
             needs a shared library of the system.
         install: The argument of ``pip install`` that brings the package.
@@ -58,7 +59,7 @@ class Method:
     summary: str
     detector: Callable[[PipelineParams, Memo], LoopDetector]
     adapt: Callable[[PipelineParams], PipelineParams] = _as_given
-    fitted: bool = False
+    automatic: Automatic = "guess"
     package: str = ""
     install: str = "gpgrad"
 
@@ -82,6 +83,17 @@ class Method:
         """
         if self.fitted and submaps:
             params = resolve_parameters(submaps, params, memo, progress)
+        return self.ready(params)
+
+    @property
+    def fitted(self) -> bool:
+        """Whether automatic parameters are fitted to the dataset."""
+        return self.automatic == "dataset"
+
+    def ready(self, params: PipelineParams) -> PipelineParams:
+        """Turn parameters that are fitted, where they are to be, into those that it runs with."""
+        if self.automatic == "guess":
+            params = replace(params, map=params.map.guessed)
         return self.adapt(params)
 
     def check_searchable(self, candidates: Candidates) -> None:
@@ -94,7 +106,7 @@ class Method:
             InputError: If it has no keypoints to choose them by.
         """
         try:
-            check_searchable(candidates, self.detector(self.adapt(PipelineParams()), Memo()))
+            check_searchable(candidates, self.detector(self.ready(PipelineParams()), Memo()))
         except InputError as error:
             raise InputError(f"method {self.name}: {error}") from None
 
@@ -108,19 +120,22 @@ METHODS: dict[str, Method] = {
     method.name: method
     for method in (
         Method(
-            "gradient", "Keypoints on Gaussian-process gradient maps.", MapDetector, fitted=True
+            "gradient",
+            "Keypoints on Gaussian-process gradient maps.",
+            MapDetector,
+            automatic="dataset",
         ),
-        Method("paper", "The paper to the letter.", PaperDetector, paper_params),
+        Method(
+            "paper", "The paper to the letter.", PaperDetector, paper_params, automatic="submap"
+        ),
         Method(
             "elevation",
             "The same, keypoints on the elevation image.",
             elevation_detector,
             elevation_params,
-            fitted=True,
+            automatic="dataset",
         ),
-        Method(
-            "smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector, _guessed
-        ),
+        Method("smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector),
         Method(
             "fpfh",
             "FPFH and RANSAC.",

@@ -119,7 +119,7 @@ def check_method(method: Method) -> None:
 
 
 def _has_maps(method: Method) -> bool:
-    detector = method.detector(method.adapt(PipelineParams()), Memo())
+    detector = method.detector(method.ready(PipelineParams()), Memo())
     return isinstance(detector, SearchableDetector)
 
 

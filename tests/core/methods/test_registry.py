@@ -44,6 +44,14 @@ def test_rivals_without_a_dense_check_are_judged_by_inliers_alone(name: str) -> 
     assert replace(adapted, closure=asked.closure) == asked
 
 
+def test_a_method_that_fits_nothing_has_a_guess_for_what_is_automatic() -> None:
+    for name, method in METHODS.items():
+        params = method.ready(PipelineParams()).map
+        assert (None in (params.length_scale, params.noise_std)) == (
+            name in ("gradient", "elevation", "paper")
+        )
+
+
 def test_chance_guesses_the_same_again_and_something_else_for_another_seed() -> None:
     a, b = submap(1, 50), submap(2, 50)
     params = PipelineParams()
