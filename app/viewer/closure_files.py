@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from app.viewer.decisions import Decisions
+from app.viewer.methods import MethodName
 from gpgrad_core.datasets.poses import write_poses
 from gpgrad_core.outputs import report_closures, write_closure_table, write_closures
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
@@ -21,6 +22,7 @@ def write_closure_file(
     dataset: Dataset,
     result: DetectionResult,
     params: PipelineParams,
+    method: MethodName,
     *,
     decisions: Decisions | None = None,
     solved: OptimisedGraph | None = None,
@@ -33,6 +35,7 @@ def write_closure_file(
         dataset: Whose closures.
         result: The closures.
         params: That they were found with.
+        method: That found them.
         decisions: What a person decided about them; those accepted by hand are never left out.
         solved: The optimised graph, if there is one; else ``.txt`` optimises it.
     """
@@ -48,6 +51,7 @@ def write_closure_file(
             numbers = vertex_numbers(graph)
             write_poses(path, {numbers[name]: pose for name, pose in poses.items()})
         case ".csv":
-            write_closure_table(path, report_closures(dataset, result, params))
+            write_closure_table(path, report_closures(dataset, result, params, method=method))
         case _:
-            write_closures(path, report_closures(dataset, result, params, decisions=by_hand))
+            report = report_closures(dataset, result, params, method=method, decisions=by_hand)
+            write_closures(path, report)

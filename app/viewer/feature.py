@@ -15,6 +15,7 @@ from app.viewer.capacity import Capacity
 from app.viewer.decisions import Decisions, Pair, in_order
 from app.viewer.draw.placement import Camera
 from app.viewer.host import Host
+from app.viewer.methods import METHODS, MethodName
 from app.viewer.opened import Opened
 from app.viewer.permissions import READ_ALL, Permissions
 from app.viewer.runner import Worker
@@ -23,8 +24,10 @@ from app.viewer.state import (
     Probe,
     ViewOptions,
     ViewState,
+    same_pair,
     with_fitted,
     with_match,
+    with_method,
     with_options,
     with_pair,
     with_params,
@@ -201,6 +204,7 @@ class Desk:
         self,
         *,
         pair: tuple[str | None, str | None] | None = None,
+        method: MethodName | None = None,
         params: PipelineParams | None = None,
         options: ViewOptions | None = None,
         match: int | None = None,
@@ -212,7 +216,8 @@ class Desk:
 
         Args:
             pair: (query, database) to show; of these, None stays as it is.
-            params: Of the pipeline, as a person gives them: None is automatic.
+            method: To run from now on.
+            params: Of that method, as a person gives them: None is automatic.
             options: Of the view.
             match: Number of the association to point at, from 1; 0 for none.
             probe: Place whose values are read; None for none.
@@ -229,6 +234,8 @@ class Desk:
                 return
             if pair is not None:
                 state = with_pair(state, query_id=pair[0], database_id=pair[1])
+            if method is not None:
+                state = with_method(state, method)
             if params is not None:
                 state = with_params(state, params)
             if options is not None:
@@ -243,11 +250,14 @@ class Desk:
     def settle(self, state: ViewState, used: PipelineParams) -> None:
         """Take the numbers that a fit gives for a state's automatic parameters.
 
-        Nothing is changed if other parameters, or another dataset, are there by now.
+        Nothing is changed if other parameters, another method or another dataset are there by now;
+        or another pair, if the numbers are those of the query.
         """
         with self._lock:
             now = self._state
-            if now.dataset is state.dataset and now.asked == state.asked:
+            fits_each = METHODS[now.method].fits_each
+            alike = same_pair(now, state) if fits_each else now.dataset is state.dataset
+            if alike and (now.method, now.asked) == (state.method, state.asked):
                 self._set(with_fitted(now, used))
 
     def choose(self, query_id: str, database_id: str) -> None:

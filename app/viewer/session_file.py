@@ -9,10 +9,12 @@ import tomli_w
 
 from app.viewer.decisions import MOST_DECISIONS, Decisions, read_decisions, tables_of
 from app.viewer.draw.placement import Camera
+from app.viewer.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.state import (
     ViewOptions,
     ViewState,
     check_pair,
+    with_method,
     with_options,
     with_pair,
     with_params,
@@ -31,7 +33,7 @@ ENDING = ".gpgrad.toml"
 LARGEST = 100_000
 """Bytes of such a file: a few thousand, and about 70 for each decision. What a page sends is parsed
 in a thread of its own, which such a file keeps busy for a tenth of a second at most."""
-KEYS = ("dataset", "query", "database", "view", "params", "camera", "decisions")
+KEYS = ("dataset", "query", "database", "view", "method", "params", "camera", "decisions")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +45,10 @@ class SavedSession:
         query_id: Submap that is registered; None where the file does not say.
         database_id: Submap that it is registered to.
         options: Of the view.
-        params: Of the pipeline.
+        params: Of the method.
         camera: Of the page that saved it, if there was one.
         decisions: What a person decided about pairs.
+        method: That runs.
     """
 
     dataset: Path | None = None
@@ -55,6 +58,7 @@ class SavedSession:
     params: PipelineParams = field(default_factory=PipelineParams)
     camera: Camera | None = None
     decisions: Decisions = field(default_factory=Decisions)
+    method: MethodName = "gradient"
 
     def check(self, dataset: Dataset) -> None:
         """Check that a dataset has the pair, and those that were decided.
@@ -75,7 +79,8 @@ class SavedSession:
     def apply(self, state: ViewState) -> ViewState:
         """Apply everything that was saved to a dataset that was just opened."""
         state = with_pair(state, query_id=self.query_id, database_id=self.database_id)
-        return with_options(with_params(state, self.params), self.options)
+        state = with_params(with_method(state, self.method), self.params)
+        return with_options(state, self.options)
 
 
 def session_text(
@@ -97,6 +102,8 @@ def session_text(
     table["query"] = state.query_id
     if state.is_pair:
         table["database"] = state.database_id
+    if state.method != SavedSession.method:
+        table["method"] = state.method
     table["view"] = to_tables(state.options)
     if camera is not None:
         table["camera"] = {
@@ -146,17 +153,34 @@ def parse_session(text: str | bytes, where: str) -> SavedSession:
             f"{where}: is not a saved session: unknown key {unknown[0]}; known: {', '.join(KEYS)}"
         )
     dataset = _text(table, "dataset", where)
+    method = check_method(_text(table, "method", where), where)
+    base = METHODS[method].adapt(PipelineParams())
     return SavedSession(
         None if dataset is None else _path(dataset, where),
         _text(table, "query", where),
         _text(table, "database", where),
         with_tables(ViewOptions(), _table(table, "view", where), f"{where}, [view]"),
-        with_tables(PipelineParams(), _table(table, "params", where), f"{where}, [params]"),
+        with_tables(base, _table(table, "params", where), f"{where}, [params]"),
         _camera(_table(table, "camera", where), where) if "camera" in table else None,
         read_decisions(Record(table, where).records("decisions"))
         if "decisions" in table
         else Decisions(),
+        method,
     )
+
+
+def check_method(name: str | None, where: str) -> MethodName:
+    """Check the name of a method; None is the usual one.
+
+    Raises:
+        InputError: If the viewer runs no such method.
+    """
+    if name is None:
+        return SavedSession.method
+    for known in METHOD_NAMES:
+        if name == known:
+            return known
+    raise InputError(f"{where}: method must be {' or '.join(METHOD_NAMES)}, got {name[:40]!r}")
 
 
 def _text(table: Mapping[str, object], key: str, where: str) -> str | None:

@@ -1,10 +1,12 @@
 """The session: one immutable snapshot of what is open, what is set and what is shown."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, TypeAlias, get_args
 
 import numpy as np
 
+from app.viewer.methods import METHODS, MethodName
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
@@ -97,6 +99,15 @@ class Probe:
     y: float
 
 
+@dataclass(frozen=True)
+class Tuning:
+    """The parameters of a method while another one runs; see `ViewState`."""
+
+    asked: PipelineParams
+    params: PipelineParams
+    settled: bool
+
+
 @dataclass(frozen=True, eq=False)
 class ViewState:
     """Everything a picture is made from; the functions below make a changed copy.
@@ -110,6 +121,8 @@ class ViewState:
         asked: The same as they were given: what is automatic is None.
         settled: Whether the numbers of ``params`` are those that the dataset gives ``asked``; else
             a fit is due, and they stand in for its result.
+        method: Name of the method that runs with them.
+        others: Those of the other methods, which have their own.
         options: Of the view.
         source: Path that the dataset was read from; empty if it was made otherwise.
         match: Number of the association that is pointed at, from 1; 0 for none.
@@ -124,6 +137,8 @@ class ViewState:
     )
     asked: PipelineParams = field(default_factory=PipelineParams)
     settled: bool = False
+    method: MethodName = "gradient"
+    others: Mapping[MethodName, Tuning] = field(default_factory=dict[MethodName, Tuning])
     options: ViewOptions = field(default_factory=ViewOptions)
     source: str = ""
     match: int = 0
@@ -132,6 +147,11 @@ class ViewState:
     def __post_init__(self) -> None:
         """Check that a pair is made of two submaps."""
         check_pair(self.dataset, self.query_id, self.database_id)
+
+    @property
+    def given(self) -> PipelineParams:
+        """What the method runs with; None is what it fits to each submap by itself."""
+        return self.asked if METHODS[self.method].fits_each else self.params
 
     @property
     def is_pair(self) -> bool:
@@ -194,7 +214,13 @@ def open_dataset(
     state = ViewState(
         dataset, *promising_pair(dataset), options=options or ViewOptions(), source=source
     )
-    state = with_params(state, params)
+    guess = state.params
+    others = {
+        name: Tuning(asked, with_numbers_of(asked, guess), settled=False)
+        for name, method in METHODS.items()
+        for asked in [method.adapt(params)]
+    }
+    state = replace(with_params(state, params), others=others)
     return state if used is None else with_fitted(state, used)
 
 
@@ -217,7 +243,26 @@ def with_pair(
     _ = chosen.query, chosen.database
     if same_pair(chosen, state):
         return chosen
-    return replace(chosen, match=0, probe=None)
+    settled = state.settled and not METHODS[state.method].fits_each
+    return replace(chosen, match=0, probe=None, settled=settled)
+
+
+def with_method(state: ViewState, name: MethodName) -> ViewState:
+    """Choose the method; the parameters of the present one are kept until it is chosen again."""
+    if name == state.method:
+        return state
+    here = Tuning(state.asked, state.params, state.settled)
+    there = state.others[name]
+    return replace(
+        state,
+        method=name,
+        asked=there.asked,
+        params=there.params,
+        # Another query may be there since.
+        settled=there.settled and not METHODS[name].fits_each,
+        others={**state.others, state.method: here},
+        match=0,
+    )
 
 
 def with_params(state: ViewState, params: PipelineParams) -> ViewState:
@@ -242,7 +287,11 @@ def with_fitted(state: ViewState, used: PipelineParams) -> ViewState:
 
 def was_fitted(before: ViewState, after: ViewState) -> bool:
     """Say whether a fit has made one state into the other, rather than a person."""
-    return after.settled and not before.settled and after.asked == before.asked
+    return (
+        after.settled
+        and not before.settled
+        and (after.method, after.asked) == (before.method, before.asked)
+    )
 
 
 def with_options(state: ViewState, options: ViewOptions) -> ViewState:
@@ -281,10 +330,16 @@ def same_pair(first: ViewState, second: ViewState) -> bool:
     )
 
 
+def same_search(first: ViewState, second: ViewState) -> bool:
+    """Say whether two snapshots look for loop closures in the same dataset by the same method."""
+    return first.dataset is second.dataset and first.method == second.method
+
+
 def same_surfaces(first: ViewState, second: ViewState) -> bool:
     """Say whether two snapshots show the same surfaces alike."""
     return (
         same_pair(first, second)
+        and first.method == second.method
         and first.params.map == second.params.map
         and first.params.features.max_std_ratio == second.params.features.max_std_ratio
         and first.options == second.options

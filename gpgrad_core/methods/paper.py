@@ -169,6 +169,12 @@ def infer_tuned(
     """
     check_affordable(submap, params)  # refused before the long work
     terrain = tune(submap, params.map, memo, part(progress, 0.0, 0.6))
+    made = infer_map(submap, with_terrain(params, terrain), memo, part(progress, 0.6, 1.0))
+    return TunedMap(made, terrain)
+
+
+def with_terrain(params: PipelineParams, terrain: TerrainParams) -> PipelineParams:
+    """Put the terrain's parameters of one submap into those of the pipeline."""
     of_map = replace(
         params.map,
         length_scale=terrain.length_scale,
@@ -177,8 +183,7 @@ def infer_tuned(
         noise_factor=terrain.noise_factor,
         signal_std=terrain.signal_std,
     )
-    made = infer_map(submap, replace(params, map=of_map), memo, part(progress, 0.6, 1.0))
-    return TunedMap(made, terrain)
+    return replace(params, map=of_map)
 
 
 def register_paper_pair(
@@ -271,11 +276,11 @@ class PaperDetector(TunedDetector):
             params.radius(None),
             params.trials,
             params.seed,
-            _limits(self.params.closure),
+            limits_in_loop(self.params.closure),
         )
 
 
-def _limits(closure: ClosureParams) -> ClosureParams | None:
+def limits_in_loop(closure: ClosureParams) -> ClosureParams | None:
     """Keep what the loop of Algorithm 1 needs to know to accept a motion by h; None is nothing.
 
     A limit on n alone chooses the same motion before the loop's end as after it. Without it in the

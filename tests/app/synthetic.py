@@ -201,6 +201,7 @@ class FakePipeline:
         memo: object,  # noqa: ARG002
         progress: Progress = silent,
         helper: object = None,  # noqa: ARG002
+        method: str = "gradient",  # noqa: ARG002
     ) -> PairResult:
         self.calls.append(params)
         progress(0.5)

@@ -6,6 +6,7 @@ from math import comb, radians
 
 import numpy as np
 
+from app.viewer.methods import METHODS, MethodName
 from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from app.viewer.state import ViewState
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
@@ -54,17 +55,23 @@ class ComparedPairs:
         params: That they were registered with.
         result: The registrations.
         truth: How far the pairs truly overlap; None where fewer than two true poses are known.
+        method: That registered them.
     """
 
     dataset: Dataset
     params: PipelineParams
     result: DetectionResult
     truth: TruePairs | None
+    method: MethodName = "gradient"
 
     def is_of(self, state: ViewState) -> bool:
-        """Say whether a state would give the same registrations; thresholds do not matter."""
-        params = replace(state.params, closure=self.params.closure)
-        return state.dataset is self.dataset and params == self.params
+        """Say whether a state would give the same registrations; most thresholds do not matter."""
+        registered_by = METHODS[self.method].registered_by
+        return (
+            state.dataset is self.dataset
+            and state.method == self.method
+            and registered_by(state.given) == registered_by(self.params)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +144,7 @@ def compare_pairs(
     memo: Memo,
     progress: Progress = silent,
     candidates: Candidates = "automatic",
+    method: MethodName = "gradient",
 ) -> ComparedPairs:
     """Register the pairs of a dataset, and measure how far they truly overlap.
 
@@ -147,17 +155,18 @@ def compare_pairs(
         progress: Called from this thread; may raise Cancelled.
         candidates: With how many earlier submaps a submap is compared; see
             `detect_loop_closures`.
+        method: That registers them.
 
     Raises:
         InputError: If a submap's map cannot be made.
     """
     num_pairs = sum(num_wanted(candidates, k) for k in range(len(dataset.submaps)))
     detect = _detect_here if num_pairs < MANY_PAIRS else _detect_in_processes
-    result = detect(dataset, params, memo, part(progress, 0.0, 0.97), candidates)
+    result = detect(dataset, params, memo, part(progress, 0.0, 0.97), candidates, method)
     truth = None
     if sum(submap.pose_true is not None for submap in dataset.submaps) >= 2:
         truth = measure_pairs(dataset, part(progress, 0.97, 1.0))
-    return ComparedPairs(dataset, params, result, truth)
+    return ComparedPairs(dataset, params, result, truth, method)
 
 
 def _detect_here(
@@ -166,12 +175,15 @@ def _detect_here(
     memo: Memo,
     progress: Progress,
     candidates: Candidates,
+    method: MethodName,
 ) -> DetectionResult:
     """Compare in threads, which leave what they make in the memo."""
+    make = METHODS[method].detector
     with ThreadPoolExecutor(num_workers(), thread_name_prefix="all-pairs") as executor:
         return detect_loop_closures(
             dataset,
             params,
+            detector=None if make is None else make(params, memo),
             candidates=candidates,
             executor=executor,
             memo=memo,
@@ -185,11 +197,14 @@ def _detect_in_processes(
     memo: Memo,
     progress: Progress,
     candidates: Candidates,
+    method: MethodName,
 ) -> DetectionResult:
     """Compare as ``gpgrad detect`` does; what it has compared is taken from the same store."""
     submaps = dataset.submaps
     some = [submaps[k] for k in representative(len(submaps))]
-    params = resolve_parameters(some, params, memo)
+    make = METHODS[method].detector
+    if make is None:
+        params = resolve_parameters(some, params, memo)
     with (
         at_least_for_now(memo.store, len(submaps)) as store,
         workers(num_workers(), MANY_PAIRS) as executor,
@@ -197,7 +212,7 @@ def _detect_in_processes(
         return detect_loop_closures(
             dataset,
             params,
-            detector=keeping(MapDetector(params, Memo(OF_A_PROCESS)), store),
+            detector=keeping((make or MapDetector)(params, Memo(OF_A_PROCESS)), store),
             candidates=candidates,
             executor=executor,
             progress=progress,

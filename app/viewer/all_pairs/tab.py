@@ -1,7 +1,7 @@
 """The All pairs tab: wires its panel to a worker that registers all pairs, and one that judges."""
 
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import viser
@@ -26,15 +26,16 @@ from app.viewer.all_pairs.scores import (
 )
 from app.viewer.decisions import in_order
 from app.viewer.feature import Desk, Feature
+from app.viewer.methods import METHODS, MethodName
 from app.viewer.outcomes import NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.runner import Runner
-from app.viewer.state import ViewState
+from app.viewer.state import ViewState, same_search
 from app.viewer.widgets.bridge import Data
 from app.viewer.work import Work, message_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
-from gpgrad_core.loop_closure import ClosureParams
-from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.params.fields import parameters_of, with_path
+from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.pipeline.all_pairs import EVEN_FROM
 from gpgrad_core.run.progress import Progress
 
@@ -67,6 +68,7 @@ class AllPairsTab(Feature):
         self._state = desk.state
         self._rule = next(iter(RULES))
         self._compared: ComparedPairs | None = None
+        self._kept: dict[MethodName, ComparedPairs] = {}  # of the dataset
         self._asked: tuple[object, ...] = ()
         self._panel = AllPairsPanel(
             desk.host,
@@ -99,13 +101,16 @@ class AllPairsTab(Feature):
         desk.bridge.hear("threshold", self._set_threshold)
 
     def follow(self, state: ViewState) -> None:
-        """Follow the session: its thresholds, its pair, another dataset."""
+        """Follow the session: its thresholds, its pair, another dataset or method."""
         with self._lock:
-            other_dataset = state.dataset is not self._state.dataset
-            self._state = state
-            if other_dataset:
-                self._compared, self._latest, self._cells = None, None, {}
-        if other_dataset:
+            before, self._state = self._state, state
+            if state.dataset is not before.dataset:
+                self._kept = {}
+            other = not same_search(state, before)
+            if other:  # each method's results are kept apart
+                self._compared = self._kept.get(state.method)
+                self._latest, self._asked, self._cells = None, (), {}
+        if other:
             self._comparer.cancel()
             self._panel.clear()
         self._submit()
@@ -137,15 +142,20 @@ class AllPairsTab(Feature):
     def _compare(self, state: ViewState, progress: Progress) -> ComparedPairs:
         _ = state.pair  # refuses one submap alone
         return compare_pairs(
-            state.dataset, state.params, self._desk.memo, progress, self._panel.candidates
+            state.dataset,
+            state.given,
+            self._desk.memo,
+            progress,
+            self._panel.candidates,
+            state.method,
         )
 
     def _on_compared(self, state: ViewState, compared: ComparedPairs, seconds: float) -> None:
         del seconds
         with self._lock:
-            if state.dataset is not self._state.dataset:
+            if not same_search(state, self._state):
                 return  # another was opened in the very last moment
-            self._compared = compared
+            self._compared = self._kept[state.method] = compared
         self._submit()
 
     def _judge_all(self, job: _Judging, progress: Progress) -> _Judged:
@@ -208,12 +218,13 @@ class AllPairsTab(Feature):
         score = data.get("score")
         if not isinstance(score, float):
             return
-        params, bounds = self._desk.state.asked, bounds_of(ClosureParams)["min_score"]
+        params, path = self._desk.state.asked, METHODS[self._desk.state.method].threshold
+        field = next(one for one in parameters_of(PipelineParams) if one.path == path)
         try:
-            closure = replace(params.closure, min_score=bounds.round(score))
+            rounded = score if field.bounds is None else field.bounds.round(score)
+            params = with_path(params, path, int(rounded) if field.kind is int else rounded)
         except (InputError, ValueError, OverflowError):
             return  # no page of ours draws it out of bounds
-        params = replace(params, closure=closure)
         self._desk.change(params=params, moving=True)
         if data.get("rested") is True:
             self._desk.tell(Feature.rested, params)
@@ -240,7 +251,7 @@ def findings(
     by_motion = "" if judged.check is None else f": {_by_motion(judged)}"
     return Findings(
         summary=f"{count} {closures} in {len(judged.closures):,} pairs{skipped}{by_motion} · "
-        f"{seconds:.1f} s",
+        f"{seconds:.1f} s · method {state.method}",
         outdated=""
         if compared.is_of(state)
         else "The parameters have changed since: run again to update.",
@@ -249,7 +260,7 @@ def findings(
         matrix_caption=_matrix_caption(judged, whole, high),
         scores=scores_html(judged, histogram),
         disagreements=disagreements_html(judged, histogram),
-        threshold=threshold_html(state.params.closure.min_score),
+        threshold=threshold_html(METHODS[state.method].lowest(state.params)),
         curve_caption="" if judged.check is None else _curve_caption(judged.check),
         choices=tuple(
             Choice(closure.query_id, closure.database_id, closure.registration.score, outcome)

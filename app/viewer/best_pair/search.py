@@ -10,13 +10,14 @@ import viser
 from app.viewer.best_pair.likely import Pair, overlapping_pairs, voted_pairs
 from app.viewer.best_pair.panel import BestPairNote, ShowBestButton
 from app.viewer.feature import Desk, Feature, Subject
+from app.viewer.methods import map_params, register_pair
 from app.viewer.opened import Opened
 from app.viewer.runner import Runner
-from app.viewer.state import NEEDS_TWO, ViewState, was_fitted
+from app.viewer.state import NEEDS_TWO, ViewState, same_search, was_fitted
 from app.viewer.widgets.bridge import Data
 from app.viewer.widgets.commands import Commands
 from app.viewer.work import message_of
-from gpgrad_core.pipeline import PairResult, infer_features, register_pair
+from gpgrad_core.pipeline import PairResult, infer_features
 from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.run.threads import at_most_workers
 from gpgrad_core.types import Dataset, Features, LoopClosure, Submap
@@ -115,8 +116,9 @@ class BestPair(Feature):
         with self._lock:
             mine = pair == self._switched_to
             gone = self._noted is not None and pair != self._noted
-            if state.dataset is not before.dataset:
+            if not same_search(state, before):
                 self._judged = ()
+            if state.dataset is not before.dataset:
                 self._due = gone = True
                 if self._button is not None:
                     self._button.offer(False)
@@ -230,9 +232,10 @@ class BestPair(Feature):
                 closure = register_pair(
                     state.dataset.submap(query),
                     state.dataset.submap(database),
-                    state.params,
+                    state.given,
                     self._desk.memo,
                     progress,
+                    method=state.method,
                 ).closure
                 num_scored += 1
                 score = closure.registration.score
@@ -252,7 +255,9 @@ class BestPair(Feature):
 
             def extract(submap: Submap) -> Features:
                 self._tell(job, f"No poses are known: the keypoints of {submap.id} are compared …")
-                return infer_features(submap, state.params, self._desk.memo, told)
+                memo = self._desk.memo
+                params = map_params(submap, state.given, memo, told, state.method)
+                return infer_features(submap, params, memo, told)
 
             pairs = voted_pairs(state.dataset, MOST_PAIRS + 1, extract, told)
         others = [pair for pair in pairs if set(pair) != known][:MOST_PAIRS]

@@ -12,7 +12,8 @@ from urllib.parse import parse_qsl, quote
 
 from app.viewer.draw.placement import Camera
 from app.viewer.feature import Subject
-from app.viewer.session_file import SavedSession
+from app.viewer.methods import METHODS
+from app.viewer.session_file import SavedSession, check_method
 from app.viewer.state import ViewOptions, ViewState
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
@@ -47,8 +48,8 @@ class Link:
 def address_of(state: ViewState, subject: Subject = "pair", camera: Camera | None = None) -> str:
     """Write what is shown.
 
-    All parameters are named that are not gpgrad's own. What is automatic is fitted where the link
-    is opened, and gives the same numbers there, because it depends on the dataset alone.
+    All parameters are named that are not the method's own. What is automatic is fitted where the
+    link is opened, and gives the same numbers there, because it depends on the dataset alone.
 
     Args:
         state: The session.
@@ -68,9 +69,11 @@ def address_of(state: ViewState, subject: Subject = "pair", camera: Camera | Non
         entries.append(("database", state.database_id))
     if subject != "pair":
         entries.append(("scene", subject))
+    if state.method != SavedSession.method:
+        entries.append(("method", state.method))
     for group, values, base in (
         ("view", state.options, ViewOptions()),
-        ("params", state.asked, PipelineParams()),
+        ("params", state.asked, METHODS[state.method].adapt(PipelineParams())),
     ):
         for field in parameters_of(type(base)):
             value = get_path(values, field.path)
@@ -108,7 +111,8 @@ def read_address(text: str, options: ViewOptions | None = None) -> Link:
     mine = options or ViewOptions()
     own = {name: getattr(mine, name) for name in PERSONAL}
     view = replace(_params(given, "view.", ViewOptions()), **own)
-    params = _params(given, "params.", PipelineParams())
+    method = check_method(given.pop("method", None), WHERE)
+    params = _params(given, "params.", METHODS[method].adapt(PipelineParams()))
     dataset, camera = given.pop("dataset", None), given.pop("camera", None)
     query, database = given.pop("query", None), given.pop("database", None)
     scene = given.pop("scene", "pair")
@@ -123,6 +127,7 @@ def read_address(text: str, options: ViewOptions | None = None) -> Link:
         view,
         params,
         None if camera is None else _camera(camera),
+        method=method,
     )
     return Link(saved, "world" if scene == "world" else "pair")
 

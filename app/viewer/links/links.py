@@ -172,7 +172,9 @@ class Links(Feature):
         saved = link.saved
         try:
             pair = saved.query_id, saved.database_id
-            self._desk.change(pair=pair, params=saved.params, options=saved.options)
+            self._desk.change(
+                pair=pair, method=saved.method, params=saved.params, options=saved.options
+            )
         except InputError as error:
             tell(page, "The link cannot be opened", str(error))
             return
@@ -205,7 +207,7 @@ def _asks_for(link: Link, state: ViewState) -> bool:
         _has_open(link, state)
         and (saved.query_id, saved.database_id)
         == (state.query_id, state.database_id if state.is_pair else None)
-        and saved.params == state.asked
+        and (saved.method, saved.params) == (state.method, state.asked)
         and saved.options == state.options
     )
 

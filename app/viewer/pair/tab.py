@@ -8,6 +8,7 @@ import viser
 from app.viewer.decisions import Decisions
 from app.viewer.feature import Desk, Feature
 from app.viewer.host import set_theme
+from app.viewer.methods import METHODS, map_params, register_pair
 from app.viewer.opened import Opened
 from app.viewer.pair.choice import DatasetSummary, PairPanel
 from app.viewer.pair.ground import HistogramOf
@@ -19,7 +20,7 @@ from app.viewer.runner import Runner
 from app.viewer.state import COMPARED, Role, ViewState, same_surfaces
 from app.viewer.widgets.title import PageTitle
 from app.viewer.work import message_of
-from gpgrad_core.pipeline import PairResult, infer_map, register_pair, resolve_parameters
+from gpgrad_core.pipeline import PairResult, infer_map
 from gpgrad_core.pipeline.coarse import infer_quick_map, infer_quick_maps
 from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.types import GradientMap
@@ -142,13 +143,25 @@ class PairTab(Feature):
             return None
         if state.options.layout == "registered" and not self.scene.knows_motion(state):
             return None  # it would jump as soon as the motion is known
-        params, memo = state.params.map, self._status.memo
-        told = self._status.reported(progress)
-        if state.is_pair:
-            maps = infer_quick_maps(*state.pair, params, memo, self._desk.capacity.helper, told)
-        else:
-            alone = infer_quick_map(state.query, params, memo, told)
+        memo, told = self._status.memo, self._status.reported(progress)
+        # Until they are fitted, the numbers of before stand in.
+        params = [
+            map_params(submap, state.given, memo, told, state.method).map
+            if state.settled
+            else state.params.map
+            for submap in (state.query, state.database)
+        ]
+        if not state.is_pair:
+            alone = infer_quick_map(state.query, params[0], memo, told)
             maps = alone, alone
+        elif params[0] == params[1]:
+            maps = infer_quick_maps(*state.pair, params[0], memo, self._desk.capacity.helper, told)
+        else:
+            query, database = (
+                infer_quick_map(submap, of_map, memo, told)
+                for submap, of_map in zip(state.pair, params, strict=True)
+            )
+            maps = query, database
         coarse = any(made.grid.resolution != state.params.map.resolution for made in maps)
         self._painted = None if coarse else state
         return PairPicture(self.scene.preview(state, maps), coarse=coarse)
@@ -156,22 +169,23 @@ class PairTab(Feature):
     def _compute(self, state: ViewState, progress: Progress) -> PairPicture:
         told = self._status.reported(progress)
         if not state.settled:
-            submaps = state.dataset.submaps
-            self._desk.settle(
-                state, resolve_parameters(submaps, state.asked, self._desk.memo, told)
-            )
+            submaps, memo = state.dataset.submaps, self._desk.memo
+            settle = METHODS[state.method].settle
+            self._desk.settle(state, settle(submaps, state.query, state.asked, memo, told))
             raise Cancelled  # the state with the fitted numbers waits by now, or a newer one
         if not state.is_pair:
-            alone = infer_map(state.query, state.params, self._status.memo, told)
+            params = map_params(state.query, state.given, self._status.memo, told, state.method)
+            alone = infer_map(state.query, params, self._status.memo, told)
             self._painted = state
             with self._status.drawing():
                 return PairPicture(self.scene.show_alone(state, alone), alone=alone)
         result = register_pair(
             *state.pair,
-            state.params,
+            state.given,
             self._status.memo,
             told,
             helper=self._desk.capacity.helper,
+            method=state.method,
         )
         self._painted = state
         with self._status.drawing():

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from html import escape
-from math import degrees, pi
+from math import degrees, isfinite, pi
 from typing import Literal, TypeAlias
 
 from app.viewer.decisions import BY_HAND as DECIDED
@@ -21,8 +21,16 @@ from app.viewer.widgets.html import (
     QUIET,
     badge,
 )
-from gpgrad_core.loop_closure import SMALL_OVERLAP, SMOOTH, describe_length, explained
+from gpgrad_core.loop_closure import (
+    SMALL_OVERLAP,
+    SMOOTH,
+    ClosureParams,
+    describe_length,
+    explained,
+)
+from gpgrad_core.methods.paper import PaperPair
 from gpgrad_core.pipeline import PairResult
+from gpgrad_core.se2 import SE2
 from gpgrad_core.types import ImageSays, Registration
 
 CLOSURE, NONE = "Loop closure", "No loop closure"
@@ -32,6 +40,8 @@ HEIGHT = 18.25
 """Height of the card [lines of text]: always the same, so that nothing below it ever moves."""
 END_OF_BAR = 12.0
 """Score at the end of the bar, which the slider of the threshold ends at too."""
+END_OF_INLIERS = 40
+"""Inliers at the end of the bar, likewise."""
 SAYS_SOMETHING = 0.5
 """Evidence that is nearer to zero says nothing."""
 
@@ -130,7 +140,11 @@ def headline_of(result: PairResult, *, with_score: bool = False) -> str:
     if result.registration.nothing_trusted:
         return CANNOT
     verdict = CLOSURE if result.closure.accepted else NONE
-    return f"{verdict} · score {result.registration.score:.1f}" if with_score else verdict
+    if not with_score:
+        return verdict
+    if isinstance(result, PaperPair):
+        return f"{verdict} · n = {result.registration.num_inliers}"
+    return f"{verdict} · score {result.registration.score:.1f}"
 
 
 def verdict_html(
@@ -200,13 +214,19 @@ ONE_LINE = "white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
 
 def _bar(state: ViewState, result: PairResult) -> str:
     """Draw the score as a bar, and the threshold as a tick on it."""
-    score, lowest = result.registration.score, state.params.closure.min_score
-    share, tick = (100 * min(value / END_OF_BAR, 1.0) for value in (score, lowest))
+    needed = state.params.closure
+    name, score, lowest, end, digits = (
+        ("inliers n", result.registration.num_inliers, needed.min_inliers, END_OF_INLIERS, 0)
+        if isinstance(result, PaperPair)
+        else ("score", result.registration.score, needed.min_score, END_OF_BAR, 1)
+    )
+    share, tick = (100 * min(value / end, 1.0) for value in (score, lowest))
     color = GOOD_GROUND if score >= lowest else BAD_GROUND
+    named = name[:1].upper() + name[1:]
     return (
-        f'<div data-testid="score" role="img" aria-label="Score {score:.1f}, threshold '
-        f'{lowest:.1f}"><div style="display:flex;justify-content:space-between"><span>score '
-        f"<b>{score:.1f}</b></span><span>threshold {lowest:.1f}</span></div>"
+        f'<div data-testid="score" role="img" aria-label="{named} {score:.{digits}f}, threshold '
+        f'{lowest:.{digits}f}"><div style="display:flex;justify-content:space-between"><span>'
+        f"{name} <b>{score:.{digits}f}</b></span><span>threshold {lowest:.{digits}f}</span></div>"
         '<div style="position:relative;height:12px;margin-top:4px;border-radius:3px;'
         'background:light-dark(#dcdcdc,#4a4a4a)"><div style="position:absolute;left:0;top:0;'
         f'bottom:0;width:{share:.1f}%;border-radius:3px;background:{color}"></div>'
@@ -220,6 +240,8 @@ def in_words(state: ViewState, result: PairResult) -> str:
     """Say what decided, without the figures that stand beside it."""
     registration, closure = result.registration, result.closure
     needed = state.params.closure
+    if isinstance(result, PaperPair):
+        return paper_words(state, result)
     if registration.nothing_trusted:
         return "The variance mask hides all ground of one submap. Raise it to see more."
     if registration.T_database_query is None:
@@ -264,6 +286,8 @@ def _is_small(registration: Registration) -> bool:
 
 def rows_of(state: ViewState, result: PairResult) -> list[Row]:
     """List the evidence, and then the motion."""
+    if isinstance(result, PaperPair):
+        return paper_rows(state, result)
     registration = result.registration
     found, scale, motion = (
         registration.agreement,
@@ -311,12 +335,75 @@ def rows_of(state: ViewState, result: PairResult) -> list[Row]:
     return [
         *rows,
         Row("against" if _is_small(registration) else "for", "overlap", area),
-        Row(
-            None,
-            "motion",
-            f"{motion.x:+z.2f} m, {motion.y:+z.2f} m, {degrees(motion.yaw):+z.1f}°",
-        ),
+        Row(None, "motion", _motion_text(motion)),
     ]
+
+
+def _motion_text(motion: SE2) -> str:
+    return f"{motion.x:+z.2f} m, {motion.y:+z.2f} m, {degrees(motion.yaw):+z.1f}°"
+
+
+def paper_words(state: ViewState, result: PaperPair) -> str:
+    """Say what decided by the paper's two thresholds, on n and on h."""
+    registration, needed = result.registration, state.params.closure
+    if registration.T_database_query is None:
+        return "No motion was found: no two associations agree with one."
+    if result.closure.accepted:
+        if needed.min_inliers == 0 and _no_limit(needed):
+            return "No threshold is set, so every motion is accepted."
+        with_h = "" if _no_limit(needed) else ", and their gradients differ little enough (h)"
+        return f"Enough associations agree with the motion (n){with_h}."
+    if registration.num_inliers < needed.min_inliers:
+        return "Too few associations agree with the motion (n)."
+    if needed.too_dissimilar(registration.dissimilarity, registration.mean_dissimilarity):
+        return "The gradients of the two maps differ too much under the motion (h)."
+    return result.closure.reason[:1].upper() + result.closure.reason[1:] + "."
+
+
+def _no_limit(needed: ClosureParams) -> bool:
+    return needed.max_dissimilarity is None and needed.max_mean_dissimilarity is None
+
+
+def paper_rows(state: ViewState, result: PaperPair) -> list[Row]:
+    """List n and h with their thresholds, the motion, and what was fitted to each submap."""
+    registration, needed = result.registration, state.params.closure
+    count = registration.num_inliers
+    rows = [
+        Row(
+            "for" if count >= needed.min_inliers else "against",
+            "inliers n",
+            f"{count} (at least {needed.min_inliers}) of {len(result.matches):,} associations",
+        )
+    ]
+    for name, value, limit in (
+        ("h", registration.dissimilarity, needed.max_dissimilarity),
+        ("h of a cell", registration.mean_dissimilarity, needed.max_mean_dissimilarity),
+    ):
+        side: Side | None = None if limit is None else "for" if value <= limit else "against"
+        allowed = "no limit" if limit is None else f"at most {limit:.3g}"
+        found = f"{value:.3g} 1/m⁴" if isfinite(value) else "none"
+        rows.append(Row(side, name, f"{found} ({allowed})"))
+    motion = registration.T_database_query
+    rows.append(Row(None, "motion", "none found" if motion is None else _motion_text(motion)))
+    rows.append(Row(None, "overlap", f"{registration.overlap_area:.1f} m²"))
+    asked = state.asked.map
+    for name, field, given in (
+        ("length-scale", "length_scale", asked.length_scale),
+        ("noise", "noise_std", asked.noise_std),
+        ("signal", "signal_std", asked.signal_std),
+    ):
+        of_query, of_database = (
+            _length(getattr(terrain, field))
+            for terrain in (result.query_terrain, result.database_terrain)
+        )
+        text = f"{of_query} query, {of_database} database"
+        rows.append(Row(None, name, text if given is None else f"{of_query}, as it is set"))
+    return rows
+
+
+def _length(metres: float | None) -> str:
+    """Write a fitted length; without one, it is that of the points."""
+    return "the points' own" if metres is None else describe_length(metres)
 
 
 def _side(evidence: float) -> Side:

@@ -4,6 +4,7 @@ import threading
 from dataclasses import replace
 
 from app.viewer.feature import Desk, Feature
+from app.viewer.methods import METHODS
 from app.viewer.params.fit_panel import FitPanel
 from app.viewer.state import ViewState
 from app.viewer.work import Work
@@ -36,12 +37,13 @@ class FitTool(Feature):
         """Follow the session; a fit to submaps that are no longer shown is stopped."""
         with self._lock:
             before, self._state = self._state, state
-        if not _same_submaps(before, state):
+        self._panel.show_button(visible=not METHODS[state.method].fits_each)
+        if not _same_submaps(before, state) or before.method != state.method:
             self._fitter.cancel()
             self._panel.work_bar.idle()
 
     def _on_result(self, state: ViewState, result: FitResult, seconds: float) -> None:
-        if not _same_submaps(state, self._state):
+        if not _same_submaps(state, self._state) or state.method != self._state.method:
             return  # others are shown since the very last moment
         start = state.params.map.terrain
         found = {name: _value(result.params, name) for name in fitted_names(start)}

@@ -20,7 +20,7 @@ class FitPanel:
             host: Whose GUI they join.
             on_fit: Called when a fit is asked for.
         """
-        fit = host.gui.add_button(
+        self._fit = fit = host.gui.add_button(
             "Fit to these submaps",
             hint="Sets length-scale, noise and signal to the values that explain the points of "
             "both submaps best, by maximum marginal likelihood.",
@@ -28,6 +28,10 @@ class FitPanel:
         make_solid(host, fit)
         self.work_bar = WorkBar(host, "Cancel fit", "fit", starts=(fit,))
         on_press(fit, on_fit)
+
+    def show_button(self, *, visible: bool) -> None:
+        """Show the button, or hide it where every submap has a fit of its own."""
+        self._fit.visible = visible
 
     def show(self, headline: str, rows: tuple[tuple[str, str], ...]) -> None:
         """Show what was found: a line, and each figure before and after."""

@@ -41,6 +41,7 @@ class ParamsPanel(Generic[P]):
         on_move: Callable[[P], None] | None = None,
         numbers: Numbers | None = None,
         used: P | None = None,
+        boxes: Mapping[str, str] | None = None,
     ) -> None:
         """Make the widgets in the current container.
 
@@ -56,7 +57,11 @@ class ParamsPanel(Generic[P]):
                 makes no difference.
             numbers: Takes what is typed beside the sliders.
             used: The same with numbers for what is automatic; the sliders show these.
+            boxes: Labels of the boxes for "automatic" that stand above their slider, outside the
+                folder; by the paths of main ones.
         """
+        self._boxes = boxes or {}
+        self._hidden: frozenset[str] = frozenset()
         self._on_move = on_move or on_change
         self._numbers = numbers
         self._host = host
@@ -108,11 +113,24 @@ class ParamsPanel(Generic[P]):
         """Say what `reset` goes back to."""
         self._default = value
 
+    def hide(self, paths: Collection[str]) -> None:
+        """Hide the widgets of parameters that do nothing now; all others are there again."""
+        self._hidden = frozenset(paths)
+        for path, setting in self._settings.items():
+            automatic = get_path(self._value, path) is None
+            self._show(setting, get_path(self._used, path), automatic=automatic)
+
+    def name_automatic(self, labels: Mapping[str, str]) -> None:
+        """Name boxes for "automatic" otherwise, by their paths; all others as usual."""
+        for path, box in self._automatic.items():
+            setting = self._settings[path]
+            box.label = labels.get(path) or self._boxes.get(path) or _automatic_label(setting)
+
     def _add_groups(self, main: Collection[str]) -> None:
         """Add a folder for each group; of what stands above, it has the box "automatic" only."""
         groups: dict[str, list[Field]] = {}
         for path, setting in self._settings.items():
-            if path not in main or setting.optional:
+            if path not in main or (setting.optional and path not in self._boxes):
                 groups.setdefault(path.partition(".")[0], []).append(setting)
         for group, members in groups.items():
             title = group.replace("_", " ").capitalize()
@@ -158,7 +176,7 @@ class ParamsPanel(Generic[P]):
             )
             handle = gui.add_number(label, current, min=low, max=high, hint=setting.doc)
         else:
-            if setting.optional and name is None:
+            if setting.optional and (name is None or path in self._boxes):
                 self._add_automatic(setting)
             handle = self._add_slider(setting, label, current)
         self._inputs[path] = handle
@@ -199,8 +217,8 @@ class ParamsPanel(Generic[P]):
 
     def _add_automatic(self, setting: Field) -> None:
         current = get_path(self._value, setting.path)
-        label = setting.label.partition(" [")[0]
-        box = self._host.gui.add_checkbox(f"automatic {label}", current is None, hint=setting.doc)
+        label = self._boxes.get(setting.path) or _automatic_label(setting)
+        box = self._host.gui.add_checkbox(label, current is None, hint=setting.doc)
         self._automatic[setting.path] = box
 
         def choose(automatic: bool) -> None:
@@ -286,7 +304,9 @@ class ParamsPanel(Generic[P]):
         box = self._automatic.get(setting.path)
         if box is not None:
             box.value = automatic
-            handle.disabled, handle.visible = value is None, value is not None
+            box.visible = setting.path not in self._hidden
+            handle.disabled = value is None
+        handle.visible = value is not None and setting.path not in self._hidden
         if value is None:
             return
         if isinstance(handle, viser.GuiSliderHandle):
@@ -295,6 +315,11 @@ class ParamsPanel(Generic[P]):
             self._fit_range(setting, handle, value, grow=False)
         else:
             handle.value = value
+
+
+def _automatic_label(setting: Field) -> str:
+    """Name the box of a parameter that may be automatic."""
+    return f"automatic {setting.label.partition(' [')[0]}"
 
 
 def _rounded(setting: Field, raw: object) -> object:

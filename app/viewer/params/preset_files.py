@@ -7,6 +7,7 @@ from pathlib import Path
 
 import tomli_w
 
+from app.viewer.methods import MethodName
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods.paper import paper_params
 from gpgrad_core.outputs import replacing
@@ -22,11 +23,23 @@ MOST = 200
 
 @dataclass(frozen=True)
 class Preset:
-    """Parameters worth coming back to."""
+    """Parameters worth coming back to.
+
+    Attributes:
+        name: Its name.
+        purpose: What it is good for, in one line.
+        params: The parameters.
+        method: Whose parameters they are; None is any method's, as a file does not say.
+    """
 
     name: str
-    purpose: str  # one line for people
+    purpose: str
     params: PipelineParams
+    method: MethodName | None = "gradient"
+
+    def is_set(self, method: MethodName, params: PipelineParams) -> bool:
+        """Say whether a method runs with these parameters."""
+        return params == self.params and self.method in (None, method)
 
 
 def _with(**groups: Mapping[str, object]) -> PipelineParams:
@@ -42,9 +55,10 @@ BUILT_IN: tuple[Preset, ...] = (
     ),
     Preset(
         "paper",
-        "The numbers of Le Gentil et al. 2020: 5,000 points, SURF and five inliers. For their "
-        "tuning of every submap and their Algorithm 1 run gpgrad detect --method paper.",
+        "The method of Le Gentil et al. 2020 with its own numbers: a tuning of every submap, 5,000 "
+        "points, SURF, Algorithm 1 and five inliers.",
         paper_params(PipelineParams()),
+        "paper",
     ),
     Preset(
         "rough ground",
@@ -130,7 +144,7 @@ def preset_text(name: str, params: PipelineParams) -> str:
 
 
 def _own(path: Path, params: PipelineParams) -> Preset:
-    return Preset(path.stem, f"Your own: {path}", params)
+    return Preset(path.stem, f"Your own: {path}", params, None)
 
 
 def _path(folder: Path, name: str) -> Path:

@@ -7,6 +7,7 @@ import viser
 
 from app.viewer.downloads import safe_name, send_file
 from app.viewer.feature import Desk, Feature
+from app.viewer.methods import METHODS
 from app.viewer.params.preset_files import (
     BUILT_IN,
     Preset,
@@ -16,6 +17,7 @@ from app.viewer.params.preset_files import (
     save_preset,
 )
 from app.viewer.params.presets_panel import PresetPanel
+from app.viewer.params.undo import setting_of
 from app.viewer.state import ViewState
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import preferred_parameters, with_tables
@@ -55,7 +57,7 @@ class PresetsTool(Feature):
     def follow(self, state: ViewState) -> None:
         """Point at the preset that the parameters are."""
         with self._lock:
-            changed = state.asked != self._state.asked
+            changed = setting_of(state) != setting_of(self._state)
             self._state = state
             if changed:
                 self._show()
@@ -70,8 +72,8 @@ class PresetsTool(Feature):
         self._show()
 
     def _show(self) -> None:
-        params = self._state.asked
-        matching = [preset for preset in (*BUILT_IN, *self._own) if preset.params == params]
+        setting = setting_of(self._state)
+        matching = [preset for preset in (*BUILT_IN, *self._own) if preset.is_set(*setting)]
         self._shown = matching[0] if matching else None
         if self._shown is None:
             self._panel.show(None, "", own=False)
@@ -81,7 +83,7 @@ class PresetsTool(Feature):
     def _choose(self, name: str) -> None:
         found = [preset for preset in (*BUILT_IN, *self._own) if preset.name == name]
         if found:
-            self._desk.change(params=found[0].params)
+            self._desk.change(method=found[0].method, params=found[0].params)
 
     def _save(self, name: str) -> None:
         with self._lock:
@@ -124,7 +126,7 @@ class PresetsTool(Feature):
         self._desk.change(params=params)
 
     def _parsed(self, name: str, content: bytes) -> PipelineParams:
-        """Read an uploaded file as ``--params`` would: over what the dataset prefers."""
+        """Read an uploaded file over what the method takes for the dataset."""
         tables = parse_toml(content, name, LARGEST)
         base = preferred_parameters(self._state.dataset, PipelineParams())
-        return with_tables(base, tables, name)
+        return with_tables(METHODS[self._state.method].adapt(base), tables, name)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import viser
 
 from app.viewer.feature import Desk, Feature
+from app.viewer.methods import METHODS, register_pair
 from app.viewer.params.sweep import Tried, sweep_html, values_of
 from app.viewer.params.sweep_panel import SweepPanel
 from app.viewer.state import ViewState, same_pair
@@ -14,7 +15,7 @@ from app.viewer.widgets.bridge import Data
 from app.viewer.widgets.commands import Commands
 from app.viewer.work import Work
 from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path
-from gpgrad_core.pipeline import PipelineParams, register_pair
+from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.progress import Progress, part
 
 
@@ -65,7 +66,7 @@ class SensitivityTool(Feature):
     def follow(self, state: ViewState) -> None:
         """Move the mark of the present value; what is swept for another pair is stopped."""
         before, self._state = self._state, state
-        if not same_pair(before, state):
+        if not same_pair(before, state) or before.method != state.method:
             self._begin_anew()
         elif state.params != before.params:
             self._draw()
@@ -75,9 +76,9 @@ class SensitivityTool(Feature):
         values = values_of(job.field, _value_of(state.params, job.field))
         for k, value in enumerate(values):
             progress(k / len(values))
-            params = with_path(state.params, job.field.path, value)
+            params = with_path(state.given, job.field.path, value)
             share = part(progress, k / len(values), (k + 1) / len(values))
-            result = register_pair(*state.pair, params, self._desk.memo, share)
+            result = register_pair(*state.pair, params, self._desk.memo, share, method=state.method)
             found = result.registration
             tried.append(Tried(value, found.score, found.num_inliers, result.closure.accepted))
             if len(tried) > 1:
@@ -86,7 +87,10 @@ class SensitivityTool(Feature):
 
     def _take(self, job: _Sweep, tried: tuple[Tried, ...], num_left: int) -> None:
         with self._lock:
-            if not same_pair(job.state, self._state) or job.name != self._panel.name:
+            now = self._state
+            if not same_pair(job.state, now) or job.state.method != now.method:
+                return
+            if job.name != self._panel.name:
                 return
             self._done, self._num_left = (job, tried), num_left
         self._draw()
@@ -100,16 +104,19 @@ class SensitivityTool(Feature):
         job, tried = done
         now = _value_of(self._state.params, job.field)
         on_axis = now is not None and tried[0].value <= now <= tried[-1].value
-        stale = with_path(job.state.params, job.field.path, now) != self._state.params
+        then_given, now_given = (
+            with_path(state.given, job.field.path, tried[0].value)
+            for state in (job.state, self._state)
+        )
         self._panel.show(
             sweep_html(
                 job.field,
                 job.name,
                 tried,
                 current=now if on_axis else None,
-                threshold=job.state.params.closure.min_score,
+                threshold=METHODS[job.state.method].lowest(job.state.params),
                 num_left=num_left,
-                stale=stale,
+                stale=then_given != now_given,
             )
         )
 

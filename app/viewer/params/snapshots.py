@@ -4,6 +4,7 @@ from html import escape
 from typing import Literal, TypeAlias
 
 from app.viewer.feature import Desk, Feature
+from app.viewer.params.undo import Setting, setting_of
 from app.viewer.state import ViewState
 from app.viewer.widgets.actions import on_option
 from app.viewer.widgets.commands import Commands
@@ -31,7 +32,7 @@ class SnapshotsTool(Feature):
         """
         self._desk = desk
         self._state = desk.state
-        self._kept: dict[Name, PipelineParams] = {}
+        self._kept: dict[Name, Setting] = {}
         buttons = desk.host.gui.add_button_group(
             "Snapshots",
             (*KEEP, SWITCH),
@@ -49,21 +50,22 @@ class SnapshotsTool(Feature):
 
     def keep(self, name: Name) -> None:
         """Keep the present parameters under a name."""
-        self._kept[name] = self._state.asked
+        self._kept[name] = setting_of(self._state)
         self._show()
 
     def switch(self) -> None:
         """Change to the other one; to A from parameters that are neither."""
-        wanted: Name = "B" if self._state.asked == self._kept.get("A") else "A"
+        wanted: Name = "B" if setting_of(self._state) == self._kept.get("A") else "A"
         if wanted in self._kept:
-            self._desk.change(params=self._kept[wanted])
+            method, params = self._kept[wanted]
+            self._desk.change(method=method, params=params)
 
     def follow(self, state: ViewState) -> None:
         """Say which one is shown; those of another dataset are gone."""
         before, self._state = self._state, state
         if state.dataset is not before.dataset:
             self._kept.clear()
-        elif state.asked == before.asked:
+        elif setting_of(state) == setting_of(before):
             return
         self._show()
 
@@ -85,12 +87,15 @@ class SnapshotsTool(Feature):
     def _said(self) -> str:
         if not self._kept:
             return ""
-        shown = [name for name, params in self._kept.items() if params == self._state.asked]
+        shown = [name for name, kept in self._kept.items() if kept == setting_of(self._state)]
         here = f"{' and '.join(sorted(shown))} shown." if shown else "Neither is shown."
         if len(self._kept) < 2:
             (other,) = {"A", "B"} - set(self._kept)
             return f"{here} Change something, and keep it as {other}."
-        return f"{here} {differences(self._kept['A'], self._kept['B'])}"
+        (method, params), (other_method, other_params) = self._kept["A"], self._kept["B"]
+        if method != other_method:
+            return f"{here} A is the method {method}, B the method {other_method}."
+        return f"{here} {differences(params, other_params)}"
 
 
 def differences(first: PipelineParams, second: PipelineParams) -> str:

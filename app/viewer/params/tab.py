@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from app.viewer.feature import Desk, Feature
+from app.viewer.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.opened import Opened
 from app.viewer.params.fit import FitTool
 from app.viewer.params.panel import ParamsPanel
@@ -13,7 +14,7 @@ from app.viewer.params.sensitivity import SensitivityTool
 from app.viewer.params.snapshots import SnapshotsTool
 from app.viewer.params.undo import UndoTool
 from app.viewer.state import ViewState
-from app.viewer.widgets.actions import on_press
+from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PipelineParams
@@ -34,6 +35,19 @@ MAIN_PARAMETERS = {
     "closure.min_score": "Minimum score",
 }
 """The parameters that stand above the folded folder, and what people call them."""
+LIMITS = {"closure.max_dissimilarity": "Maximum h"}
+"""Those that stand there too, but have no number until a person sets one."""
+BOXES = {"closure.max_dissimilarity": "no limit on h"}
+"""What the boxes above these sliders say."""
+OF_EACH = {
+    path: f"{name}: each submap's own fit"
+    for path, name in (
+        ("map.length_scale", "length-scale"),
+        ("map.noise_std", "noise"),
+        ("map.signal_std", "signal"),
+    )
+}
+"""What the box for "automatic" says where a method fits these to every submap."""
 
 
 class ParamsTab(Feature):
@@ -55,15 +69,26 @@ class ParamsTab(Feature):
             on_error: Given the message if a value is refused.
         """
         self._desk = desk
+        self._default = default
+        self._shown: MethodName = desk.state.method
+        self._method = desk.host.gui.add_dropdown(
+            "Method",
+            METHOD_NAMES,
+            initial_value=desk.state.method,
+            hint=" ".join(f"{name}: {method.summary}" for name, method in METHODS.items())
+            + " Each method keeps its own parameters.",
+        )
+        on_choice(self._method, lambda name: desk.change(method=name))
         self._panel: ParamsPanel[PipelineParams] = ParamsPanel(
             desk.host,
             desk.state.asked,
             self._change,
-            main=MAIN_PARAMETERS,
+            main=MAIN_PARAMETERS | LIMITS,
             on_error=on_error,
             on_move=lambda params: self._change(params, moving=True),
             numbers=desk.numbers,
             used=desk.state.params,
+            boxes=BOXES,
         )
         desk.numbers.refuse, desk.numbers.rested = on_error, self._rest
         self._panel.set_default(default)
@@ -76,11 +101,22 @@ class ParamsTab(Feature):
         desk.join(SnapshotsTool(desk, commands))
         desk.join(SensitivityTool(desk, commands, {path: MAIN_PARAMETERS[path] for path in SWEPT}))
         desk.join(PresetsTool(desk))
+        self._show_method(desk.state.method)
 
     def follow(self, state: ViewState) -> None:
         """Move the sliders to parameters that came from elsewhere, or from a fit."""
         if (state.asked, state.params) != (self._panel.value, self._panel.used):
             self._panel.set(state.asked, state.params)
+        if state.method != self._shown:
+            self._show_method(state.method)
+
+    def _show_method(self, name: MethodName) -> None:
+        """Show what the method can use, and reset to what it begins with."""
+        self._shown, method = name, METHODS[name]
+        self._method.value = name
+        self._panel.set_default(method.adapt(self._default))
+        self._panel.hide(method.unused)
+        self._panel.name_automatic(OF_EACH if method.fits_each else {})
 
     def _rest(self, widget: str, value: float | None) -> None:
         """Tell where a slider was let go."""
@@ -92,7 +128,8 @@ class ParamsTab(Feature):
 
     def opened(self, opened: Opened) -> None:
         """Reset to what the new dataset prefers."""
-        self._panel.set_default(opened.params)
+        self._default = opened.params
+        self._panel.set_default(METHODS[self._shown].adapt(opened.params))
 
     def _change(self, asked: PipelineParams, *, moving: bool = False) -> None:
         """Take what a person has set; the noise is no longer automatic if a part of it is set."""

@@ -13,8 +13,9 @@ from app.viewer.decisions import Decisions, Pair, decide, with_motion, with_verd
 from app.viewer.downloads import Downloads
 from app.viewer.draw.layers import Scale
 from app.viewer.feature import Desk, Feature
+from app.viewer.methods import MethodName
 from app.viewer.pose_graph.panel import Format, PoseGraphCalls, PoseGraphPanel, Verdict
-from app.viewer.state import ViewState
+from app.viewer.state import ViewState, same_search
 from app.viewer.widgets.legend import legend_html
 from app.viewer.work import Work
 from app.viewer.world import SCORE_MAP, Correction, Loop, WorldTab
@@ -103,10 +104,10 @@ class PoseGraphTab(Feature):
         self._panel.show(NOT_FOUND, {}, chosen=None, can_undo=False)
 
     def follow(self, state: ViewState) -> None:
-        """Follow the session; another dataset has other closures."""
+        """Follow the session; another dataset or method has other closures."""
         with self._lock:
             before, self._state = self._state, state
-            if before.dataset is state.dataset:
+            if same_search(before, state):
                 return
             self._found = ()
             self._chosen, self._graph, self._solved = None, None, None
@@ -191,7 +192,7 @@ class PoseGraphTab(Feature):
         if kind == "TUM" and graph is None:
             self._bar.failed("Optimise first: there are no corrected poses of these closures yet.")
             return
-        write = partial(_write, task, self._state.params, graph)
+        write = partial(_write, task, self._state.given, self._state.method, graph)
         self._downloads.order(page, FILES[kind], write)
 
     # What the workers do.
@@ -283,13 +284,22 @@ def _solve(task: _Task, progress: Progress) -> OptimisedGraph:
 def _write(
     task: _Task,
     params: PipelineParams,
+    method: MethodName,
     graph: OptimisedGraph | None,
     path: Path,
     progress: Progress,
 ) -> None:
     del progress
     result = DetectionResult(task.closures, {"total": 0.0})
-    write_closure_file(path, task.dataset, result, params, decisions=task.decisions, solved=graph)
+    write_closure_file(
+        path,
+        task.dataset,
+        result,
+        params,
+        method,
+        decisions=task.decisions,
+        solved=graph,
+    )
 
 
 def _highest(closures: tuple[LoopClosure, ...]) -> float:

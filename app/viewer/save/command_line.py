@@ -3,6 +3,8 @@
 import shlex
 from pathlib import Path
 
+from app.viewer.methods import METHODS
+from app.viewer.session_file import SavedSession
 from app.viewer.state import ViewState
 from gpgrad_core.params.fields import AUTOMATIC, get_path, parameters_of
 from gpgrad_core.params.files import preferred_parameters
@@ -20,7 +22,10 @@ def detect_command(state: ViewState) -> str:
     """
     words = ["gpgrad", "detect", str(Path(state.source).absolute()), "--out", "closures.json"]
     words += ["--pair", state.query_id, state.database_id]
-    words += flags(state.asked, preferred_parameters(state.dataset, PipelineParams()))
+    if state.method != SavedSession.method:
+        words += ["--method", state.method]
+    base = preferred_parameters(state.dataset, PipelineParams())
+    words += flags(state.asked, METHODS[state.method].adapt(base))
     return shlex.join(words)
 
 

@@ -14,6 +14,7 @@ from app.viewer.draw.cameras import view_of
 from app.viewer.draw.overlay import scale_bar
 from app.viewer.draw.placement import Canvas
 from app.viewer.feature import Desk, Feature, Subject
+from app.viewer.methods import METHODS, map_params
 from app.viewer.save.exports_panel import ExportPanel
 from app.viewer.state import ViewState
 from gpgrad_core.errors import InputError
@@ -81,20 +82,27 @@ class Exports(Feature):
 def _write_closures(
     state: ViewState, memo: Memo, decisions: Decisions, path: Path, progress: Progress
 ) -> None:
-    dataset, params = state.dataset, state.params
+    dataset, params = state.dataset, state.given
+    detector = METHODS[state.method].detector
     _ = state.pair  # refuses one submap alone
     with ThreadPoolExecutor(num_workers(), thread_name_prefix="export") as executor:
         result = detect_loop_closures(
-            dataset, params, executor=executor, memo=memo, progress=progress
+            dataset,
+            params,
+            detector=None if detector is None else detector(params, memo),
+            executor=executor,
+            memo=memo,
+            progress=progress,
         )
     decided = replace(result, closures=decide(result.closures, decisions))
-    write_closure_file(path, dataset, decided, params, decisions=decisions)
+    write_closure_file(path, dataset, decided, params, state.method, decisions=decisions)
 
 
 def _write_map(
     state: ViewState, memo: Memo, submap_id: str, path: Path, progress: Progress
 ) -> None:
-    submap, params = state.dataset.submap(submap_id), state.params
+    submap = state.dataset.submap(submap_id)
+    params = map_params(submap, state.given, memo, progress, state.method)
     gradient_map = infer_map(submap, params, memo, progress)
     write_map(path, gradient_map, name=submap_id, max_std_ratio=params.features.max_std_ratio)
 

@@ -8,13 +8,13 @@ import viser
 
 from app.viewer.downloads import Downloads, safe_name
 from app.viewer.feature import Desk, Feature
+from app.viewer.methods import register_pair
 from app.viewer.pair import headline_of
 from app.viewer.save.report_page import lines_below, report_html
 from app.viewer.save.report_panel import ReportPanel
 from app.viewer.state import ViewState
 from app.viewer.widgets.bridge import Data
 from app.viewer.widgets.commands import Commands
-from gpgrad_core.pipeline import register_pair
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part
 
@@ -78,7 +78,8 @@ def write_report(
     """
     from app.viewer.save.report_figure import draw_report  # noqa: PLC0415 - loads matplotlib
 
-    result = register_pair(*state.pair, state.params, memo, part(progress, 0, 0.6))
+    told = part(progress, 0, 0.6)
+    result = register_pair(*state.pair, state.given, memo, told, method=state.method)
     headline = headline_of(result, with_score=True)
     if path.suffix == ".png":
         below = lines_below(state, result, link=link, decided=decided)

@@ -4,9 +4,11 @@ import base64
 import textwrap
 from html import escape
 
+from app.viewer.methods import METHODS
 from app.viewer.pair import headline_of, in_words, rows_of
 from app.viewer.save.command_line import detect_command
 from app.viewer.state import ViewState
+from gpgrad_core.params.bounds import number_text
 from gpgrad_core.params.fields import get_path, parameters_of
 from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.version import VERSION
@@ -45,7 +47,8 @@ def report_html(
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>'
         f"<style>{STYLE}</style><h1>{title}</h1>"
         f"<p><b>{escape(headline_of(result, with_score=True))}</b>, threshold "
-        f"{state.params.closure.min_score:.1f}. {escape(in_words(state, result))}</p>{by_hand}"
+        f"{number_text(METHODS[state.method].lowest(state.params))}. "
+        f"{escape(in_words(state, result))}</p>{by_hand}"
         f"<table>{figures}</table>"
         f'<p><img alt="Both maps, their height difference, and where they agree" '
         f'src="data:image/png;base64,{encoded}"></p>'
@@ -54,7 +57,8 @@ def report_html(
         f"two.</p>"
         f"<h2>Command</h2><p>This command finds the same inliers, score and motion:</p>"
         f"<pre>{escape(command_of(state))}</pre>{here}"
-        f"<h2>Parameters</h2><p>What differs from gpgrad's own defaults is bold.</p>"
+        f"<h2>Parameters</h2><p>The method is {state.method}. What differs from its own defaults "
+        f"is bold.</p>"
         f"<table>{_parameters(state)}</table>"
         f"<p>gpgrad {escape(VERSION)}</p></html>"
     )
@@ -68,6 +72,7 @@ def lines_below(state: ViewState, result: PairResult, *, link: str = "", decided
         in_words(state, result),
         *([decided] if decided else []),
         figures,
+        f"Method: {state.method}",
         "Parameters: " + (", ".join(changed) or "defaults"),
         "Command: " + command_of(state),
         *([f"Link: {link}"] if link else []),
@@ -90,7 +95,7 @@ def _folded(text: str) -> list[str]:
 
 def _values(state: ViewState) -> list[tuple[str, str, bool]]:
     """List the parameters: name, value with unit, and whether something else was asked for."""
-    base = PipelineParams()
+    base = METHODS[state.method].adapt(PipelineParams())
     found: list[tuple[str, str, bool]] = []
     for field in parameters_of(PipelineParams):
         value, asked = get_path(state.params, field.path), get_path(state.asked, field.path)

@@ -9,8 +9,9 @@ import viser
 
 from app.viewer.decisions import Decisions, Pair, in_order, with_note, with_verdict
 from app.viewer.feature import Desk, Feature
+from app.viewer.methods import METHODS, map_params
 from app.viewer.runner import Runner
-from app.viewer.state import NEEDS_TWO, ViewState
+from app.viewer.state import NEEDS_TWO, ViewState, same_search
 from app.viewer.triage.listing import PASSES, Entry, Filter, list_pairs, next_undecided
 from app.viewer.triage.panel import NEXT_KEY, ROWS, Listing, TriageCalls, TriagePanel
 from app.viewer.triage.thumbnails import Thumbnails, thumbnail, to_uri
@@ -107,10 +108,10 @@ class TriageTab(Feature):
     # What the session tells.
 
     def follow(self, state: ViewState) -> None:
-        """Follow the session: another dataset, another pair, another threshold."""
+        """Follow the session: another dataset or method, another pair, another threshold."""
         with self._lock:
             before, self._state = self._state, state
-            other = state.dataset is not before.dataset
+            other = not same_search(state, before)
             if other:
                 self._found, self._by_pair, self._outcomes = (), {}, {}
                 self._first, self._noted = None, None
@@ -244,7 +245,10 @@ class TriageTab(Feature):
         del progress  # it is over in a moment
         state = wanted.state
         entries = list_pairs(
-            wanted.found, wanted.decisions, wanted.outcomes, state.params.closure.min_score
+            wanted.found,
+            wanted.decisions,
+            wanted.outcomes,
+            METHODS[state.method].lowest(state.params),
         )
         passes = PASSES[wanted.narrowed_to]
         listed = tuple(entry for entry in entries if passes(entry))
@@ -275,7 +279,7 @@ class TriageTab(Feature):
     def _on_listed(self, wanted: _Wanted, listed: _Listed, seconds: float) -> None:
         del seconds
         with self._lock:
-            if wanted.state.dataset is not self._state.dataset:
+            if not same_search(wanted.state, self._state):
                 return
             self._entries = listed.entries
         self._panel.show(listed.listing)
@@ -290,9 +294,16 @@ class TriageTab(Feature):
             key = _key(state, entry)
             if self._pictures.get(key) is None:
                 query, database = (state.dataset.submap(name) for name in entry.pair)
-                params, memo = state.params.map, self._desk.memo
-                query_map = infer_quick_map(query, params, memo, progress)
-                database_map = infer_quick_map(database, params, memo, progress)
+                memo = self._desk.memo
+                query_map, database_map = (
+                    infer_quick_map(
+                        submap,
+                        map_params(submap, state.given, memo, progress, state.method).map,
+                        memo,
+                        progress,
+                    )
+                    for submap in (query, database)
+                )
                 motion = entry.closure.registration.T_database_query
                 ratio = state.params.features.max_std_ratio
                 picture = thumbnail(query_map, database_map, motion, ratio)
@@ -317,6 +328,7 @@ def _key(state: ViewState, entry: Entry) -> Hashable:
         query.fingerprint,
         database.fingerprint,
         entry.closure.registration.T_database_query,
-        state.params.map,
+        state.method,
+        state.given.map,
         state.params.features.max_std_ratio,
     )

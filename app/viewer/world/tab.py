@@ -14,6 +14,7 @@ from app.viewer.draw.layers import Scale
 from app.viewer.draw.placement import UNKNOWN_CANVAS, Camera, Canvas
 from app.viewer.feature import Desk, Feature
 from app.viewer.host import pages
+from app.viewer.methods import map_params
 from app.viewer.state import ViewState
 from app.viewer.widgets.legend import legend_html
 from app.viewer.work import Work
@@ -139,7 +140,7 @@ class WorldTab(Feature):
             self._offer()
             self._panel.select(None, ())
             self._submit()
-        elif before.params.map != state.params.map or (
+        elif (before.method, before.given.map) != (state.method, state.given.map) or (
             before.params.features.max_std_ratio != state.params.features.max_std_ratio
         ):
             self._submit()
@@ -306,7 +307,9 @@ class WorldTab(Feature):
         for place, submap in enumerate(submaps):
             if job.infers:
                 of_one = part(progress, place / len(submaps), (place + 1) / len(submaps))
-                surfaces[submap.id] = inferred_surface(submap, params, self._desk.memo, of_one)
+                memo, state = self._desk.memo, job.state
+                of_map = map_params(submap, state.given, memo, of_one, state.method)
+                surfaces[submap.id] = inferred_surface(submap, of_map, memo, of_one)
             else:
                 surfaces[submap.id] = quick_surface(submap, params, self._desk.memo, len(submaps))
                 progress((place + 1) / len(submaps))

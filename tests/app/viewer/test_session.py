@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import viser
 
+from app.viewer import methods
 from app.viewer.capacity import Capacity
 from app.viewer.draw.surfels import OVERLAP
 from app.viewer.opened import Opened
@@ -374,7 +375,7 @@ def test_it_is_not_up_to_date_before_the_fit_is_done(
             progress(0.5)
         return resolve_parameters(submaps, params, memo, progress)
 
-    monkeypatch.setattr(pair_module, "resolve_parameters", fit)
+    monkeypatch.setattr(methods, "resolve_parameters", fit)
     session = automatic_session(server)
     try:
         assert begun.wait(20)
@@ -395,7 +396,7 @@ def test_a_fit_that_fails_is_told(
     def fit(*_: object) -> PipelineParams:
         raise InputError("submap 000 gives no noise_std")
 
-    monkeypatch.setattr(pair_module, "resolve_parameters", fit)
+    monkeypatch.setattr(methods, "resolve_parameters", fit)
     session = automatic_session(server)
     try:
         assert session.wait_idle(20)

@@ -9,6 +9,7 @@ from app.viewer.all_pairs import tab as all_pairs_module
 from app.viewer.all_pairs.judging import ComparedPairs
 from app.viewer.all_pairs.panel import NO_CHOICE
 from app.viewer.all_pairs.tab import AllPairsTab
+from app.viewer.methods import MethodName
 from app.viewer.state import ViewState, open_dataset, with_pair, with_params
 from gpgrad_core.errors import InputError
 from gpgrad_core.loop_closure import ClosureParams
@@ -48,6 +49,7 @@ class Comparer:
         memo: Memo,  # noqa: ARG002
         progress: Progress,
         candidates: Candidates,
+        method: MethodName,
     ) -> ComparedPairs:
         self.candidates = candidates
         progress(0.25)
@@ -57,7 +59,7 @@ class Comparer:
             raise self.error
         shortlists = {} if candidates in ("automatic", "all") else SHORTLISTS
         result = replace(COMPARED.result, shortlists=shortlists)
-        return replace(COMPARED, dataset=dataset, params=params, result=result)
+        return replace(COMPARED, dataset=dataset, params=params, result=result, method=method)
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ LINK = "http://127.0.0.1:8080/#query=003&database=000"
 
 @pytest.fixture(autouse=True)
 def known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report, "register_pair", lambda *_: RESULT)
+    monkeypatch.setattr(report, "register_pair", lambda *_, **__: RESULT)
 
 
 def test_the_page_has_all_of_it_and_asks_no_server(tmp_path: Path) -> None:
