@@ -1,4 +1,4 @@
-"""The paper's method in a real browser: every slider acts on its keypoints, its n, h and verdict."""
+"""The paper's method in a real browser: every slider acts on keypoints, n, h or the verdict."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from tests.browser.chromium import ViewerPage
 
 pytestmark = pytest.mark.browser
-COARSE = PipelineParams(map=MapParams(max_points=3000, resolution=0.06))
-"""SURF needs cells that are smaller than the gradient method's; software draws every one."""
+COARSE = PipelineParams(map=MapParams(max_points=3000, resolution=0.1))
+"""SURF finds enough on these cells, and software draws every one of them."""
 Open = Callable[..., "ViewerPage"]
 
 

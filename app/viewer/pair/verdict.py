@@ -40,6 +40,8 @@ HEIGHT = 18.25
 """Height of the card [lines of text]: always the same, so that nothing below it ever moves."""
 END_OF_BAR = 12.0
 """Score at the end of the bar, which the slider of the threshold ends at too."""
+ON_BAR = "inliers n"
+"""The row that the bar shows already: the card has no room for it twice."""
 END_OF_INLIERS = 40
 """Inliers at the end of the bar, likewise."""
 SAYS_SOMETHING = 0.5
@@ -180,7 +182,7 @@ def verdict_html(
         f"{_bar(state, result)}"
         f'<div title="{escape(closure.reason)}" style="height:2.7em;overflow:hidden;'
         f'line-height:1.35;margin:.35em 0">{escape(in_words(state, result))}</div>'
-        f"{_table(rows_of(state, result))}"
+        f"{_table([row for row in rows_of(state, result) if row.name != ON_BAR])}"
     )
     dim = "opacity:.4" if faded or moved else ""
     return frame(
@@ -216,17 +218,18 @@ def _bar(state: ViewState, result: PairResult) -> str:
     """Draw the score as a bar, and the threshold as a tick on it."""
     needed = state.params.closure
     name, score, lowest, end, digits = (
-        ("inliers n", result.registration.num_inliers, needed.min_inliers, END_OF_INLIERS, 0)
+        (ON_BAR, result.registration.num_inliers, needed.min_inliers, END_OF_INLIERS, 0)
         if isinstance(result, PaperPair)
         else ("score", result.registration.score, needed.min_score, END_OF_BAR, 1)
     )
     share, tick = (100 * min(value / end, 1.0) for value in (score, lowest))
     color = GOOD_GROUND if score >= lowest else BAD_GROUND
+    of_all = f" of {len(result.matches):,}" if isinstance(result, PaperPair) else ""
     named = name[:1].upper() + name[1:]
     return (
         f'<div data-testid="score" role="img" aria-label="{named} {score:.{digits}f}, threshold '
         f'{lowest:.{digits}f}"><div style="display:flex;justify-content:space-between"><span>'
-        f"{name} <b>{score:.{digits}f}</b></span><span>threshold {lowest:.{digits}f}</span></div>"
+        f"{name} <b>{score:.{digits}f}</b>{of_all}</span><span>threshold {lowest:.{digits}f}</span></div>"
         '<div style="position:relative;height:12px;margin-top:4px;border-radius:3px;'
         'background:light-dark(#dcdcdc,#4a4a4a)"><div style="position:absolute;left:0;top:0;'
         f'bottom:0;width:{share:.1f}%;border-radius:3px;background:{color}"></div>'
@@ -371,7 +374,7 @@ def paper_rows(state: ViewState, result: PaperPair) -> list[Row]:
     rows = [
         Row(
             "for" if count >= needed.min_inliers else "against",
-            "inliers n",
+            ON_BAR,
             f"{count} (at least {needed.min_inliers}) of {len(result.matches):,} associations",
         )
     ]
@@ -381,11 +384,10 @@ def paper_rows(state: ViewState, result: PaperPair) -> list[Row]:
     ):
         side: Side | None = None if limit is None else "for" if value <= limit else "against"
         allowed = "no limit" if limit is None else f"at most {limit:.3g}"
-        found = f"{value:.3g} 1/m⁴" if isfinite(value) else "none"
-        rows.append(Row(side, name, f"{found} ({allowed})"))
+        found = f"{value:.3g} ({allowed}) 1/m⁴" if isfinite(value) else "none: no common ground"
+        rows.append(Row(side, name, found))
     motion = registration.T_database_query
     rows.append(Row(None, "motion", "none found" if motion is None else _motion_text(motion)))
-    rows.append(Row(None, "overlap", f"{registration.overlap_area:.1f} m²"))
     asked = state.asked.map
     for name, field, given in (
         ("length-scale", "length_scale", asked.length_scale),
