@@ -229,7 +229,8 @@ def _bar(state: ViewState, result: PairResult) -> str:
     return (
         f'<div data-testid="score" role="img" aria-label="{named} {score:.{digits}f}, threshold '
         f'{lowest:.{digits}f}"><div style="display:flex;justify-content:space-between"><span>'
-        f"{name} <b>{score:.{digits}f}</b>{of_all}</span><span>threshold {lowest:.{digits}f}</span></div>"
+        f"{name} <b>{score:.{digits}f}</b>{of_all}</span>"
+        f"<span>threshold {lowest:.{digits}f}</span></div>"
         '<div style="position:relative;height:12px;margin-top:4px;border-radius:3px;'
         'background:light-dark(#dcdcdc,#4a4a4a)"><div style="position:absolute;left:0;top:0;'
         f'bottom:0;width:{share:.1f}%;border-radius:3px;background:{color}"></div>'
