@@ -194,6 +194,7 @@ class ViewerPage:
 
     def drag(self, label: str, pixels: int, steps: int = 4, pause_ms: int = 0) -> None:
         """Drag a slider's thumb with the mouse."""
+        self.thumb(label).scroll_into_view_if_needed()
         box = self.thumb(label).bounding_box()
         assert box is not None
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
