@@ -14,6 +14,7 @@ from app.viewer.capacity import Capacity
 from app.viewer.door.admission import Admission
 from app.viewer.door.limits import Limits
 from app.viewer.door.server import Told, open_server
+from app.viewer.host import set_theme
 from app.viewer.memory import MEMO_SHARE, MemoryKeeper, default_budget
 from app.viewer.permissions import READ_ALL, Permissions
 from app.viewer.waiting import WaitingPage
@@ -108,6 +109,7 @@ class Viewer:
         self._server, self._door = open_server(
             host, port, admission, max_upload=permissions.max_upload, limits=limits
         )
+        set_theme(self._server, dark=False)
         page = WaitingPage(self._server, Path(source).name) if opened is None else None
         self._quiet = contextlib.ExitStack()
         self._uploads = TemporaryFolder("gpgrad-uploads-")

@@ -4,7 +4,7 @@ from html import escape
 
 import viser
 
-from app.viewer.host import PANEL_WIDTH, set_theme
+from app.viewer.host import PANEL_WIDTH
 from gpgrad_core.run.progress import Progress
 
 REPORT_EVERY = 0.01
@@ -21,7 +21,6 @@ class WaitingPage:
             server: Whose pages show it.
             title: Names what is being opened.
         """
-        set_theme(server, dark=False)
         gui = server.gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)
