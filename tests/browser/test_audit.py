@@ -33,7 +33,7 @@ def test_nothing_serious_is_found(
 ) -> None:
     page = open_viewer(size=SIZES[0])
     if dark:
-        page.page.goto(page.page.url + "&darkMode")
+        page.page.goto(f"{page.viewer.url}/?fixedDpr=1&darkMode")  # type: ignore[attr-defined]
         page.page.get_by_test_id("verdict").wait_for()
     page.page.set_viewport_size({"width": size[0], "height": size[1]})
     findings: dict[str, dict[str, list[str]]] = {}
