@@ -92,5 +92,6 @@ def test_the_worst_files_are_answered_and_let_go(
                 ),
                 words,
             )
-            assert find(server, "Slider").value == 10 * number + len(button)
+            wanted = 10 * number + len(button)
+            other.wait(lambda wanted=wanted: find(server, "Slider").value == wanted, "the slider")
             other.wait(lambda b=button: find(server, b).value.content == b"", "the file to be gone")
