@@ -124,6 +124,7 @@ def test_escape_closes_the_help_and_it_can_be_opened_again(page: "ViewerPage") -
         dialog.wait_for(state="detached", timeout=60_000)
 
 
+@pytest.mark.slow
 def test_layers_layout_and_switches_change_the_picture_only(page: "ViewerPage") -> None:
     from tests.browser.chromium import changed  # noqa: PLC0415
 

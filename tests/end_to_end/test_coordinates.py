@@ -50,6 +50,7 @@ def slope(tmp_path: Path) -> Path:
     return tmp_path / "slope.npy"
 
 
+@pytest.mark.slow
 def test_a_map_lies_within_a_centimetre_of_its_place(slope: Path, tmp_path: Path) -> None:
     out = tmp_path / "map.tif"
     flags = ["--map.resolution", "0.1", "--map.noise-std", "0.01", "--map.length-scale", "0.5"]
@@ -62,6 +63,7 @@ def test_a_map_lies_within_a_centimetre_of_its_place(slope: Path, tmp_path: Path
             assert height_at(raster, place) == pytest.approx(place[2], abs=0.01)
 
 
+@pytest.mark.slow
 def test_noise_that_grows_with_the_range_is_the_same_in_coordinates(
     slope: Path, tmp_path: Path
 ) -> None:

@@ -122,6 +122,7 @@ def test_a_rival_finds_the_same_loop_and_is_named(
     assert (best.query, best.database) == ("003", "000")
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_all_workers_and_leaves_nothing(tmp_path: Path) -> None:
     out = tmp_path / "closures.json"
     assert math.comb(10, 2) >= WORTH_PROCESSES  # the demo's pairs are compared in processes

@@ -40,6 +40,7 @@ def test_what_is_found_is_told_and_serves_other_verbs(
     assert "noise_factor: 1 -> " in read.out
 
 
+@pytest.mark.slow
 def test_every_submap_gets_the_numbers_that_the_paper_method_uses(
     gpgrad: Run, tmp_path: Path
 ) -> None:

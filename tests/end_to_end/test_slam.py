@@ -30,6 +30,7 @@ def test_a_traverse_is_corrected_and_merged(gpgrad: Run, traverse: Path, tmp_pat
     assert {path.suffix for path in out.iterdir()} >= {".png", ".tif", ".npz", ".g2o", ".txt"}
 
 
+@pytest.mark.slow
 def test_closures_found_before_are_taken_and_no_map_is_made(
     traverse: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

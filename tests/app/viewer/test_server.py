@@ -97,6 +97,7 @@ def test_in_a_shared_session_all_see_the_same(serve: Serve, visit: Visit) -> Non
     assert len(viewer.sessions) == 1
 
 
+@pytest.mark.slow
 def test_separate_sessions_are_each_for_itself(serve: Serve, visit: Visit) -> None:
     viewer = serve("separate")
     assert viewer.sessions == ()

@@ -170,6 +170,7 @@ def test_it_never_switches_once_somebody_has_acted(
     assert note(session) == ""
 
 
+@pytest.mark.slow
 def test_a_saved_session_opens_as_it_was_saved(begin: Callable[..., tuple[Session, Held]]) -> None:
     saved = SavedSession(query_id="003", database_id="001")
     session, held = begin(CLOSURES, saved=saved)
