@@ -230,7 +230,7 @@ def test_commands_are_found_and_listed(tour: Tour) -> None:
     page.key("j")
     page.wait(lambda: "query 009" in page.verdict(), "the one after it")
     page.settle()
-    page.page.goto(page.page.url + "&darkMode")
+    page.page.goto(page.page.url.partition("#")[0] + "&darkMode")
     page.page.get_by_test_id("verdict").wait_for(timeout=60_000)
     page.wait(lambda: not page.is_blank(), "a dark picture")
     page.settle()
