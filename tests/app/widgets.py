@@ -1,12 +1,15 @@
 """Uses a server's widgets as a user's browser does, without a browser."""
 
 import asyncio
+import itertools
 import json
 from typing import Any
 
 import viser
 
 from app.viewer.widgets.bridge import Bridge
+
+_numbers = itertools.count(1)
 
 
 def find(server: viser.ViserServer, label: str) -> Any:
@@ -44,4 +47,13 @@ def html_says(bridge: Bridge, name: str, **data: object) -> None:
     """Say something as a script of a page does."""
     page = object.__new__(viser.ClientHandle)  # of no server; it only says who speaks
     page.client_id = 1
-    bridge._take(page, json.dumps({"number": 1, "name": name, "data": data}))
+    page._websock_connection = Deaf()  # pyright: ignore[reportAttributeAccessIssue]
+    said = {"number": next(_numbers), "times": 1, "name": name, "data": data}
+    bridge._take(page, json.dumps(said))
+
+
+class Deaf:
+    """Stands for the connection to a page that takes no answer."""
+
+    def queue_message(self, message: object) -> None:
+        """Drop it."""

@@ -3,6 +3,8 @@
 viser shows HTML, but tells nothing of what happens in it. Its pages do run inline handlers, though,
 and send what is typed into a text box. So the bridge has a text box that nobody sees: a script
 writes a message into it, and viser brings that here like any other input, past the same checks.
+The page says a message again until it is answered, because all inputs of viser's panel share one
+throttle, and a slider that moves at that moment can push the message out.
 This depends on how viser builds its pages, so nothing else does it, and a browser test watches it.
 """
 
@@ -24,35 +26,43 @@ Data: TypeAlias = Mapping[str, Value]
 """
 Act: TypeAlias = Callable[[viser.ClientHandle, Data], None]
 
-BETWEEN_MS = 70
-"""viser's pages send only the last of the inputs that come within 50 ms."""
-AWAY_MS = 500
-"""While the panels are put away, so is the box; messages wait until it is back."""
+AGAIN_MS = 500
+"""After which a message that has no answer is said again: the throttle may have left it out, or
+the panels are put away, and the box with them."""
 
 # `say` queues its messages. `newest` replaces what waits under the same name, as a drag needs it.
-# `acts` are what scripts of ours do when Python calls them by name; see `Bridge.call`.
+# `heard` is Python's answer. `acts` are what scripts of ours do when Python calls them by name; see
+# `Bridge.call`.
 SCRIPT = """
 (box => {
   if (!window.gpgrad) {
     const waiting = [];
-    let number = 0, busy = false;
+    let said = null, number = 0, times = 0, timer = 0;
     const send = () => {
+      clearTimeout(timer);
+      if (!said) {
+        if (!waiting.length) return;
+        said = {number: ++number, ...waiting.shift()};
+      }
+      timer = setTimeout(send, AGAIN_MS);
       let row = document.querySelector(`label[for="${window.gpgrad.box}"]`);
       while (row && !row.querySelector('input')) row = row.parentElement;
       const input = row && row.querySelector('input');
-      busy = waiting.length > 0;
-      if (!busy) return;
-      if (!input) { setTimeout(send, AWAY_MS); return; }
-      const text = JSON.stringify({number: ++number, ...waiting.shift()});
+      if (!input) return;
+      const text = JSON.stringify({...said, times: ++times});  // no text is like the one before
       Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(input, text);
       input.dispatchEvent(new Event('input', {bubbles: true}));
-      setTimeout(send, BETWEEN_MS);
     };
     window.gpgrad = {
       say(name, data = {}, newest = false) {
         const same = newest ? waiting.find(one => one.name === name) : null;
         if (same) same.data = data; else waiting.push({name, data});
-        if (!busy) send();
+        if (!said) send();
+      },
+      heard(which) {
+        if (!said || which !== said.number) return;
+        said = null;
+        send();
       },
       acts: {},
       hear(name, data) { if (window.gpgrad.acts[name]) window.gpgrad.acts[name](data); },
@@ -60,13 +70,14 @@ SCRIPT = """
   }
   window.gpgrad.box = box;
 })(BOX)
-""".replace("BETWEEN_MS", str(BETWEEN_MS)).replace("AWAY_MS", str(AWAY_MS))
+""".replace("AGAIN_MS", str(AGAIN_MS))
 
 
-class _Said(msgspec.Struct, forbid_unknown_fields=True):
-    """A message from a page. Its number makes it differ from the message before."""
+class Said(msgspec.Struct, forbid_unknown_fields=True):
+    """A message from a page. One that is said again keeps its number, and differs by its times."""
 
     number: int
+    times: int
     name: str
     data: dict[str, Value]
 
@@ -80,13 +91,13 @@ class Bridge:
         Args:
             host: Whose pages they join.
         """
-        # In a folder of its own, because the boxes of a container delay each other's values.
         self._folder = host.gui.add_folder("Bridge")
         with self._folder:
             self._box = host.gui.add_text("bridge", "")
         self._script = host.gui.add_html("")
         self._script.content = self._hidden_script()
         self._acts: dict[str, Act] = {}
+        self._taken: dict[int, int] = {}  # the last number of each page
         on_choice_by(self._box, self._take)
 
     def hear(self, name: str, act: Act) -> None:
@@ -109,15 +120,17 @@ class Bridge:
             name: Of the act.
             data: What it takes; anything that JSON can hold.
         """
-        words = f"{json.dumps(name)},{json.dumps(data)}"
-        source = f"window.gpgrad&&gpgrad.hear({words})"
-        connection = page._websock_connection  # pyright: ignore[reportPrivateUsage]
-        connection.queue_message(RunJavascriptMessage(source))
+        _run(page, f"window.gpgrad&&gpgrad.hear({json.dumps(name)},{json.dumps(data)})")
 
     def _take(self, page: viser.ClientHandle, text: str) -> None:
         said = read_said(text)
-        if said is not None and said[0] in self._acts:
-            self._acts[said[0]](page, said[1])
+        if said is None:
+            return
+        _run(page, f"gpgrad.heard({said.number})")
+        is_new = said.number > self._taken.get(page.client_id, 0)
+        self._taken[page.client_id] = said.number
+        if is_new and said.name in self._acts:
+            self._acts[said.name](page, said.data)
 
     def _hidden_script(self) -> str:
         """Write the script and the style that hides the folder."""
@@ -131,13 +144,17 @@ class Bridge:
         )
 
 
-def read_said(text: str) -> tuple[str, Data] | None:
-    """Read a name and what goes with it; None for a text that no script of ours writes."""
+def read_said(text: str) -> Said | None:
+    """Read a message; None for a text that no script of ours writes."""
     try:
-        said = msgspec.json.decode(text, type=_Said)
+        return msgspec.json.decode(text, type=Said)
     except (msgspec.MsgspecError, UnicodeEncodeError, RecursionError):
         return None
-    return said.name, said.data
+
+
+def _run(page: viser.ClientHandle, source: str) -> None:
+    connection = page._websock_connection  # pyright: ignore[reportPrivateUsage]
+    connection.queue_message(RunJavascriptMessage(source))
 
 
 def run_when_shown(script: str) -> str:
