@@ -18,6 +18,7 @@ import viser
 from viser._messages import RunJavascriptMessage
 
 from app.viewer.host import Host
+from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice_by
 
 Value: TypeAlias = str | float | bool | None
@@ -29,48 +30,6 @@ Act: TypeAlias = Callable[[viser.ClientHandle, Data], None]
 AGAIN_MS = 500
 """After which a message that has no answer is said again: the throttle may have left it out, or
 the panels are put away, and the box with them."""
-
-# `say` queues its messages. `newest` replaces what waits under the same name, as a drag needs it.
-# `heard` is Python's answer. `acts` are what scripts of ours do when Python calls them by name; see
-# `Bridge.call`.
-SCRIPT = """
-(box => {
-  if (!window.gpgrad) {
-    const waiting = [];
-    let said = null, number = 0, times = 0, timer = 0;
-    const send = () => {
-      clearTimeout(timer);
-      if (!said) {
-        if (!waiting.length) return;
-        said = {number: ++number, ...waiting.shift()};
-      }
-      timer = setTimeout(send, AGAIN_MS);
-      let row = document.querySelector(`label[for="${window.gpgrad.box}"]`);
-      while (row && !row.querySelector('input')) row = row.parentElement;
-      const input = row && row.querySelector('input');
-      if (!input) return;
-      const text = JSON.stringify({...said, times: ++times});  // no text is like the one before
-      Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(input, text);
-      input.dispatchEvent(new Event('input', {bubbles: true}));
-    };
-    window.gpgrad = {
-      say(name, data = {}, newest = false) {
-        const same = newest ? waiting.find(one => one.name === name) : null;
-        if (same) same.data = data; else waiting.push({name, data});
-        if (!said) send();
-      },
-      heard(which) {
-        if (!said || which !== said.number) return;
-        said = null;
-        send();
-      },
-      acts: {},
-      hear(name, data) { if (window.gpgrad.acts[name]) window.gpgrad.acts[name](data); },
-    };
-  }
-  window.gpgrad.box = box;
-})(BOX)
-""".replace("AGAIN_MS", str(AGAIN_MS))
 
 
 class Said(msgspec.Struct, forbid_unknown_fields=True):
@@ -135,7 +94,7 @@ class Bridge:
     def _hidden_script(self) -> str:
         """Write the script and the style that hides the folder."""
         box = self._box._impl.uuid  # pyright: ignore[reportPrivateUsage]
-        script = run_when_shown(SCRIPT.replace("BOX", json.dumps(box)))
+        script = run_when_shown(fill_page_file("bridge.js", BOX=box, AGAIN_MS=AGAIN_MS))
         inside = f'label[for="{box}"]'
         folder = f".mantine-Paper-root:has({inside}):not(:has(.mantine-Paper-root {inside}))"
         return (
