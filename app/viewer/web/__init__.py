@@ -15,9 +15,6 @@ def read_page_file(name: str) -> str:
 def fill_page_file(name: str, **values: object) -> str:
     """Read a file of this folder and put values in the place of the names that stand for them.
 
-    >>> fill_page_file("bridge.js", BOX="a1").count("BOX")
-    0
-
     Args:
         name: Of the file.
         values: By name, in upper case; anything that JSON can hold.
