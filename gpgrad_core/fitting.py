@@ -3,7 +3,7 @@
 from collections.abc import Collection, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -231,13 +231,28 @@ class _Area:
         return sum(map(len, self.patches))
 
     def noise(self, params: TerrainParams) -> Float[Array, "n"]:
-        return point_noise(self.submap, params).std[self.kept]
+        without_signal = replace(params, signal_std=None)  # the noise does not depend on it
+        if without_signal not in self._noises:
+            self._noises[without_signal] = point_noise(self.submap, params).std[self.kept]
+        return self._noises[without_signal]
 
     def with_noise(self, params: TerrainParams) -> list[Patch]:
         """Make the patches, with the noise that the params give each point."""
-        xy, z, noise = self.points[:, :2], self.points[:, 2], self.noise(params)
+        noise = self.noise(params)
+        drawn = zip(self.patches, self._unit_patches, strict=True)
+        return [patch.with_noise(noise[rows]) for rows, patch in drawn]
+
+    @cached_property
+    def _noises(self) -> dict[TerrainParams, Float[Array, "n"]]:
+        """The noise by parameters; two steps of a fit ask for the same."""
+        return {}
+
+    @cached_property
+    def _unit_patches(self) -> list[Patch]:
+        """The patches with a noise of one; what costs time in them is the same for all noises."""
+        xy, z = self.points[:, :2], self.points[:, 2]
         heights = z - z.mean()
-        return [Patch(xy[rows], heights[rows], noise[rows]) for rows in self.patches]
+        return [Patch(xy[rows], heights[rows], np.ones(len(rows))) for rows in self.patches]
 
 
 def _reach(areas: list[_Area]) -> float:

@@ -1,5 +1,7 @@
 """The log marginal likelihood of hyperparameters, and its gradient."""
 
+import threading
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -64,9 +66,31 @@ class Patch:
         read_only(squared)
         object.__setattr__(self, "squared_distances", squared)
 
+    def with_noise(self, point_noise_std: Float[Array, "n"]) -> "Patch":
+        """Give the same points another noise; the distances are not computed again."""
+        patch = copy(self)
+        object.__setattr__(patch, "point_noise_std", point_noise_std)
+        return patch
+
     def __len__(self) -> int:
         """Number of points."""
         return len(self.xy)
+
+
+class _Workspace(threading.local):
+    """Two matrices for each thread: a new one costs as much time as what is computed into it."""
+
+    def __init__(self) -> None:
+        self._both = np.empty((2, 0, 0))
+
+    def matrices(self, size: int) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
+        """Give them; what they hold is left from before."""
+        if self._both.shape[1] != size:
+            self._both = np.empty((2, size, size))
+        return self._both[0], self._both[1]
+
+
+_workspace = _Workspace()
 
 
 def log_marginal_likelihood(
@@ -95,9 +119,11 @@ def log_marginal_likelihood(
 
     n, z = len(patch), patch.heights
     signal_variance = hyperparameters.signal_std**2
-    scaled = patch.squared_distances / hyperparameters.length_scale**2
-    covariance = signal_variance * np.exp(-0.5 * scaled)
-    by_length_scale = covariance * scaled  # ∂K / ∂ log length_scale
+    scaled, covariance = _workspace.matrices(n)
+    np.divide(patch.squared_distances, hyperparameters.length_scale**2, out=scaled)
+    np.exp(np.multiply(scaled, -0.5, out=covariance), out=covariance)
+    covariance *= signal_variance
+    by_length_scale = np.multiply(covariance, scaled, out=scaled)  # ∂K / ∂ log length_scale
     noise_variance = (hyperparameters.noise_std * patch.point_noise_std) ** 2
     covariance[np.diag_indices(n)] += noise_variance + JITTER * signal_variance
 
