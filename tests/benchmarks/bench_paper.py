@@ -30,7 +30,7 @@ from gpgrad_core.methods.cloud_detector import CloudDetector
 from gpgrad_core.methods.described_clouds import register_by_ransac
 from gpgrad_core.methods.paper import PaperDetector, paper_params, paper_start, tune
 from gpgrad_core.methods.shot import describe_shot
-from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
+from gpgrad_core.pipeline import PipelineParams, detect_loop_closures, resolve_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.threads import at_most_workers, single_threaded_libraries
 from gpgrad_core.types import Dataset, LoopDetector
@@ -83,13 +83,13 @@ READINGS: dict[str, Change] = {
 }
 
 
-def detectors(memo: Memo) -> Iterator[tuple[str, PipelineParams, LoopDetector]]:
+def detectors(dataset: Dataset, memo: Memo) -> Iterator[tuple[str, PipelineParams, LoopDetector]]:
     """Give the detector of each row, with its parameters."""
     for name, change in READINGS.items():
         params = change(paper_params(PipelineParams()))
         yield name, params, PaperDetector(params, memo)
     if METHODS["shot"].installed:
-        params = METHODS["shot"].adapt(PipelineParams())
+        params = METHODS["shot"].adapt(resolve_parameters(dataset.submaps, memo=memo))
         for most in (np.inf, *SHOT_DISTANCES):
             compare = partial(register_by_ransac, max_distance=most)
             limit = "any distance" if most == np.inf else f"distance at most {most:g}"
@@ -146,7 +146,7 @@ def main(options: Options) -> None:
         dataset, memo = load_dataset(path), Memo()
         print(f"\n{dataset.name}. {fit_cost(dataset, memo)}\n", flush=True)
         pairs, rows = measure_pairs(dataset), list[list[str]]()
-        for name, params, detector in detectors(memo):
+        for name, params, detector in detectors(dataset, memo):
             rows.append(row(name, dataset, pairs, params, detector))
             print(": ".join((dataset.name, *rows[-1])), file=sys.stderr, flush=True)
         print(markdown(head, rows), flush=True)
