@@ -28,6 +28,13 @@ def labels(server: viser.ViserServer) -> list[str]:
     return [str(handle.label) for handle in server.gui._gui_input_handle_from_uuid.values()]
 
 
+def html(server: viser.ViserServer) -> str:
+    """Return all text in the panels."""
+    containers = server.gui._container_handle_from_uuid.values()
+    parts = [part for container in containers for part in container._children.values()]
+    return "".join(part.content for part in parts if isinstance(part, viser.GuiHtmlHandle))
+
+
 def user_sets(handle: Any, value: object) -> None:
     """Change a widget as a user does; unlike an assignment, the event has a client."""
     handle._impl.value = value

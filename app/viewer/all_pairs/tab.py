@@ -84,7 +84,9 @@ class AllPairsTab(Feature):
             self._on_compared,
             slots=desk.capacity.long,
             name="all pairs",
-            watch=lambda fraction, message: desk.tell(Feature.comparing, fraction, message),
+            watch=lambda fraction, message: desk.tell(
+                lambda feature: feature.comparing(fraction, message)
+            ),
             even_from=EVEN_FROM,
         )
         self._judge: Runner[_Judging, _Judged] = Runner(
@@ -186,8 +188,8 @@ class AllPairsTab(Feature):
             (closure.query_id, closure.database_id): outcome
             for closure, outcome in zip(pairs.closures, pairs.outcomes, strict=True)
         }
-        self._desk.tell(Feature.checked, dataset, outcomes)
-        self._desk.tell(Feature.judged, dataset, pairs.closures)
+        self._desk.tell(lambda feature: feature.checked(dataset, outcomes))
+        self._desk.tell(lambda feature: feature.judged(dataset, pairs.closures))
 
     # What the pictures say; it comes from a page.
 
@@ -227,7 +229,7 @@ class AllPairsTab(Feature):
             return  # no page of ours draws it out of bounds
         self._desk.change(params=params, moving=True)
         if data.get("rested") is True:
-            self._desk.tell(Feature.rested, params)
+            self._desk.tell(lambda feature: feature.rested(params))
 
 
 def findings(

@@ -9,7 +9,7 @@ import viser
 
 from app.viewer.best_pair.likely import Pair, overlapping_pairs, voted_pairs
 from app.viewer.best_pair.panel import BestPairNote, ShowBestButton
-from app.viewer.feature import Desk, Feature, Subject
+from app.viewer.feature import Desk, Feature, ModeSwitch, Subject
 from app.viewer.methods import map_params, register_pair
 from app.viewer.opened import Opened
 from app.viewer.runner import Runner
@@ -66,14 +66,16 @@ class BestPair(Feature):
     It works in one thread beside whatever else runs, and stops as soon as anybody acts.
     """
 
-    def __init__(self, desk: Desk, opened: Opened, commands: Commands) -> None:
+    def __init__(self, desk: Desk, opened: Opened, commands: Commands, modes: ModeSwitch) -> None:
         """Make the note in the current container.
 
         Args:
             desk: Of the session.
             opened: What the session begins with.
             commands: Get "Show the best loop closure".
+            modes: Show the pair that was found.
         """
+        self._modes = modes
         self._desk = desk
         self._lock = threading.Lock()
         self._state = desk.state
@@ -170,7 +172,7 @@ class BestPair(Feature):
         """Show the best loop closure that is known, or search for one."""
         best = self._best_judged()
         if best is not None:
-            self._desk.tune(best.query_id, best.database_id)
+            self._modes.tune(best.query_id, best.database_id)
         elif not self._desk.state.is_pair:
             self._note.say(NEEDS_TWO)
         elif not self._searching:
@@ -189,7 +191,7 @@ class BestPair(Feature):
         del page
         query, database = data.get("query"), data.get("database")
         if isinstance(query, str) and isinstance(database, str):
-            self._desk.tune(query, database)
+            self._modes.tune(query, database)
 
     def _begin(self, state: ViewState, *, asked: bool) -> None:
         with self._lock:

@@ -117,9 +117,8 @@ class Framing(Feature):
         for one in pages(self._desk.host).values() if page is None else (page,):
             self._frame(one)
 
-    def set_full_screen(self, full_screen: bool) -> None:
+    def resized(self) -> None:
         """Fill the canvas that the panels leave, seen from where it was seen before."""
-        del full_screen
         self._refit_until = time.monotonic() + SCREEN_CHANGES
 
     # Cameras.

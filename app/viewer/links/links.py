@@ -7,7 +7,7 @@ from pathlib import Path
 import viser
 
 from app.viewer.draw.cameras import view_of
-from app.viewer.feature import Desk, Feature, Subject
+from app.viewer.feature import Cameras, Desk, Feature, ModeSwitch, Restore, Subject
 from app.viewer.host import Host, pages
 from app.viewer.links.address import Link, address_of, read_address
 from app.viewer.links.panel import LinkPanel, script_html, tell
@@ -31,14 +31,27 @@ def add_script(host: Host) -> None:
 class Links(Feature):
     """Writes what is shown into the addresses of the pages, and reads that of a page that comes."""
 
-    def __init__(self, desk: Desk, commands: Commands) -> None:
+    def __init__(
+        self,
+        desk: Desk,
+        commands: Commands,
+        modes: ModeSwitch,
+        cameras: Cameras,
+        restore: Restore,
+    ) -> None:
         """Make the panel in the current container.
 
         Args:
             desk: Of the session.
             commands: Gets one that copies the link.
+            modes: Go to the one that a link was made in.
+            cameras: Are brought to where a link has them.
+            restore: Opens what a link has open.
         """
         self._desk = desk
+        self._modes = modes
+        self._cameras = cameras
+        self._restore = restore
         self._panel = LinkPanel(desk.host)
         self._subject: Subject = "pair"
         self._pending: Link | None = None  # whose dataset is being loaded
@@ -70,7 +83,7 @@ class Links(Feature):
         with self._lock:
             pending, self._pending = self._pending, None
         if pending is not None and opened.saved is pending.saved and pending.subject == "world":
-            self._desk.tell(Feature.explore)
+            self._modes.go("Explore")
 
     def _ask_all(self) -> None:
         for page in pages(self._desk.host).values():
@@ -144,7 +157,7 @@ class Links(Feature):
                     "asks for is not shown. Open it again when the others have left.",
                 )
             elif link.subject == self._subject == "pair" and link.saved.camera is not None:
-                self._desk.tell(Feature.look, page, link.saved.camera)
+                self._cameras.look(page, link.saved.camera)
             return
         if _has_open(link, state):
             self._change(page, link)
@@ -166,7 +179,7 @@ class Links(Feature):
             "Opening the dataset of the link",
             f"Loading {where}. If it does not appear, the tab Data says why.",
         )
-        self._desk.tell(Feature.restore, link.saved)
+        self._restore(link.saved)
 
     def _change(self, page: viser.ClientHandle, link: Link) -> None:
         saved = link.saved
@@ -179,14 +192,14 @@ class Links(Feature):
             tell(page, "The link cannot be opened", str(error))
             return
         if link.subject == "world":
-            self._desk.tell(Feature.explore)
+            self._modes.go("Explore")
             return
         if self._subject == "world":
-            self._desk.tell(Feature.tune)
+            self._modes.go("Tune")
         if saved.camera is not None:
-            self._desk.tell(Feature.look, page, saved.camera)
+            self._cameras.look(page, saved.camera)
         elif self._desk.canvases.is_by_hand(page):
-            self._desk.tell(Feature.frame, page)
+            self._cameras.frame(page)
 
 
 def _has_open(link: Link, state: ViewState) -> bool:

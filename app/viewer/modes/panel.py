@@ -2,14 +2,13 @@
 
 from collections.abc import Callable
 from html import escape
-from typing import Literal, TypeAlias, get_args
+from typing import get_args
 
+from app.viewer.feature import Mode
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_option, one_of
 from app.viewer.widgets.html import QUIET
 from app.viewer.widgets.look import segment_style
-
-Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
 
 MODES: tuple[Mode, ...] = get_args(Mode)
 GUIDES: dict[Mode, str] = {

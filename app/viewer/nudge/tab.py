@@ -7,6 +7,7 @@ from math import atan2, degrees
 import numpy as np
 import viser
 
+from app.viewer.decisions import with_motion
 from app.viewer.draw.placement import Extent, Placement, height_offset, place
 from app.viewer.feature import Desk, Feature
 from app.viewer.nudge.panel import NudgeCalls, NudgePanel
@@ -108,7 +109,7 @@ class NudgeTab(Feature):
             self._gizmo.remove()
             self._gizmo = None
         self._refined = None
-        self._desk.tell(Feature.moved, False)
+        self._desk.tell(lambda feature: feature.moved(False))
         self._panel.set_active(False)
         self._panel.show(())
         self._panel.say("")
@@ -121,7 +122,7 @@ class NudgeTab(Feature):
         if self._gizmo is None:
             self._gizmo = self._add_gizmo(state)
         self._put(motion, with_gizmo=True)
-        self._desk.tell(Feature.moved, False)
+        self._desk.tell(lambda feature: feature.moved(False))
         self._panel.show(_rows(motion, result.registration))
 
     def _add_gizmo(self, state: ViewState) -> viser.TransformControlsHandle:
@@ -154,7 +155,7 @@ class NudgeTab(Feature):
         self._refined = None
         self._panel.offer_use(False)
         self._put(SE2(float(x), float(y), yaw), with_gizmo=False)
-        self._desk.tell(Feature.moved, True)
+        self._desk.tell(lambda feature: feature.moved(True))
         self._panel.show((*_motion_rows(self._motion), ("", "not refined yet")))
         del result
 
@@ -208,7 +209,7 @@ class NudgeTab(Feature):
             return
         self._refined = registration
         self._put(motion, with_gizmo=True)
-        self._desk.tell(Feature.moved, True)
+        self._desk.tell(lambda feature: feature.moved(True))
         self._panel.show(_rows(motion, registration))
         self._panel.offer_use(True)
         self._panel.say(f"Refined in {1000 * seconds:.0f} ms.")
@@ -217,7 +218,8 @@ class NudgeTab(Feature):
     def _use(self) -> None:
         if self._refined is not None and self._shown is not None:
             state = self._shown[0]
-            self._desk.tell(Feature.use_motion, state.query_id, state.database_id, self._refined)
+            pair, refined = (state.query_id, state.database_id), self._refined
+            self._desk.decide(lambda decisions: with_motion(decisions, pair, refined))
             self._panel.say("Accepted by hand: see the tab Pose graph in Explore.")
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from app.viewer.draw.cameras import set_view
-from app.viewer.feature import Desk, Feature
+from app.viewer.feature import Desk, Frame
 from app.viewer.pair.panel import LAYER_NAMES
 from app.viewer.pair.tab import PairTab
 from app.viewer.state import COMPARED, FROM_ABOVE, LAYERS, Role, ViewOptions, registered
@@ -12,7 +12,11 @@ from app.viewer.widgets.commands import Commands
 
 
 def add_shortcuts(
-    commands: Commands, desk: Desk, pair: PairTab, step_match: Callable[[int], None]
+    commands: Commands,
+    desk: Desk,
+    pair: PairTab,
+    frame: Frame,
+    step_match: Callable[[int], None],
 ) -> None:
     """Add the commands to the palette.
 
@@ -20,6 +24,7 @@ def add_shortcuts(
         commands: The palette.
         desk: Of the session.
         pair: Whose submaps are stepped through.
+        frame: Brings cameras to all that is shown.
         step_match: Points at the next (1) or the previous (-1) association.
     """
 
@@ -50,7 +55,7 @@ def add_shortcuts(
     commands.add_for_page(
         "View",
         "All of it in view",
-        lambda page: desk.tell(Feature.frame, page),
+        frame,
         key="R",
     )
     commands.add_for_page(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import viser
 
 from app.viewer.decisions import Decisions
-from app.viewer.feature import Desk, Feature
+from app.viewer.feature import Desk, Feature, Frame
 from app.viewer.host import set_theme
 from app.viewer.methods import METHODS, map_params, register_pair
 from app.viewer.opened import Opened
@@ -47,13 +47,14 @@ class PairPicture:
 class PairTab(Feature):
     """Shows the pair of the session: one worker turns the newest state into a picture."""
 
-    def __init__(self, desk: Desk, opened: Opened, view: viser.GuiTabHandle) -> None:
+    def __init__(self, desk: Desk, opened: Opened, view: viser.GuiTabHandle, frame: Frame) -> None:
         """Make verdict and status in the current container, and the view's options in a tab.
 
         Args:
             desk: Of the session.
             opened: What the session begins with.
             view: The tab of the view.
+            frame: Brings cameras to the pair.
         """
         self._desk = desk
         host, state = desk.host, desk.state
@@ -72,7 +73,7 @@ class PairTab(Feature):
                 host,
                 state.options,
                 lambda options: desk.change(options=options),
-                lambda: desk.tell(Feature.frame, None),
+                lambda: frame(None),
                 desk.numbers,
             )
         self._dark = False
@@ -207,9 +208,9 @@ class PairTab(Feature):
             newer_waits = self._runner.newer_waits
             self._status.finished(seconds, details(shown, state), newer_waits=newer_waits)
             if result is not None:
-                self._desk.tell(Feature.show, state, result)
+                self._desk.tell(lambda feature: feature.show(state, result))
             elif alone is not None:
-                self._desk.tell(Feature.alone, state, alone)
+                self._desk.tell(lambda feature: feature.alone(state, alone))
         self._desk.host.flush()
 
     def _mark_outdated(self) -> None:
@@ -237,7 +238,7 @@ class PairTab(Feature):
         """Say that what is seen is not what is set: on the card, in the scene, and why."""
         self._mark_outdated()
         self._verdict.outdate("out of date")
-        self._desk.tell(Feature.outdated)
+        self._desk.tell(lambda feature: feature.outdated())
         tell()
         self._desk.host.flush()
 

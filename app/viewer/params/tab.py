@@ -124,7 +124,7 @@ class ParamsTab(Feature):
         with suppress(InputError):  # what no slider of ours says
             if value is not None:
                 params = self._panel.with_moved(params, widget, value)
-            self._desk.tell(Feature.rested, params)
+            self._desk.tell(lambda feature: feature.rested(params))
 
     def opened(self, opened: Opened) -> None:
         """Reset to what the new dataset prefers."""

@@ -9,10 +9,10 @@ import numpy as np
 import viser
 
 from app.viewer.closure_files import write_closure_file
-from app.viewer.decisions import Decisions, Pair, decide, with_motion, with_verdict
+from app.viewer.decisions import Decisions, Pair, decide, with_verdict
 from app.viewer.downloads import Downloads
 from app.viewer.draw.layers import Scale
-from app.viewer.feature import Desk, Feature
+from app.viewer.feature import Comparison, Desk, Feature, ModeSwitch
 from app.viewer.methods import MethodName
 from app.viewer.pose_graph.panel import Format, PoseGraphCalls, PoseGraphPanel, Verdict
 from app.viewer.state import ViewState, same_search
@@ -24,7 +24,7 @@ from gpgrad_core.pipeline.all_pairs import EVEN_FROM
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.slam import OptimisedGraph, build_pose_graph, optimise_pose_graph
 from gpgrad_core.slam.truth import trajectory_error, true_poses
-from gpgrad_core.types import Dataset, LoopClosure, Registration
+from gpgrad_core.types import Dataset, LoopClosure
 
 FILES: dict[Format, str] = {
     "closures": "closures.json",
@@ -61,15 +61,20 @@ class _Task:
 class PoseGraphTab(Feature):
     """Gathers the accepted closures, optimises when asked, and tells the world."""
 
-    def __init__(self, desk: Desk, world: WorldTab) -> None:
+    def __init__(
+        self, desk: Desk, world: WorldTab, comparison: Comparison, modes: ModeSwitch
+    ) -> None:
         """Make the panel in the current container.
 
         Args:
             desk: Of the session.
             world: Shows the loops and the corrected poses.
+            comparison: Finds the closures.
+            modes: Show a closure where pairs are tuned.
         """
         self._desk = desk
         self._world = world
+        self._modes = modes
         self._lock = threading.Lock()
         self._state = desk.state
         self._found: tuple[LoopClosure, ...] = ()
@@ -79,7 +84,7 @@ class PoseGraphTab(Feature):
         self._panel = PoseGraphPanel(
             desk.host,
             PoseGraphCalls(
-                on_find=lambda: desk.tell(Feature.compare_pairs),
+                on_find=comparison.compare_pairs,
                 on_optimise=self._optimise,
                 on_shown=lambda loops, refused: world.set_loops_shown(loops=loops, refused=refused),
                 on_choose=self._choose,
@@ -90,7 +95,7 @@ class PoseGraphTab(Feature):
             ),
         )
         self._bar = self._panel.work_bar
-        self._bar.on_cancel(lambda: desk.tell(Feature.stop_comparing))
+        self._bar.on_cancel(comparison.stop_comparing)
         self._solver: Work[_Task, OptimisedGraph] = Work(
             self._bar,
             lambda _: "Optimising",
@@ -131,11 +136,6 @@ class PoseGraphTab(Feature):
         else:
             self._bar.running("Comparing all pairs", fraction, EVEN_FROM)
 
-    def use_motion(self, query_id: str, database_id: str, registration: Registration) -> None:
-        """Take a registration set by hand, and accept it."""
-        pair = query_id, database_id
-        self._desk.decide(lambda decisions: with_motion(decisions, pair, registration))
-
     def decided(self, decisions: Decisions) -> None:
         """Show what the decisions make of the closures."""
         del decisions
@@ -171,7 +171,7 @@ class PoseGraphTab(Feature):
 
     def _tune(self) -> None:
         if self._chosen is not None:
-            self._desk.tune(*self._chosen)
+            self._modes.tune(*self._chosen)
 
     def _optimise(self) -> None:
         task = self._task()

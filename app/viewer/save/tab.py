@@ -7,7 +7,7 @@ import viser
 
 from app.viewer.downloads import safe_name, send_file
 from app.viewer.draw.cameras import view_of
-from app.viewer.feature import Desk, Feature
+from app.viewer.feature import Desk, Feature, Restore
 from app.viewer.opened import Opened
 from app.viewer.save.command_line import detect_command
 from app.viewer.save.panel import SavingPanel
@@ -20,9 +20,15 @@ from gpgrad_core.errors import InputError
 class SaveTab(Feature):
     """Shows the command that gives the same result; saves and restores the session."""
 
-    def __init__(self, desk: Desk) -> None:
-        """Make the panel in the current container."""
+    def __init__(self, desk: Desk, restore: Restore) -> None:
+        """Make the panel in the current container.
+
+        Args:
+            desk: Of the session.
+            restore: Opens what a saved session had open.
+        """
         self._desk = desk
+        self._open = restore
         self._lock = threading.Lock()
         self._asked: tuple[str, SavedSession] | None = None  # file and content to be confirmed
         self._panel = SavingPanel(desk.host, on_save=self._save, on_restore=self._restore)
@@ -69,6 +75,6 @@ class SaveTab(Feature):
         name, saved = asked
         if data.get("sure") is True:
             self._panel.tell(f"Restoring {name} …")
-            self._desk.tell(Feature.restore, saved)
+            self._open(saved)
         else:
             self._panel.tell("Nothing was changed.")

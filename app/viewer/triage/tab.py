@@ -1,7 +1,7 @@
 """The Triage tab: wires its panel to the decisions of the session, and to what lists and draws."""
 
 import threading
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -53,12 +53,13 @@ class _Painting:
 class TriageTab(Feature):
     """Lists the pairs worth a look, and takes what a person decides about the pair shown."""
 
-    def __init__(self, desk: Desk, commands: Commands) -> None:
+    def __init__(self, desk: Desk, commands: Commands, compare_pairs: Callable[[], None]) -> None:
         """Make the panel in the current container.
 
         Args:
             desk: Of the session.
             commands: Get what the buttons do.
+            compare_pairs: Finds the pairs to be listed.
         """
         self._desk = desk
         self._lock = threading.Lock()
@@ -78,7 +79,7 @@ class TriageTab(Feature):
                 on_verdict=self._decide,
                 on_next=self._go_on,
                 on_note=self._take_note,
-                on_find=lambda: desk.tell(Feature.compare_pairs),
+                on_find=compare_pairs,
             ),
         )
         self._lister: Runner[_Wanted, _Listed] = Runner(

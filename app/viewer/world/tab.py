@@ -12,7 +12,7 @@ from app.viewer.draw.animation import Animation, ease, play
 from app.viewer.draw.cameras import set_start, set_view
 from app.viewer.draw.layers import Scale
 from app.viewer.draw.placement import UNKNOWN_CANVAS, Camera, Canvas
-from app.viewer.feature import Desk, Feature
+from app.viewer.feature import Desk, Feature, Frame, ModeSwitch
 from app.viewer.host import pages
 from app.viewer.methods import map_params
 from app.viewer.state import ViewState
@@ -83,9 +83,16 @@ class _DrawnWorld:
 class WorldTab(Feature):
     """The world in which all submaps lie; drawn only while it is looked at."""
 
-    def __init__(self, desk: Desk) -> None:
-        """Make the panel in the current container."""
+    def __init__(self, desk: Desk, modes: ModeSwitch, frame: Frame) -> None:
+        """Make the panel in the current container.
+
+        Args:
+            desk: Of the session.
+            modes: Show a submap where pairs are tuned.
+            frame: Brings cameras to the world.
+        """
         self._desk = desk
+        self._modes = modes
         self._host = desk.host
         self._lock = threading.Lock()
         self._state = desk.state
@@ -105,7 +112,7 @@ class WorldTab(Feature):
                 on_step=self._step,
                 on_role=self._tune,
                 on_look=self._look,
-                on_all=self._show_all,
+                on_all=frame,
             ),
         )
         self._offer()
@@ -249,9 +256,9 @@ class WorldTab(Feature):
             return
         query, database = state.query_id, state.database_id
         if role == "query":
-            self._desk.tune(chosen, database if database != chosen else query)
+            self._modes.tune(chosen, database if database != chosen else query)
         else:
-            self._desk.tune(query if query != chosen else database, chosen)
+            self._modes.tune(query if query != chosen else database, chosen)
 
     def _click(
         self, origin: tuple[float, float, float], toward: tuple[float, float, float]
@@ -265,9 +272,6 @@ class WorldTab(Feature):
             camera = self.scene.camera_at(self._selected, self._desk.canvases.of(page))
             if camera is not None:
                 set_view(page, camera)
-
-    def _show_all(self, page: viser.ClientHandle) -> None:
-        self._desk.tell(Feature.frame, page)
 
     # What the worker does.
 

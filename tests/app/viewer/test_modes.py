@@ -84,7 +84,7 @@ def make_true_result(state: ViewState) -> PairResult:
 
 def judge(session: Session) -> None:
     """Let the session know all pairs as judged."""
-    session.desk.tell(Feature.judged, DATASET, CLOSURES)
+    session.desk.tell(lambda feature: feature.judged(DATASET, CLOSURES))
 
 
 @pytest.fixture

@@ -11,7 +11,6 @@ import viser
 from app.viewer.best_pair import search as search_module
 from app.viewer.best_pair.search import BestPair
 from app.viewer.capacity import Capacity
-from app.viewer.feature import Feature
 from app.viewer.opened import Opened
 from app.viewer.pair import tab as pair_module
 from app.viewer.session import Session
@@ -160,7 +159,7 @@ def test_it_never_switches_once_somebody_has_acted(
         assert "being scored" in note(session)
         page_says(session, "touched", number=search._number)
     elif act == "all pairs":
-        session.desk.tell(Feature.comparing, 0.0, "")
+        session.desk.tell(lambda feature: feature.comparing(0.0, ""))
     else:
         session.desk.change(pair=("003", "001"))
     expected = ("003", "001") if act == "pair" else OPENED
@@ -211,7 +210,7 @@ def test_the_best_of_all_pairs_is_shown_when_asked(
         replace(one, accepted=one.registration.score >= 3) for one in compared.result.closures
     )
     session.desk.change(pair=("002", "001"))
-    session.desk.tell(Feature.judged, compared.dataset, accepted)
+    session.desk.tell(lambda feature: feature.judged(compared.dataset, accepted))
     assert not button.disabled
     user_presses(button)
     assert session.wait_idle(120)

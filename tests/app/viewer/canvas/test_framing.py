@@ -14,7 +14,6 @@ from viser._messages import RunJavascriptMessage
 from app.viewer.canvas import framing as framing_module
 from app.viewer.capacity import Capacity
 from app.viewer.draw.placement import Camera, Canvas
-from app.viewer.feature import Feature
 from app.viewer.links import links as links_module
 from app.viewer.modes import tab as modes_module
 from app.viewer.opened import Opened
@@ -22,6 +21,7 @@ from app.viewer.pair import tab as pair_module
 from app.viewer.session import Session
 from gpgrad_core.run.memo import Memo
 from tests.app.synthetic import FakePipeline, make_dataset, needing
+from tests.app.widgets import find, html, user_presses
 
 WIDE, TALL = Canvas(1280.0, 1000.0), Canvas(640.0, 900.0)
 DATASET = make_dataset(300)
@@ -105,7 +105,7 @@ def test_a_page_that_comes_sees_all_of_it_and_is_told_what(
 
 
 def test_the_camera_follows_layout_pair_and_size_until_it_is_moved_by_hand(
-    session: Session, arrive: Callable[..., FakePage]
+    server: viser.ViserServer, session: Session, arrive: Callable[..., FakePage]
 ) -> None:
     page = arrive()
     apart = page.camera
@@ -120,7 +120,7 @@ def test_the_camera_follows_layout_pair_and_size_until_it_is_moved_by_hand(
     assert session.wait_idle(120)
     resize(session, page, WIDE)
     assert page.camera == by_hand
-    session.desk.tell(Feature.frame, page.page)
+    user_presses(find(server, "Show both submaps"))
     assert page.camera == together
     page.move()
     session.desk.change(pair=("002", "000"))
@@ -133,7 +133,7 @@ def test_full_screen_is_filled_from_the_side_that_was_chosen(
 ) -> None:
     page = arrive()
     before = page.move()
-    session.desk.tell(Feature.set_full_screen, True)
+    session.desk.tell(lambda feature: feature.resized())
     resize(session, page, Canvas(1900.0, 1000.0))
     after = page.camera
     assert after != before
@@ -169,7 +169,7 @@ def test_a_caption_says_that_it_is_out_of_date(
     session: Session, arrive: Callable[..., FakePage]
 ) -> None:
     page = arrive()
-    session.desk.tell(Feature.outdated)
+    session.desk.tell(lambda feature: feature.outdated())
     assert "Out of date" in [text for text in page.told if '"caption"' in text][-1]
     session.desk.change()
     assert session.wait_idle(120)
@@ -250,15 +250,8 @@ def test_a_link_that_cannot_be_opened_says_why(
 
 
 def test_another_dataset_is_opened_as_a_saved_session_is(
-    session: Session, arrive: Callable[..., FakePage]
+    server: viser.ViserServer, session: Session, arrive: Callable[..., FakePage]
 ) -> None:
-    asked: list[object] = []
-
-    class Opener(Feature):
-        def restore(self, saved: Any) -> None:
-            asked.append(saved.dataset)
-
-    session.desk.join(Opener())
     arrive(link="dataset=/nowhere/else&query=001")
-    assert [str(path) for path in asked] == ["/nowhere/else"]
+    assert "/nowhere/else: there is no such" in html(server)
     assert session.state.source == "/data/set"

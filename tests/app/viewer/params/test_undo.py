@@ -1,7 +1,7 @@
 import pytest
 import viser
 
-from app.viewer.feature import Desk, Feature
+from app.viewer.feature import Desk
 from app.viewer.opened import Opened
 from app.viewer.params.undo import UndoTool
 from app.viewer.state import open_dataset
@@ -33,7 +33,7 @@ def desk(server: viser.ViserServer, recorder: Recorder) -> Desk:
 def drag(desk: Desk, *inliers: int) -> None:
     for count in inliers:
         desk.change(params=needing(count), moving=True)
-    desk.tell(Feature.rested, needing(inliers[-1]))
+    desk.tell(lambda feature: feature.rested(needing(inliers[-1])))
 
 
 def undone(desk: Desk, server: viser.ViserServer) -> list[PipelineParams]:
@@ -72,9 +72,9 @@ def test_a_busy_page_says_late_where_a_press_ended(desk: Desk, server: viser.Vis
     # before its value.
     desk.change(params=needing(5), moving=True)
     desk.change(params=needing(9), moving=True)
-    desk.tell(Feature.rested, needing(6))
-    desk.tell(Feature.rested, needing(9))
-    desk.tell(Feature.rested, needing(11))
+    desk.tell(lambda feature: feature.rested(needing(6)))
+    desk.tell(lambda feature: feature.rested(needing(9)))
+    desk.tell(lambda feature: feature.rested(needing(11)))
     desk.change(params=needing(11), moving=True)
     assert undone(desk, server) == [needing(9), needing(6), NUMBERS]
 
@@ -85,7 +85,7 @@ def test_an_undo_before_the_slider_rests_goes_to_where_it_began(
     desk.change(params=needing(20), moving=True)
     user_presses(find(server, "Undo"))
     assert desk.state.params == NUMBERS
-    desk.tell(Feature.rested, needing(20))  # said before the undo was known
+    desk.tell(lambda feature: feature.rested(needing(20)))  # said before the undo was known
     user_presses(find(server, "Redo"))
     assert desk.state.params == needing(20)
 

@@ -4,10 +4,10 @@ import pytest
 import viser
 
 from app.viewer.save.tab import SaveTab
-from app.viewer.session_file import parse_session
+from app.viewer.session_file import SavedSession, parse_session
 from app.viewer.state import open_dataset
 from gpgrad_core.pipeline import PipelineParams
-from tests.app.desk import Recorder, make_desk
+from tests.app.desk import make_desk
 from tests.app.page import FakePage
 from tests.app.synthetic import make_dataset, needing
 from tests.app.widgets import find, html_says
@@ -16,14 +16,14 @@ STATE = open_dataset(make_dataset(), PipelineParams(), source="/data/hills & <b>
 
 
 @pytest.fixture
-def recorder() -> Recorder:
-    return Recorder()
+def restored() -> list[SavedSession]:
+    return []
 
 
 @pytest.fixture
-def saving(server: viser.ViserServer, recorder: Recorder) -> SaveTab:
-    desk = make_desk(server, STATE, recorder)
-    return desk.join(SaveTab(desk))
+def saving(server: viser.ViserServer, restored: list[SavedSession]) -> SaveTab:
+    desk = make_desk(server, STATE)
+    return desk.join(SaveTab(desk, restored.append))
 
 
 def said(saving: SaveTab) -> str:
@@ -43,7 +43,7 @@ def test_the_command_follows_the_session_and_is_escaped(saving: SaveTab) -> None
 
 
 def test_a_session_goes_out_and_comes_back(
-    saving: SaveTab, server: viser.ViserServer, recorder: Recorder
+    saving: SaveTab, server: viser.ViserServer, restored: list[SavedSession]
 ) -> None:
     client = FakePage()
     saving._desk.change(params=needing(7))
@@ -56,12 +56,12 @@ def test_a_session_goes_out_and_comes_back(
     html_says(saving._desk.bridge, "restore", sure=False)
     assert "Nothing was changed." in said(saving)
     html_says(saving._desk.bridge, "restore", sure=True)
-    assert recorder.restored == []  # it must be asked for anew
+    assert restored == []  # it must be asked for anew
     saving._restore(name, content)
     html_says(saving._desk.bridge, "restore", sure=True)
-    assert recorder.restored[0].params == needing(7)
-    assert recorder.restored[0].camera is not None
-    assert recorder.restored[0].camera.position == (1.0, -2.0, 3.5)
+    assert restored[0].params == needing(7)
+    assert restored[0].camera is not None
+    assert restored[0].camera.position == (1.0, -2.0, 3.5)
     for broken, words in (
         (b"\xff", "UTF-8"),
         (b"#" * 200_000, "larger than"),
@@ -69,5 +69,5 @@ def test_a_session_goes_out_and_comes_back(
     ):
         saving._restore(name, broken)
         assert words in said(saving)
-    assert len(recorder.restored) == 1
+    assert len(restored) == 1
     assert find(server, "Save session").visible

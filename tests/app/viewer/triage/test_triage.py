@@ -6,7 +6,7 @@ import pytest
 import viser
 
 from app.viewer.decisions import Decisions, with_note, with_verdict
-from app.viewer.feature import Desk, Feature
+from app.viewer.feature import Desk
 from app.viewer.outcomes import MISSED, NO_OVERLAP, RIGHT
 from app.viewer.state import open_dataset
 from app.viewer.triage.listing import PASSES, list_pairs, next_undecided
@@ -105,9 +105,9 @@ def desk(server: viser.ViserServer, recorder: Recorder) -> Desk:
 
 @pytest.fixture
 def tab(desk: Desk) -> Iterator[TriageTab]:
-    made = desk.join(TriageTab(desk, Commands(desk.host)))
-    desk.tell(Feature.checked, STATE.dataset, OUTCOMES)
-    desk.tell(Feature.judged, STATE.dataset, judged(3.0))
+    made = desk.join(TriageTab(desk, Commands(desk.host), lambda: None))
+    desk.tell(lambda feature: feature.checked(STATE.dataset, OUTCOMES))
+    desk.tell(lambda feature: feature.judged(STATE.dataset, judged(3.0)))
     assert tab_rests(made)
     yield made
     made.close()
@@ -169,13 +169,13 @@ def test_what_cannot_be_accepted_is_told(tab: TriageTab, desk: Desk) -> None:
         replace(one, registration=replace(one.registration, T_database_query=None), accepted=False)
         for one in judged(3.0)
     )
-    desk.tell(Feature.judged, STATE.dataset, closures)
+    desk.tell(lambda feature: feature.judged(STATE.dataset, closures))
     tab._decide(True)
     assert "no motion to accept" in tab._panel._message.content
     assert desk.decisions.verdicts == {}
     tab._decide(False)
     assert desk.decisions.verdicts == {("003", "000"): False}
-    desk.tell(Feature.judged, STATE.dataset, closures[:1])
+    desk.tell(lambda feature: feature.judged(STATE.dataset, closures[:1]))
     tab._decide(False)
     assert "were not compared" in tab._panel._message.content
 
