@@ -17,6 +17,7 @@ from app.viewer.door.server import open_server
 from app.viewer.draw.animation import Animation, frames
 from app.viewer.draw.cameras import set_start
 from app.viewer.draw.placement import Camera
+from app.viewer.web import fill_page_file
 from gpgrad_core.run.progress import Progress, silent
 
 DARK, LIGHT = ("#e6e6e6", "rgba(30,30,30,.82)"), ("#222", "rgba(255,255,255,.85)")
@@ -82,13 +83,13 @@ def with_title(page: str, title: str, caption: str, legend: str, *, dark: bool) 
         ValueError: If the page is not what viser writes.
     """
     color, ground = DARK if dark else LIGHT
-    card = (
-        f'<div data-testid="page-title" style="position:fixed;left:1em;bottom:4em;z-index:5;'
-        f"max-width:24em;padding:.7em 1em;border-radius:.5em;background:{ground};color:{color};"
-        f'font-family:system-ui,sans-serif;line-height:1.35;pointer-events:none">'
-        f'<div style="font-weight:650;font-size:1.15em">{escape(title)}</div>'
-        f'<div style="font-size:.85em;opacity:.8;margin:.15em 0 .3em">{escape(caption)}</div>'
-        f"{legend}</div>"
+    card = fill_page_file(
+        "page_title.html",
+        COLOR=color,
+        GROUND=ground,
+        TITLE=escape(title),
+        CAPTION=escape(caption),
+        LEGEND=legend,
     )
     body = page.index("<body")
     inside = page.index(">", body) + 1

@@ -95,11 +95,9 @@ class Bridge:
         """Write the script and the style that hides the folder."""
         box = self._box._impl.uuid  # pyright: ignore[reportPrivateUsage]
         script = run_when_shown(fill_page_file("bridge.js", BOX=box, AGAIN_MS=AGAIN_MS))
-        inside = f'label[for="{box}"]'
-        folder = f".mantine-Paper-root:has({inside}):not(:has(.mantine-Paper-root {inside}))"
+        style = fill_page_file("bridge.css", BOX=box)
         return (
-            f"<style>{folder}{{display:none}}</style>"
-            f'<div data-testid="bridge" style="display:none">{script}</div>'
+            f'<style>{style}</style><div data-testid="bridge" style="display:none">{script}</div>'
         )
 
 

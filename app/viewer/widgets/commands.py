@@ -10,6 +10,7 @@ from typing import Any
 import viser
 
 from app.viewer.host import Host
+from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.bridge import run_when_shown
 
@@ -153,22 +154,11 @@ def _press(handle: Any, option: str | None, label: str, page: viser.ClientHandle
         task.add_done_callback(_pressing.discard)
 
 
-# viser's dialogs know no keys. The last button of the dialog closes it.
-CLOSED_BY_ESCAPE = """
-const here = this.parentElement;
-document.addEventListener('keydown', function end(event) {
-  if (!here.isConnected) document.removeEventListener('keydown', end);
-  else if (event.key === 'Escape')
-    [...here.closest('[role=dialog]').querySelectorAll('button')].pop().click();
-});
-"""
-
-
 def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None:
     """List all commands in a dialog on the page that asks."""
     modal = client.gui.add_modal("Keys and commands")
     with modal:
-        client.gui.add_html(help_html(commands) + run_when_shown(CLOSED_BY_ESCAPE))
+        client.gui.add_html(help_html(commands) + run_when_shown(fill_page_file("help.js")))
         close = client.gui.add_button("Close")
 
     on_press(close, modal.close)
