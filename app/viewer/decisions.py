@@ -21,6 +21,10 @@ from gpgrad_core.types import Dataset, LoopClosure, Registration
 Pair: TypeAlias = tuple[str, str]
 """(query id, database id)."""
 
+ACCEPTED, REFUSED = "accepted", "refused"
+RIGHT, WRONG_MOTION, NO_OVERLAP, MISSED = "right", "wrong motion", "no overlap", "missed"
+"""What becomes of a pair: its verdict, and where the truth is known, whether that is right."""
+
 BY_HAND = {accepted: Decision(accepted).reason for accepted in (True, False)}
 MOST_DECISIONS = 2000
 """Of a session's file."""

@@ -8,19 +8,17 @@ below. So no feature needs to know another.
 
 import threading
 from collections.abc import Callable, Mapping
-from typing import Literal, Protocol, TypeAlias, TypeVar
+from typing import Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import viser
 
-from app.viewer.capacity import Capacity
 from app.viewer.decisions import Decisions, Pair, in_order
 from app.viewer.draw.placement import Camera
 from app.viewer.host import Host
 from app.viewer.methods import METHODS, MethodName
-from app.viewer.opened import Opened
 from app.viewer.permissions import READ_ALL, Permissions
-from app.viewer.runner import Worker
-from app.viewer.session_file import SavedSession
+from app.viewer.runner import Capacity, Worker
+from app.viewer.session_file import Opened, SavedSession
 from app.viewer.state import (
     Probe,
     ViewOptions,
@@ -125,6 +123,7 @@ Restore: TypeAlias = Callable[[SavedSession], None]
 """Opens what a saved session had open, with all that it had set."""
 
 
+@runtime_checkable
 class Cameras(Protocol):
     """Moves the cameras of the pages."""
 
@@ -141,6 +140,7 @@ class Cameras(Protocol):
         ...
 
 
+@runtime_checkable
 class Comparison(Protocol):
     """Registers all pairs with the present parameters."""
 
@@ -153,6 +153,7 @@ class Comparison(Protocol):
         ...
 
 
+@runtime_checkable
 class ModeSwitch(Protocol):
     """Changes what the page is for, and so what the scene shows."""
 

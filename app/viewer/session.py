@@ -11,7 +11,6 @@ from app.viewer.all_pairs.tab import AllPairsTab
 from app.viewer.best_pair.search import BestPair
 from app.viewer.canvas.cursor import Cursor
 from app.viewer.canvas.framing import Framing
-from app.viewer.capacity import Capacity
 from app.viewer.data.tab import DataTab
 from app.viewer.demo.tab import DemoTab
 from app.viewer.feature import Desk, Mode
@@ -20,20 +19,19 @@ from app.viewer.inspect.tab import InspectTab
 from app.viewer.links.links import Links, add_script
 from app.viewer.modes.tab import Modes
 from app.viewer.nudge.tab import NudgeTab
-from app.viewer.opened import Opened
 from app.viewer.pair.shortcuts import add_shortcuts
 from app.viewer.pair.tab import PairTab
 from app.viewer.params.tab import ParamsTab
 from app.viewer.permissions import READ_ALL, Permissions
 from app.viewer.pose_graph.tab import PoseGraphTab
-from app.viewer.save.exports import Exports
-from app.viewer.save.report import ReportTool
-from app.viewer.save.tab import SaveTab
+from app.viewer.runner import Capacity
+from app.viewer.save.tab import Exports, ReportTool, SaveTab
+from app.viewer.session_file import Opened
 from app.viewer.state import ViewOptions, ViewState
 from app.viewer.triage.tab import TriageTab
 from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import FAINT, paragraph
 from app.viewer.widgets.look import Look
-from app.viewer.widgets.presence import PresenceLine
 from app.viewer.world import WorldTab
 from gpgrad_core.run.memo import Memo
 
@@ -87,7 +85,7 @@ class Session:
             self.world = desk.join(WorldTab(desk, modes, frame))
         framing = desk.join(Framing(desk, scene, self.world))
         desk.join(ParamsTab(desk, opened.params, commands, on_error=self.pair.refuse))
-        self._presence = PresenceLine(host)
+        self._presence = host.gui.add_html("")
         best_pair = desk.join(BestPair(desk, opened, commands, modes))
         with tune.add_tab("Inspect"):
             self.inspect = desk.join(InspectTab(desk, scene.pick, scene.show_ruler))
@@ -123,8 +121,11 @@ class Session:
         return self.desk.state
 
     def show_presence(self, count: int) -> None:
-        """Say how many pages show this session."""
-        self._presence.show(count)
+        """Say how many pages show this session; nothing while it is one."""
+        words = f"{count} pages share this session: all see and change the same."
+        self._presence.content = (
+            f'<div data-testid="presence">{paragraph(words, FAINT)}</div>' if count > 1 else ""
+        )
 
     def wait_idle(self, timeout: float = 60.0) -> bool:
         """Wait until the picture is up to date; says whether that came true in time [s]."""

@@ -2,10 +2,10 @@
 
 import viser
 
-from app.viewer.capacity import Capacity
 from app.viewer.feature import Desk, Feature
-from app.viewer.opened import Opened
 from app.viewer.permissions import READ_ALL, Permissions
+from app.viewer.runner import Capacity
+from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
 from gpgrad_core.run.memo import Memo
 

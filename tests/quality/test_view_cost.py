@@ -15,10 +15,10 @@ import pytest
 import viser
 
 from app.viewer import state as states
-from app.viewer.capacity import Capacity
-from app.viewer.opened import Opened
 from app.viewer.pair.scene import PairScene
+from app.viewer.runner import Capacity
 from app.viewer.session import Session
+from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
 from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.run.memo import Memo

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.viewer.all_pairs.judging import JudgedPairs
-from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
+from app.viewer.decisions import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from gpgrad_core.arrays import Array
 from gpgrad_core.types import LoopClosure
 

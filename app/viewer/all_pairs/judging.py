@@ -6,8 +6,8 @@ from math import comb, radians
 
 import numpy as np
 
+from app.viewer.decisions import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from app.viewer.methods import METHODS, MethodName
-from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from app.viewer.state import ViewState
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.pose_error import (

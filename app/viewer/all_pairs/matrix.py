@@ -14,8 +14,8 @@ from jaxtyping import Float, UInt8
 
 from app.viewer.all_pairs.cells import Cell, PairCells
 from app.viewer.all_pairs.judging import JudgedPairs
+from app.viewer.decisions import ACCEPTED, MISSED, NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.draw.colors import colorize
-from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.state import ColorMap
 from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.html import FAINT

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from app.viewer.all_pairs.judging import APART, TRUE, UNKNOWN, JudgedPairs, TruthCheck
 from app.viewer.all_pairs.matrix import OUTCOME_COLORS
-from app.viewer.outcomes import MISSED, NO_OVERLAP, WRONG_MOTION
+from app.viewer.decisions import MISSED, NO_OVERLAP, WRONG_MOTION
 from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.html import FAINT
 from gpgrad_core.arrays import NDArray

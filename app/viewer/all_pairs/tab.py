@@ -24,10 +24,9 @@ from app.viewer.all_pairs.scores import (
     scores_html,
     threshold_html,
 )
-from app.viewer.decisions import in_order
+from app.viewer.decisions import NO_OVERLAP, RIGHT, WRONG_MOTION, in_order
 from app.viewer.feature import Desk, Feature
 from app.viewer.methods import METHODS, MethodName
-from app.viewer.outcomes import NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.runner import Runner
 from app.viewer.state import ViewState, same_search
 from app.viewer.widgets.bridge import Data

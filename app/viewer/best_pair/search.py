@@ -11,8 +11,8 @@ from app.viewer.best_pair.likely import Pair, overlapping_pairs, voted_pairs
 from app.viewer.best_pair.panel import BestPairNote, ShowBestButton
 from app.viewer.feature import Desk, Feature, ModeSwitch, Subject
 from app.viewer.methods import map_params, register_pair
-from app.viewer.opened import Opened
 from app.viewer.runner import Runner
+from app.viewer.session_file import Opened
 from app.viewer.state import NEEDS_TWO, ViewState, same_search, was_fitted
 from app.viewer.widgets.bridge import Data
 from app.viewer.widgets.commands import Commands

@@ -12,8 +12,8 @@ from app.viewer.draw.overlay import line_of_sight, place_on_screen
 from app.viewer.draw.picking import Ray
 from app.viewer.feature import Desk, Feature
 from app.viewer.host import pages
-from app.viewer.pacer import Pacer
 from app.viewer.pair import PairScene
+from app.viewer.runner import Pacer
 from app.viewer.state import FROM_ABOVE
 from app.viewer.widgets.bridge import Data
 

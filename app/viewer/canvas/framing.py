@@ -12,9 +12,9 @@ from app.viewer.draw.overlay import axes_on_screen, length_text, scale_bar
 from app.viewer.draw.placement import Camera
 from app.viewer.feature import Desk, Feature, Subject
 from app.viewer.host import pages
-from app.viewer.opened import Opened
-from app.viewer.pacer import Pacer
 from app.viewer.pair import BY_HAND, PairScene, headline_of
+from app.viewer.runner import Pacer
+from app.viewer.session_file import Opened
 from app.viewer.state import FROM_ABOVE, NEEDS_TWO, ViewState, same_pair
 from app.viewer.world import WorldTab
 from gpgrad_core.pipeline import PairResult

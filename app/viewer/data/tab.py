@@ -13,8 +13,7 @@ from app.viewer.data.panel import UP, Choices, DatasetPanel, FolderCalls
 from app.viewer.data.recent import recent_datasets, remember_dataset
 from app.viewer.data.unpacking import MOST_GROWTH, check_cloud, unpack
 from app.viewer.feature import Desk, Feature
-from app.viewer.opened import Opened
-from app.viewer.session_file import SavedSession
+from app.viewer.session_file import Opened, SavedSession
 from app.viewer.work import Work
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.datasets.folder import MOST_LOADED

@@ -8,7 +8,6 @@ import viser
 
 from app.viewer.demo.pages import gliding, write_closure, write_world
 from app.viewer.demo.panel import DemoCalls, DemoPanel, Playable
-from app.viewer.downloads import Downloads, safe_name
 from app.viewer.draw.animation import Animation, ease, play
 from app.viewer.draw.cameras import BOOKMARKS, blend, follow, orbit, set_view, top, view_of
 from app.viewer.draw.placement import Camera
@@ -16,7 +15,7 @@ from app.viewer.feature import Cameras, Desk, Feature, ModeSwitch
 from app.viewer.pair import PairScene
 from app.viewer.runner import Runner
 from app.viewer.state import NEEDS_TWO, ViewState, registered
-from app.viewer.work import message_of
+from app.viewer.work import Downloads, message_of, safe_name
 from app.viewer.world import WorldTab
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.types import GradientMap

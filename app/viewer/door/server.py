@@ -10,6 +10,7 @@ changes, and `open_server` refuses to serve at all if the door was not put in.
 import asyncio
 import contextlib
 import functools
+import gzip
 import inspect
 import io
 import logging
@@ -28,9 +29,8 @@ from websockets.protocol import State
 
 from app.viewer.door.admission import Admission, Gate
 from app.viewer.door.inputs import Malformed, is_small_enough, read_message, why_not
-from app.viewer.door.limits import Limits, Pace
-from app.viewer.door.page import add_script
-from app.viewer.door.uploads import RefusedUpload, Uploads
+from app.viewer.door.limits import Limits, Pace, RefusedUpload, Uploads
+from app.viewer.web import fill_page_file
 
 _log = logging.getLogger(__name__)
 _starting = threading.Lock()
@@ -128,7 +128,7 @@ class Door:
             given = self.gate.answer_headers(request.headers.get_all, request.path, address[1])
             for name, value in given.items():
                 response.headers[name] = value
-            add_script(response)
+            _add_script(response)
         return response
 
     # What pages say.
@@ -373,3 +373,26 @@ def _is_upload_news(message: object) -> bool:
 def _is_worth_saying(record: logging.LogRecord) -> bool:
     """Leave out of the log that somebody has begun a request and not ended it."""
     return record.getMessage() not in ("opening handshake failed", "connection rejected (200 OK)")
+
+
+# viser's client makes the address of its websocket from that of the page and cuts off only what
+# follows `?`. A socket's address may have no `#`, so a page that was opened with one and without
+# the other never connects. And as the client starts it writes the page's address anew, at times
+# without that part, which our links need. So a script stands before all others.
+
+
+def _add_script(response: Response) -> None:
+    """Put the script into an answer, if that is the page."""
+    if response.headers.get("Content-Type", "").startswith("text/html"):
+        zipped = response.headers.get("Content-Encoding") == "gzip"
+        response.body = _with_script(bytes(response.body or b""), zipped=zipped)
+        del response.headers["Content-Length"]  # else it would be there twice
+        response.headers["Content-Length"] = str(len(response.body))
+
+
+@functools.lru_cache(maxsize=2)  # as it is, and zipped
+def _with_script(body: bytes, *, zipped: bool) -> bytes:
+    page = gzip.decompress(body) if zipped else body
+    script = f"<head><script>{fill_page_file('keep_hash.js')}</script>"
+    page = page.replace(b"<head>", script.encode(), 1)
+    return gzip.compress(page) if zipped else page

@@ -11,8 +11,8 @@ from app.viewer.feature import Cameras, Desk, Feature, ModeSwitch, Restore, Subj
 from app.viewer.host import Host, pages
 from app.viewer.links.address import Link, address_of, read_address
 from app.viewer.links.panel import LinkPanel, script_html, tell
-from app.viewer.opened import Opened
-from app.viewer.pacer import Pacer
+from app.viewer.runner import Pacer
+from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
 from app.viewer.widgets.bridge import Data
 from app.viewer.widgets.commands import Commands

@@ -9,7 +9,6 @@ from app.viewer.decisions import Decisions
 from app.viewer.feature import Desk, Feature, Frame
 from app.viewer.host import set_theme
 from app.viewer.methods import METHODS, map_params, register_pair
-from app.viewer.opened import Opened
 from app.viewer.pair.choice import DatasetSummary, PairPanel
 from app.viewer.pair.ground import HistogramOf
 from app.viewer.pair.panel import ViewPanel
@@ -17,8 +16,9 @@ from app.viewer.pair.scene import PairScene, Shown
 from app.viewer.pair.status import PictureStatus
 from app.viewer.pair.verdict import VerdictCard
 from app.viewer.runner import Runner
+from app.viewer.session_file import Opened
 from app.viewer.state import COMPARED, Role, ViewState, same_surfaces
-from app.viewer.widgets.title import PageTitle
+from app.viewer.widgets.look import PageTitle
 from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult, infer_map
 from gpgrad_core.pipeline.coarse import infer_quick_map, infer_quick_maps

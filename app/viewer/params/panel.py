@@ -8,9 +8,8 @@ import viser
 
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_choice, on_press
-from app.viewer.widgets.decades import spread_over_decades
 from app.viewer.widgets.look import uuid_of
-from app.viewer.widgets.numbers import Numbers
+from app.viewer.widgets.numbers import Numbers, spread_over_decades
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import DIGITS, Bounds
 from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path, with_unit

@@ -5,7 +5,6 @@ from collections.abc import Iterable
 
 import viser
 
-from app.viewer.downloads import safe_name, send_file
 from app.viewer.feature import Desk, Feature
 from app.viewer.methods import METHODS
 from app.viewer.params.preset_files import (
@@ -19,6 +18,7 @@ from app.viewer.params.preset_files import (
 from app.viewer.params.presets_panel import PresetPanel
 from app.viewer.params.undo import setting_of
 from app.viewer.state import ViewState
+from app.viewer.work import safe_name, send_file
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import preferred_parameters, with_tables
 from gpgrad_core.pipeline import PipelineParams

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 from app.viewer.feature import Desk, Feature
 from app.viewer.methods import METHOD_NAMES, METHODS, MethodName
-from app.viewer.opened import Opened
 from app.viewer.params.fit import FitTool
 from app.viewer.params.panel import ParamsPanel
 from app.viewer.params.presets import PresetsTool
 from app.viewer.params.sensitivity import SensitivityTool
 from app.viewer.params.snapshots import SnapshotsTool
 from app.viewer.params.undo import UndoTool
+from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.commands import Commands

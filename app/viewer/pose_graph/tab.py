@@ -10,14 +10,13 @@ import viser
 
 from app.viewer.closure_files import write_closure_file
 from app.viewer.decisions import Decisions, Pair, decide, with_verdict
-from app.viewer.downloads import Downloads
 from app.viewer.draw.layers import Scale
 from app.viewer.feature import Comparison, Desk, Feature, ModeSwitch
 from app.viewer.methods import MethodName
 from app.viewer.pose_graph.panel import Format, PoseGraphCalls, PoseGraphPanel, Verdict
 from app.viewer.state import ViewState, same_search
 from app.viewer.widgets.legend import legend_html
-from app.viewer.work import Work
+from app.viewer.work import Downloads, Work
 from app.viewer.world import SCORE_MAP, Correction, Loop, WorldTab
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.pipeline.all_pairs import EVEN_FROM

@@ -4,8 +4,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
-from app.viewer.decisions import Decisions, Pair, decide
-from app.viewer.outcomes import MISSED, NO_OVERLAP, WRONG_MOTION
+from app.viewer.decisions import MISSED, NO_OVERLAP, WRONG_MOTION, Decisions, Pair, decide
 from gpgrad_core.types import LoopClosure
 
 Filter: TypeAlias = Literal[

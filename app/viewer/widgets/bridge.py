@@ -17,7 +17,7 @@ import msgspec
 import viser
 from viser._messages import RunJavascriptMessage
 
-from app.viewer.host import Host
+from app.viewer.host import Host, send_to
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice_by
 
@@ -57,7 +57,7 @@ class Bridge:
         self._script.content = self._hidden_script()
         self._acts: dict[str, Act] = {}
         self._taken: dict[int, int] = {}  # the last number of each page
-        on_choice_by(self._box, self._take)
+        on_choice_by(self._box, self.take)
 
     def hear(self, name: str, act: Act) -> None:
         """Call something whenever a page says a name.
@@ -79,13 +79,19 @@ class Bridge:
             name: Of the act.
             data: What it takes; anything that JSON can hold.
         """
-        _run(page, f"window.gpgrad&&gpgrad.hear({json.dumps(name)},{json.dumps(data)})")
+        send_to(
+            page,
+            RunJavascriptMessage(
+                f"window.gpgrad&&gpgrad.hear({json.dumps(name)},{json.dumps(data)})"
+            ),
+        )
 
-    def _take(self, page: viser.ClientHandle, text: str) -> None:
+    def take(self, page: viser.ClientHandle, text: str) -> None:
+        """Take what a page wrote into the text box, and hand it on; answers the page."""
         said = read_said(text)
         if said is None:
             return
-        _run(page, f"gpgrad.heard({said.number})")
+        send_to(page, RunJavascriptMessage(f"gpgrad.heard({said.number})"))
         is_new = said.number > self._taken.get(page.client_id, 0)
         self._taken[page.client_id] = said.number
         if is_new and said.name in self._acts:
@@ -107,11 +113,6 @@ def read_said(text: str) -> Said | None:
         return msgspec.json.decode(text, type=Said)
     except (msgspec.MsgspecError, UnicodeEncodeError, RecursionError):
         return None
-
-
-def _run(page: viser.ClientHandle, source: str) -> None:
-    connection = page._websock_connection  # pyright: ignore[reportPrivateUsage]
-    connection.queue_message(RunJavascriptMessage(source))
 
 
 def run_when_shown(script: str) -> str:

@@ -9,9 +9,9 @@ from typing import Any
 
 import viser
 
-from app.viewer.host import Host
+from app.viewer.host import Host, inputs_of
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.actions import on_press
+from app.viewer.widgets.actions import act_on, on_press
 from app.viewer.widgets.bridge import run_when_shown
 
 CAMERA_KEYS = frozenset("WASDQE") | {"arrowup", "arrowdown", "arrowleft", "arrowright"}
@@ -124,8 +124,7 @@ class Commands:
     def add_buttons(self) -> None:
         """Add every button of the panels that has no command yet; call it when all are there."""
         known = {command.label for command in self._commands}
-        handles = self._host.gui._gui_input_handle_from_uuid  # pyright: ignore[reportPrivateUsage]
-        for handle in tuple(handles.values()):
+        for handle in inputs_of(self._host):
             if isinstance(handle, viser.GuiButtonHandle):
                 presses = {handle.label: None}
             elif isinstance(handle, viser.GuiButtonGroupHandle):
@@ -146,12 +145,9 @@ def _press(handle: Any, option: str | None, label: str, page: viser.ClientHandle
     if handle.disabled or not handle.visible:
         page.add_notification("Not possible now", label, auto_close_seconds=5.0)
         return
-    if option is not None:
-        handle._impl.value = option
-    for act in tuple(handle._impl.update_cb):
-        task = asyncio.ensure_future(act(viser.GuiEvent(page, page.client_id, handle)))
-        _pressing.add(task)  # else it might be forgotten before it has run
-        task.add_done_callback(_pressing.discard)
+    task = asyncio.ensure_future(act_on(handle, option, page))
+    _pressing.add(task)  # else it might be forgotten before it has run
+    task.add_done_callback(_pressing.discard)
 
 
 def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None:

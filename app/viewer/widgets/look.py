@@ -1,9 +1,10 @@
-"""The looks of viser's own widgets: contrast, sizes, one solid button, names, tooltips aside.
+"""The looks of viser's own widgets, and the title of its pages.
 
 viser has no setting for any of these, but its pages take a style sheet in HTML. What is written
 here depends on how viser builds its pages, as the bridge does, and a browser test watches it.
 """
 
+import json
 from typing import Any
 
 import viser
@@ -56,3 +57,35 @@ def segment_style(buttons: viser.GuiButtonGroupHandle, chosen: int) -> str:
     """
     style = fill_page_file("segments.css", UUID=uuid_of(buttons), CHOSEN=chosen + 1, SOLID=SOLID)
     return f"<style>{style}</style>"
+
+
+class PageTitle:
+    """Names the pages of a session."""
+
+    def __init__(self, host: Host) -> None:
+        """Put the script into the current container, unseen.
+
+        Args:
+            host: Whose pages are named.
+        """
+        self._host = host
+        self._shown = ""
+        self._script = host.gui.add_html("")
+
+    def show(self, pair: str, dataset: str) -> None:
+        """Name a pair and its dataset; nothing is sent if they are named already."""
+        named = f"{pair} · {dataset}"
+        if named == self._shown:
+            return
+        self._shown = named
+        self._host.gui.set_panel_label(named)
+        self._script.content = title_html(f"{named} · gpgrad")
+
+
+def title_html(title: str) -> str:
+    """Write a script that names the page into which it is put.
+
+    >>> title_html("a")
+    '<img alt="" src="data:," style="display:none" onerror="document.title=&quot;a&quot;">'
+    """
+    return run_when_shown(f"document.title={json.dumps(title)}")

@@ -1,15 +1,19 @@
-"""Numbers that a person types, and presses of the pointer or a key that move one.
+"""Numbers that a person types, and sliders that a pointer or a key moves.
 
 viser's number boxes leave out what they take for no part of a number while it is typed: "0,8"
 becomes 8, and "1e9" 19. So a script of ours keeps the boxes to itself while a person types, and
 says the whole text once it is complete: with Enter, or when the box is left. What it means is
 decided here. The script also says where a slider was let go: until then, it is on its way.
 
-This depends on how viser builds its pages, as the bridge does, and a browser test watches it.
+viser's sliders are linear. Another script puts their thumbs and marks on a scale where equal ways
+are equal factors, because one millimetre matters at 5 mm and not at 50 cm. It turns what a hand or
+a key does there into a number in the box beside the slider, as if it had been typed.
+
+Both depend on how viser builds its pages, as the bridge does, and browser tests watch them.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import viser
@@ -19,7 +23,7 @@ from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import Bridge, Data, run_when_shown
 from app.viewer.widgets.look import uuid_of
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.bounds import DIGITS, Bounds
 
 NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 GROUPS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)
@@ -135,3 +139,15 @@ def read_number(text: str, name: str, bounds: Bounds | None = None, *, whole: bo
     if not number.is_integer():
         raise InputError(f"{name} must be a whole number, got {typed}")
     return round(number)
+
+
+def spread_over_decades(host: Host, sliders: Sequence[viser.GuiSliderHandle[Any]]) -> None:
+    """Let equal ways on some sliders be equal factors; their lower ends must be above zero.
+
+    Args:
+        host: Whose pages they are on; the script joins the current container, unseen.
+        sliders: As viser made them.
+    """
+    whole = {uuid_of(slider): isinstance(slider.value, int) for slider in sliders}
+    script = run_when_shown(fill_page_file("decades.js", SLIDERS=whole, DIGITS=DIGITS))
+    host.gui.add_html(f"<style>{fill_page_file('decades.css')}</style>{script}")

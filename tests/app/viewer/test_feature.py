@@ -4,7 +4,7 @@ import pytest
 import viser
 
 from app.viewer.feature import Feature
-from app.viewer.opened import Opened
+from app.viewer.session_file import Opened
 from app.viewer.state import Probe, open_dataset, registered
 from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PipelineParams

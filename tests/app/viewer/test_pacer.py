@@ -1,7 +1,7 @@
 import threading
 import time
 
-from app.viewer.pacer import Pacer
+from app.viewer.runner import Pacer
 from tests.waiting import PATIENCE
 
 

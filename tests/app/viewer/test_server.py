@@ -8,9 +8,9 @@ from contextlib import suppress
 import pytest
 from websockets.exceptions import InvalidStatus
 
-from app.viewer.opened import Opened
 from app.viewer.pair import tab as pair_module
 from app.viewer.server import Sharing, Stage, Viewer
+from app.viewer.session_file import Opened
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
 from tests.app.page import ProtocolPage

@@ -7,7 +7,7 @@ import pytest
 from app.viewer.all_pairs import judging
 from app.viewer.all_pairs.cells import gather_all
 from app.viewer.all_pairs.judging import RULES, UNKNOWN, ComparedPairs, compare_pairs, judge
-from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
+from app.viewer.decisions import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from app.viewer.state import open_dataset
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.evaluation.rules import Rule

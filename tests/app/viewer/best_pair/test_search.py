@@ -10,11 +10,10 @@ import viser
 
 from app.viewer.best_pair import search as search_module
 from app.viewer.best_pair.search import BestPair
-from app.viewer.capacity import Capacity
-from app.viewer.opened import Opened
 from app.viewer.pair import tab as pair_module
+from app.viewer.runner import Capacity
 from app.viewer.session import Session
-from app.viewer.session_file import SavedSession
+from app.viewer.session_file import Opened, SavedSession
 from app.viewer.state import ViewState
 from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PairResult

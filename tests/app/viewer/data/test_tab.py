@@ -12,9 +12,8 @@ import viser
 from app.viewer.data import tab as opening_module
 from app.viewer.data.recent import recent_datasets
 from app.viewer.data.tab import DataTab
-from app.viewer.opened import Opened
 from app.viewer.permissions import Permissions
-from app.viewer.session_file import SavedSession
+from app.viewer.session_file import Opened, SavedSession
 from app.viewer.state import open_dataset
 from gpgrad_core.datasets import load_dataset, write_dataset
 from gpgrad_core.pipeline import PipelineParams

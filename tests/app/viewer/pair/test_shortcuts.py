@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.capacity import Capacity
-from app.viewer.opened import Opened
 from app.viewer.pair import tab as pair_module
+from app.viewer.runner import Capacity
 from app.viewer.session import Session
+from app.viewer.session_file import Opened
 from app.viewer.state import LAYERS
 from app.viewer.widgets.commands import CAMERA_KEYS
 from gpgrad_core.run.memo import Memo

@@ -2,8 +2,8 @@ import pytest
 import viser
 
 from app.viewer.feature import Desk
-from app.viewer.opened import Opened
 from app.viewer.params.undo import UndoTool
+from app.viewer.session_file import Opened
 from app.viewer.state import open_dataset
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.pipeline import PipelineParams

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.decisions import Decisions, with_note, with_verdict
+from app.viewer.decisions import MISSED, NO_OVERLAP, RIGHT, Decisions, with_note, with_verdict
 from app.viewer.feature import Desk
-from app.viewer.outcomes import MISSED, NO_OVERLAP, RIGHT
 from app.viewer.state import open_dataset
 from app.viewer.triage.listing import PASSES, list_pairs, next_undecided
 from app.viewer.triage.panel import ROWS
