@@ -6,6 +6,7 @@ from html import escape
 import viser
 
 from app.viewer.host import Host
+from app.viewer.web import viser_parts
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.bridge import run_when_shown, say
 from app.viewer.widgets.html import button
@@ -18,7 +19,7 @@ WATCH = """
   if (window.gpgradWatched === undefined) {
     for (const kind of kinds) document.addEventListener(kind, event => {
       const number = window.gpgradWatched;
-      const over = event.target.closest && event.target.closest('.mantine-Notification-root');
+      const over = event.target.closest && event.target.closest(NOTICE);
       if (number === null || over) return;
       window.gpgradWatched = null;
       gpgrad.say('touched', {number});
@@ -26,7 +27,7 @@ WATCH = """
   }
   window.gpgradWatched = number;
 })(NUMBER)
-"""
+""".replace("NOTICE", repr(viser_parts()["VISER_NOTIFICATION"]))
 # Over the lower middle of the picture: the panels cover its sides, and the caption is above. No row
 # of a panel moves.
 PLACE = (
