@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from app.viewer.host import pages
+
 if TYPE_CHECKING:
     from tests.browser.chromium import ViewerPage
 
@@ -54,7 +56,7 @@ def test_sliders_have_names_and_their_arrows_leave_the_camera(open_viewer: Open)
     names = [thumbs.nth(k).get_attribute("aria-label") for k in range(thumbs.count())]
     assert all(names)
     assert "Length-scale [m]" in names
-    (client,) = page.viewer._server.get_clients().values()  # type: ignore[attr-defined]
+    (client,) = pages(page.viewer.sessions[0].desk.host).values()  # type: ignore[attr-defined]
     before, value = client.camera.position.copy(), page.value("Minimum score")
     page.thumb("Minimum score").focus()
     for _ in range(4):

@@ -24,6 +24,7 @@ import pytest
 import tifffile
 import trimesh
 
+from app.viewer.host import pages
 from app.viewer.permissions import Permissions
 from app.viewer.server import Viewer
 from gpgrad_core.datasets import demo_path, load_dataset
@@ -243,7 +244,7 @@ def test_a_session_goes_out_as_a_command_and_a_file_and_comes_back(
     name, path = tour.download("Save session")
     assert name == "demo.gpgrad.toml"
     saved = path.read_bytes()
-    (client,) = viewer._server.get_clients().values()
+    (client,) = pages(viewer.sessions[0].desk.host).values()
     position = np.array(client.camera.position)
     tour.tab("View")
     view.choose("Query", "004")

@@ -94,7 +94,7 @@ class Uploads:
             limits: How many a page may send, and how slowly.
             clock: Gives the time [s].
         """
-        self._most, self._limits, self._clock = most_bytes, limits, clock
+        self._most, self._limits, self.clock = most_bytes, limits, clock
         self._uploads: dict[str, _Upload] = {}
 
     @property
@@ -132,7 +132,7 @@ class Uploads:
             raise RefusedUpload(f"{name}: wait until other uploads have come; {self._rule} at once")
         if size:
             self._uploads[message["transfer_uuid"]] = _Upload(
-                page, name, size, num_parts, self._clock()
+                page, name, size, num_parts, self.clock()
             )
 
     def part(self, page: int, message: Mapping[str, Any]) -> bool:
@@ -146,7 +146,7 @@ class Uploads:
             return False
         upload.num_bytes += len(message["content"])
         upload.num_came += 1
-        upload.last = self._clock()
+        upload.last = self.clock()
         if upload.num_bytes > upload.size or upload.num_came > upload.num_parts:
             del self._uploads[message["transfer_uuid"]]
             raise RefusedUpload(f"{upload.name}: is larger than it was said to be; {self._rule}")
@@ -160,7 +160,7 @@ class Uploads:
 
     def expire(self) -> tuple[str, ...]:
         """Forget the uploads of which nothing has come for long; gives them."""
-        since = self._clock() - self._limits.idle_seconds
+        since = self.clock() - self._limits.idle_seconds
         return self._forget(lambda upload: upload.last <= since)
 
     @property

@@ -66,6 +66,8 @@ class Door:
     Attributes:
         gate: Decides who comes in.
         told: Who is told what was refused.
+        uploads: Counts what pages are sending.
+        refusals_due: By page and widget: what is refused soon, unless the person goes on typing.
         is_open: Whether viser serves through it.
     """
 
@@ -75,10 +77,10 @@ class Door:
         self.told = Told()
         self.is_open = False
         self.limits = limits
-        self._uploads = Uploads(max_upload, limits)
+        self.uploads = Uploads(max_upload, limits)
         self._server: Any = None
         self._sweep: asyncio.TimerHandle | None = None
-        self._late: dict[tuple[int, str], asyncio.TimerHandle] = {}
+        self.refusals_due: dict[tuple[int, str], asyncio.TimerHandle] = {}
 
     def guard(self, server: viser.ViserServer) -> None:
         """Take the server whose pages come through the door."""
@@ -158,10 +160,10 @@ class Door:
 
     def leave(self, page: int) -> None:
         """Forget a page that has left."""
-        for name in self._uploads.leave(page):
+        for name in self.uploads.leave(page):
             self._forget_upload(page, name)
-        for key in [key for key in self._late if key[0] == page]:
-            self._late.pop(key).cancel()
+        for key in [key for key in self.refusals_due if key[0] == page]:
+            self.refusals_due.pop(key).cancel()
 
     # Widgets.
 
@@ -170,19 +172,21 @@ class Door:
         if widget is None:
             return False
         key = page, message["uuid"]
-        if key in self._late:  # what it said before is forgotten: the person was still typing
-            self._late.pop(key).cancel()
+        if (
+            key in self.refusals_due
+        ):  # what it said before is forgotten: the person was still typing
+            self.refusals_due.pop(key).cancel()
         reason = why_not(widget, message["updates"])
         if reason is not None:
             loop = asyncio.get_running_loop()
-            self._late[key] = loop.call_later(
+            self.refusals_due[key] = loop.call_later(
                 self.limits.typing_seconds, self._put_back, page, widget, reason
             )
         return reason is None
 
     def _put_back(self, page: int, widget: Any, reason: str) -> None:
         """Show the page what the widget is, and say why it is not what the page wants."""
-        del self._late[page, widget._impl.uuid]
+        del self.refusals_due[page, widget._impl.uuid]
         value = widget._impl.value
         if not isinstance(value, viser.UploadedFile):
             self._say(page, messages.GuiUpdateMessage(widget._impl.uuid, {"value": value}))
@@ -215,7 +219,7 @@ class Door:
         if not button.visible or button.disabled:
             return False
         try:
-            self._uploads.start(page, message)
+            self.uploads.start(page, message)
         except RefusedUpload as refused:
             self._refuse_upload(page, message, int(message["size_bytes"]), str(refused))
             return False
@@ -224,7 +228,7 @@ class Door:
 
     def _takes_part(self, page: int, message: dict[str, Any]) -> bool:
         try:
-            return self._uploads.part(page, message)
+            return self.uploads.part(page, message)
         except RefusedUpload as refused:
             self._forget_upload(page, message["transfer_uuid"])
             self._refuse_upload(page, message, 1, str(refused))
@@ -252,12 +256,12 @@ class Door:
         viser tells all pages, and those to come, of every part of every upload: for ever.
         """
         self._sweep = None
-        for name in self._uploads.expire():
+        for name in self.uploads.expire():
             for page in self._server.get_clients():
                 self._forget_upload(page, name)
             self._server.gui._current_file_upload_states.pop(name, None)
         self._server._websock_server._broadcast_buffer.remove_from_buffer(_is_upload_news)
-        if self._uploads.names:
+        if self.uploads.names:
             self._wake()
 
 

@@ -36,7 +36,10 @@ class Look:
 
 
 def uuid_of(
-    handle: viser.GuiInputHandle[Any] | viser.GuiButtonHandle | viser.GuiButtonGroupHandle,
+    handle: viser.GuiInputHandle[Any]
+    | viser.GuiButtonHandle
+    | viser.GuiButtonGroupHandle
+    | viser.GuiUploadButtonHandle,
 ) -> str:
     """Give the name by which a page knows a widget."""
     return handle._impl.uuid  # pyright: ignore[reportPrivateUsage]

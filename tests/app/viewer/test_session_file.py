@@ -3,7 +3,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.viewer.draw.placement import Camera
@@ -23,7 +23,7 @@ from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.synthetic import make_dataset
 
-DATASET = make_dataset()
+DATASET = make_dataset(num_points=50)
 finite = st.floats(-1e6, 1e6)
 
 
@@ -32,6 +32,7 @@ def state_of(params: PipelineParams, options: ViewOptions) -> ViewState:
     return with_pair(state, query_id="002", database_id="001")
 
 
+@settings(max_examples=25)
 @given(
     length_scale=st.floats(0.01, 100.0),
     max_points=st.none() | st.integers(3, 10_000_000),

@@ -17,35 +17,57 @@ from app.viewer.pair import tab as pair_module
 from app.viewer.runner import Capacity
 from app.viewer.session import Session
 from app.viewer.session_file import Opened
+from app.viewer.state import ViewOptions
 from gpgrad_core.run.memo import Memo
 from tests.app.page import FakePage
+from tests.app.server import started_server
 from tests.app.synthetic import FakePipeline, make_dataset, needing
-from tests.app.widgets import find, html_says, said, user_presses
+from tests.app.widgets import find, html_says, said, user_presses, user_sets
 
 WIDE, TALL = Canvas(1280.0, 1000.0), Canvas(640.0, 900.0)
 DATASET = make_dataset(300)
 
 
-@pytest.fixture
-def pages(monkeypatch: pytest.MonkeyPatch) -> dict[int, Any]:
-    found: dict[int, Any] = {}
-    for module in (framing_module, links_module, modes_module):
-        monkeypatch.setattr(module, "pages", lambda _: found)
-    return found
+OPENED = Opened(DATASET, needing(8), "/data/set", None, needing(8))
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[tuple[viser.ViserServer, Session, dict[int, Any]]]:
+    """One session for all tests, and the pages that it believes to be open."""
+    open_pages: dict[int, Any] = {}
+    with pytest.MonkeyPatch.context() as patch, started_server() as server:
+        patch.setattr(pair_module, "register_pair", FakePipeline())
+        for module in (framing_module, links_module, modes_module):
+            patch.setattr(module, "pages", lambda _: open_pages)
+        session = Session(server, OPENED, Memo(), Capacity())
+        yield server, session, open_pages
+        session.close()
 
 
 @pytest.fixture
-def session(
-    server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch, pages: dict[int, Any]
-) -> Iterator[Session]:
-    del pages
-    monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
-    made = Session(
-        server, Opened(DATASET, needing(8), "/data/set", None, needing(8)), Memo(), Capacity()
-    )
-    assert made.wait_idle(120)
-    yield made
-    made.close()
+def server(shared: tuple[viser.ViserServer, Session, dict[int, Any]]) -> viser.ViserServer:
+    return shared[0]
+
+
+@pytest.fixture
+def session(shared: tuple[viser.ViserServer, Session, dict[int, Any]]) -> Session:
+    """The session as it was when it was opened, without a page."""
+    _, session, open_pages = shared
+    open_pages.clear()
+    session.pair.scene.tall = False
+    user_sets(find(shared[0], "Mode"), "Tune")
+    session.desk.open(OPENED)
+    session.desk.change(options=ViewOptions())
+    assert session.wait_idle(120)
+    return session
+
+
+@pytest.fixture
+def pages(
+    session: Session,  # noqa: ARG001 - it has none then
+    shared: tuple[viser.ViserServer, Session, dict[int, Any]],
+) -> dict[int, Any]:
+    return shared[2]
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Dataset, Submap
 from tests.app.synthetic import make_dataset, make_result, needing
-from tests.app.widgets import find, html_says, user_presses, user_sets
+from tests.app.widgets import find, html_says, said, user_presses, user_sets
 
 STATE = open_dataset(make_dataset(), PipelineParams())
 LONE = open_dataset(replace(STATE.dataset, submaps=STATE.dataset.submaps[:1]), STATE.params)
@@ -311,7 +311,7 @@ def test_the_status_has_one_height_whatever_it_says(server: viser.ViserServer) -
         lambda: status.error("too wide " * 50),
     ):
         say()
-        assert f"height:{HEIGHT}em" in status._handle.content
+        assert f"height:{HEIGHT}em" in said(server, "status")
 
 
 def test_a_card_that_is_out_of_date_says_so_until_the_next(server: viser.ViserServer) -> None:
