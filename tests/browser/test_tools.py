@@ -90,6 +90,21 @@ def test_a_report_opens_from_disk(open_viewer: Open, browser: Any, tmp_path: Pat
     other.close()
 
 
+def test_the_command_and_the_link_are_copied(open_viewer: Open) -> None:
+    page = open_viewer()
+    page.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.tab("Save")
+    for button, words in (("Copy command", "gpgrad detect"), ("Copy link", page.page.url[:20])):
+        page.page.get_by_role("button", name=button).click()
+        page.page.get_by_role("button", name="Copied").first.wait_for()
+        page.wait(
+            lambda words=words: page.page.evaluate("navigator.clipboard.readText()").startswith(
+                words
+            ),
+            words,
+        )
+
+
 def test_a_server_that_was_gone_gets_the_parameters_back(browser: Any) -> None:
     from tests.browser.chromium import ViewerPage  # noqa: PLC0415
 

@@ -18,11 +18,7 @@ class LinkPanel:
     """The link of the page that shows it: each page has a camera, so each has a link of its own."""
 
     def __init__(self, host: Host) -> None:
-        """Make the widgets in the current container.
-
-        Args:
-            host: Whose GUI they join.
-        """
+        """Make the widgets in the current container."""
         self._body = host.gui.add_html(link_html(has_link=True))
 
     def show(self, *, has_link: bool) -> None:

@@ -45,11 +45,7 @@ class Bridge:
     """Takes what the viewer's own HTML says, and hands it on by name."""
 
     def __init__(self, host: Host) -> None:
-        """Put the text box and the script into the current container, unseen.
-
-        Args:
-            host: Whose pages they join.
-        """
+        """Put the text box and the script into the current container, unseen."""
         self._folder = host.gui.add_folder("Bridge")
         with self._folder:
             self._box = host.gui.add_text("bridge", "")

@@ -53,11 +53,7 @@ class Commands:
     """All commands of a session."""
 
     def __init__(self, host: Host) -> None:
-        """Begin with the command that shows the others.
-
-        Args:
-            host: Whose pages know the commands.
-        """
+        """Begin with the command that shows the others."""
         self._host = host
         self._commands: list[Command] = []
         self.add_for_page(

@@ -46,12 +46,7 @@ class Numbers:
     """
 
     def __init__(self, host: Host, bridge: Bridge) -> None:
-        """Put the script into the current container, unseen.
-
-        Args:
-            host: Whose pages it is for.
-            bridge: Hears them.
-        """
+        """Put the script into the current container, unseen."""
         self.refuse: Callable[[str], None] = lambda why: None  # noqa: ARG005
         self.rested: Callable[[str, float | None], None] = lambda widget, value: None  # noqa: ARG005
         self._bridge = bridge
