@@ -157,6 +157,7 @@ def test_a_limit_on_h_needs_new_registrations_and_one_on_n_does_not() -> None:
         assert compared.is_of(changed) == alike
 
 
+@pytest.mark.slow
 def test_the_report_tells_the_method(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     write_report(settled(PAPER), MEMO, "", "", path, silent)

@@ -17,6 +17,7 @@ from tests.app.page import ProtocolPage
 from tests.app.synthetic import FakePipeline, make_dataset, needing
 
 Serve = Callable[[Sharing], Viewer]
+DATASET = make_dataset(num_points=300)
 
 
 @pytest.fixture
@@ -25,7 +26,7 @@ def serve(monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
     viewers: list[Viewer] = []
 
     def start(sessions: Sharing) -> Viewer:
-        viewers.append(Viewer(make_dataset(), needing(8), port=0, sessions=sessions))
+        viewers.append(Viewer(DATASET, needing(8), port=0, sessions=sessions))
         return viewers[-1]
 
     yield start
@@ -69,7 +70,7 @@ def test_a_busy_port_moves_on_to_the_next() -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        viewer = Viewer(make_dataset(), port=port, sessions="separate")
+        viewer = Viewer(DATASET, port=port, sessions="separate")
         try:
             assert viewer.url != f"http://127.0.0.1:{port}"
         finally:
@@ -131,7 +132,7 @@ def test_on_a_network_the_link_has_a_token_and_values_are_checked(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
-    viewer = Viewer(make_dataset(), needing(8), "0.0.0.0", 0)
+    viewer = Viewer(DATASET, needing(8), "0.0.0.0", 0)
     try:
         address, _, token = viewer.link.partition("/?token=")
         assert address == viewer.url
@@ -167,7 +168,7 @@ class Opener:
             progress(0.5)
         if self.error is not None:
             raise self.error
-        return Opened(make_dataset(), needing(8), "", None, needing(8))
+        return Opened(DATASET, needing(8), "", None, needing(8))
 
 
 @pytest.mark.parametrize("sessions", ["shared", "separate"])

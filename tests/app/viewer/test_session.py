@@ -331,7 +331,7 @@ def test_a_pair_chosen_from_all_pairs_is_shown(session: Session, gui: viser.Vise
 
 
 def automatic_session(server: viser.ViserServer) -> Session:
-    submaps = make_dataset(num_points=300)
+    submaps = make_dataset(num_points=150)
     return Session(server, Opened(submaps, PipelineParams(), ""), Memo(), Capacity())
 
 
