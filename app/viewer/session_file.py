@@ -23,7 +23,6 @@ from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import to_tables, with_tables
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.reading.json_files import Record, is_number
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.text import read_text
 from gpgrad_core.reading.toml_files import parse_toml
@@ -162,9 +161,7 @@ def parse_session(text: str | bytes, where: str) -> SavedSession:
         with_tables(ViewOptions(), _table(table, "view", where), f"{where}, [view]"),
         with_tables(base, _table(table, "params", where), f"{where}, [params]"),
         _camera(_table(table, "camera", where), where) if "camera" in table else None,
-        read_decisions(Record(table, where).records("decisions"))
-        if "decisions" in table
-        else Decisions(),
+        read_decisions(table["decisions"], where) if "decisions" in table else Decisions(),
         method,
     )
 
@@ -213,7 +210,9 @@ def _point(table: Mapping[str, object], key: str, where: str) -> tuple[float, fl
     if (
         not isinstance(value, list)
         or len(numbers := cast("list[object]", value)) != 3
-        or not all(is_number(n) and abs(cast("float", n)) <= MAX_COORDINATE for n in numbers)
+        or not all(
+            type(n) in (int, float) and abs(cast("float", n)) <= MAX_COORDINATE for n in numbers
+        )
     ):
         raise InputError(f"{where}: camera.{key} must be three numbers, [x, y, z], got {value!r}")
     x, y, z = (float(cast("float", number)) for number in numbers)

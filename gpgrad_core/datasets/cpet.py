@@ -17,17 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.datasets.poses import parse_numbers
+from gpgrad_core.datasets.poses import parse_numbers, pose_of_matrix
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.text import lines_of, read_text
+from gpgrad_core.reading.text import split_rows
 from gpgrad_core.se2 import Pose
-from gpgrad_core.types import MAX_COORDINATE
 
 CLOUD, TRUTH = ".xyz", ".gt"
 LARGEST = 10_000
 """Bytes of a ``.gt``; sixteen numbers take 200."""
-TOLERANCE = 0.01
-"""A matrix further from a rotation than this is not a rounded one."""
 
 
 @dataclass(frozen=True)
@@ -88,42 +85,13 @@ def read_matrix_pose(path: Path) -> Pose:
             names the line where one is to blame.
     """
     rows: list[list[float]] = []
-    for number, line in enumerate(lines_of(read_text(path, LARGEST)), start=1):
-        if not (words := line.split()):
-            continue
+    for where, words in split_rows(path, LARGEST, comment=None):
         if len(words) != 4 or len(rows) == 4:
-            raise InputError(
-                f"{path}, line {number}: a pose is four rows of four numbers, a 4x4 matrix"
-            )
-        rows.append(parse_numbers(words, f"{path}, line {number}"))
+            raise InputError(f"{where}: a pose is four rows of four numbers, a 4x4 matrix")
+        rows.append(parse_numbers(words, where))
     if len(rows) != 4:
         raise InputError(f"{path}: has {len(rows)} rows; a pose is the four rows of a 4x4 matrix")
     matrix = np.array(rows)
     if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-6):
         raise InputError(f"{path}: the last row of a pose's 4x4 matrix must be 0 0 0 1")
     return pose_of_matrix(matrix[:3], str(path))
-
-
-def pose_of_matrix(matrix: np.ndarray[tuple[int, int], np.dtype[np.float64]], where: str) -> Pose:
-    """Make a pose of the upper three rows of a 4x4 matrix.
-
-    Args:
-        matrix: The rows (3, 4), of finite numbers; lengths in metres.
-        where: What the error message begins with.
-
-    Raises:
-        InputError: If the first three columns are not a rotation, or the position is beyond
-            `MAX_COORDINATE`.
-    """
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - loads slowly
-
-    turn, place = matrix[:, :3], matrix[:, 3]
-    # The largest number is looked at first: squares of huge ones overflow.
-    fits = bool(np.abs(turn).max() <= 2.0)
-    if not fits or np.abs(turn @ turn.T - np.eye(3)).max() > TOLERANCE or np.linalg.det(turn) < 0:
-        raise InputError(f"{where}: the first three columns of the pose's matrix are no rotation")
-    if np.abs(place).max() > MAX_COORDINATE:
-        raise InputError(
-            f"{where}: the position is further from the origin than {MAX_COORDINATE:g} m"
-        )
-    return Pose(place.copy(), Rotation.from_matrix(turn).as_quat(canonical=True))

@@ -18,8 +18,7 @@ from jaxtyping import Float
 from scipy import ndimage
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.simulation_params import SimulationParams
-from gpgrad_core.datasets.streams import stream
+from gpgrad_core.datasets.simulation_params import SimulationParams, stream
 from gpgrad_core.datasets.terrain import RESOLUTION, HeightField, add_rocks
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path

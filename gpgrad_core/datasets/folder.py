@@ -10,12 +10,22 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.datasets.about import About, read_about, write_about
-from gpgrad_core.datasets.clouds import READERS, load_cloud_with_notes, wild_note
+from gpgrad_core.datasets.clouds import (
+    CLOUD_ENDINGS,
+    is_cloud,
+    load_cloud_with_notes,
+    wild_note,
+)
+from gpgrad_core.datasets.clouds.ply import write_ply
 from gpgrad_core.datasets.cpet import PosedScan, find_posed_scans
-from gpgrad_core.datasets.headings import poses_at
-from gpgrad_core.datasets.ply import write_ply
-from gpgrad_core.datasets.poses import read_poses, read_positions, write_poses, write_positions
+from gpgrad_core.datasets.dataset_toml import DatasetInfo, read_dataset_toml, write_dataset_toml
+from gpgrad_core.datasets.poses import (
+    poses_at,
+    read_poses,
+    read_positions,
+    write_poses,
+    write_positions,
+)
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.memo import array_bytes
@@ -29,7 +39,7 @@ CLOUD_FOLDER = "submaps"
 TRUTH_FILE = "poses_gt.txt"
 POSITIONS_FILE = "positions_gt.txt"  # read where there are no true poses
 ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first one that exists is read
-ABOUT_FILE = "dataset.toml"
+INFO_FILE = "dataset.toml"
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
 NO_POINTS = np.empty((0, 3))
 OF_POINTS = ("points", "colors", "noise_std", "ranges")
@@ -43,7 +53,7 @@ SIMULATED = "gpgrad simulate"
 """Stands in the description, or above the poses, of what was simulated."""
 MADE_ENTRIES = (
     *("submaps", "scans", "trajectory"),
-    *(TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES, "times.txt", ABOUT_FILE, JOURNAL),
+    *(TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES, "times.txt", INFO_FILE, JOURNAL),
 )
 """What gpgrad writes into a dataset or a recording."""
 
@@ -302,9 +312,9 @@ def _outline_folder(path: Path) -> Outline:
     # A folder of loose clouds may hold anything else; in submaps/ another file is reported.
     notes = [f"submaps/{name}: is not a cloud and was ignored" for name in ignored if has_submaps]
     known = {index: cloud.stem for cloud in clouds if (index := index_of(cloud.stem)) is not None}
-    about = About()
-    if (path / ABOUT_FILE).exists():
-        about = read_about(path / ABOUT_FILE, frozenset(cloud.stem for cloud in clouds))
+    info = DatasetInfo()
+    if (path / INFO_FILE).exists():
+        info = read_dataset_toml(path / INFO_FILE, frozenset(cloud.stem for cloud in clouds))
     truth = read_poses(path / TRUTH_FILE, known) if (path / TRUTH_FILE).exists() else {}
     odometry: dict[int, Pose] = {}
     present = [path / name for name in ODOMETRY_FILES if (path / name).exists()]
@@ -336,15 +346,15 @@ def _outline_folder(path: Path) -> Outline:
             )
         submaps.append(submap)
     dataset = Dataset(
-        name=about.name or path.resolve().name,
+        name=info.name or path.resolve().name,
         submaps=tuple(submaps),
-        description=about.description,
-        preferred=about.preferred,
-        notes=(*about.notes, *notes),
-        licence=about.licence,
-        sensor_noise=about.sensor_noise,
+        description=info.description,
+        preferred=info.preferred,
+        notes=(*info.notes, *notes),
+        licence=info.licence,
+        sensor_noise=info.sensor_noise,
         positions_only=positions_only and bool(truth),
-        origin=about.origin,
+        origin=info.origin,
     )
     return Outline(dataset, tuple(clouds))
 
@@ -397,7 +407,7 @@ def _find_clouds(folder: Path) -> tuple[list[Path], list[str]]:
     """List the clouds in order, and the names of all other files."""
     # Files whose names start with a dot are the system's, such as .DS_Store and ._000.ply.
     entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
-    clouds = [e for e in entries if e.is_file() and e.suffix.lower() in READERS]
+    clouds = [e for e in entries if e.is_file() and is_cloud(e)]
     ignored = [entry.name for entry in entries if entry not in clouds]
     owners: dict[int | str, Path] = {}
     for cloud in clouds:
@@ -419,7 +429,7 @@ def _find_clouds(folder: Path) -> tuple[list[Path], list[str]]:
 
 
 def _no_clouds(path: Path, *, has_submaps: bool) -> str:
-    message = f"{path / 'submaps' if has_submaps else path}: holds no clouds ({' '.join(READERS)})"
+    message = f"{path / 'submaps' if has_submaps else path}: holds no clouds ({CLOUD_ENDINGS})"
     inner = sorted(e.name for e in path.iterdir() if (e / "submaps").is_dir())
     if inner and not has_submaps:
         message += f"; it holds the datasets {', '.join(inner[:5])}; give one of them"
@@ -493,7 +503,7 @@ def _check_made_here(directory: Path) -> None:
         )
     if (directory / JOURNAL).is_file():
         return
-    for name in (ABOUT_FILE, *ODOMETRY_FILES):
+    for name in (INFO_FILE, *ODOMETRY_FILES):
         file = directory / name
         if file.is_file() and SIMULATED in file.read_text(encoding="utf-8", errors="replace"):
             return
@@ -537,7 +547,7 @@ def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
         if index is not None and submap.pose_odometry is not None:
             odometry[index] = submap.pose_odometry
         progress(count / len(dataset.submaps))
-    about = About(
+    info = DatasetInfo(
         name=dataset.name,
         description=dataset.description,
         licence=dataset.licence,
@@ -548,11 +558,11 @@ def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
     if dataset.positions_only:
         write_positions(folder / POSITIONS_FILE, {k: truth[k].translation for k in truth})
         truth = {}
-    write_poses_and_about(folder, truth, odometry, about)
+    write_poses_and_toml(folder, truth, odometry, info)
 
 
-def write_poses_and_about(
-    folder: Path, truth: dict[int, Pose], odometry: dict[int, Pose], about: About
+def write_poses_and_toml(
+    folder: Path, truth: dict[int, Pose], odometry: dict[int, Pose], info: DatasetInfo
 ) -> None:
     """Write everything of a dataset but its clouds.
 
@@ -560,10 +570,10 @@ def write_poses_and_about(
         folder: Where to; it must exist.
         truth: True poses by the submaps' numbers; there may be none.
         odometry: Poses by odometry, likewise.
-        about: What the dataset is.
+        info: What the dataset is.
     """
     if truth:
         write_poses(folder / TRUTH_FILE, truth)
     if odometry:
         write_poses(folder / ODOMETRY_FILES[0], odometry)
-    write_about(folder / ABOUT_FILE, about)
+    write_dataset_toml(folder / INFO_FILE, info)

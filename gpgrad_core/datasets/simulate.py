@@ -11,14 +11,14 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.datasets.about import About
+from gpgrad_core.datasets.clouds.ply import write_ply
+from gpgrad_core.datasets.dataset_toml import DatasetInfo
 from gpgrad_core.datasets.dem import ElevationModel, ground_of
-from gpgrad_core.datasets.endless import EndlessGround
-from gpgrad_core.datasets.folder import CLOUD_FOLDER, check_vacant, write_poses_and_about
-from gpgrad_core.datasets.ply import write_ply
-from gpgrad_core.datasets.rover import STEP, Stop, Track, plan_track, scan
-from gpgrad_core.datasets.simulation_params import SimulationParams
-from gpgrad_core.datasets.streams import stream
+from gpgrad_core.datasets.endless_terrain import EndlessGround
+from gpgrad_core.datasets.folder import CLOUD_FOLDER, check_vacant, write_poses_and_toml
+from gpgrad_core.datasets.routes import STEP, Stop, Track, plan_track
+from gpgrad_core.datasets.rover import scan
+from gpgrad_core.datasets.simulation_params import SimulationParams, stream
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
 from gpgrad_core.datasets.voxel_means import voxel_means
 from gpgrad_core.errors import InputError
@@ -71,12 +71,12 @@ def simulate_dataset(
         Submap.from_points(one.points, name, pose_true=one.pose, pose_odometry=believed)
         for name, one, believed in zip(names_of(params), seen, odometry, strict=True)
     )
-    about = about_simulated(params, terrain)
+    info = describe_simulated(params, terrain)
     return Dataset(
-        about.name,
+        info.name,
         submaps,
-        description=about.description,
-        sensor_noise=about.sensor_noise,
+        description=info.description,
+        sensor_noise=info.sensor_noise,
     )
 
 
@@ -120,11 +120,11 @@ def simulate_into(
             work = _Writing(params, clouds, terrain)
             found = run_jobs(work, blocks_of(params), beside, part(progress, 0.0, 0.98))
             truth = [pose for poses in found for pose in poses]
-            write_poses_and_about(
+            write_poses_and_toml(
                 unfinished,
                 dict(enumerate(truth)),
                 dict(enumerate(odometry_of(truth, params))),
-                about_simulated(params, terrain),
+                describe_simulated(params, terrain),
             )
     except OSError as error:
         if error.strerror is None:  # a process has died
@@ -243,7 +243,9 @@ def odometry_of(truth: list[Pose], params: SimulationParams) -> list[Pose]:
     return drift(truth, params, stream(params.seed, ODOMETRY_STREAM), params.spacing)
 
 
-def about_simulated(params: SimulationParams, terrain: ElevationModel | None = None) -> About:
+def describe_simulated(
+    params: SimulationParams, terrain: ElevationModel | None = None
+) -> DatasetInfo:
     """Describe a simulated dataset."""
     ground = "Synthetic ground with craters, ripples and rocks"
     if terrain is not None:
@@ -254,7 +256,7 @@ def about_simulated(params: SimulationParams, terrain: ElevationModel | None = N
     drove = f"drove out on a {params.route.replace('_', ' ')} route and back"
     if params.route == "roaming":
         drove = "roamed over it"
-    return About(
+    return DatasetInfo(
         name=f"simulated-{params.seed}",
         description=(f"{ground}; a rover {drove} (gpgrad simulate, seed {params.seed})."),
         sensor_noise=dict(zip(("constant", "quadratic"), params.range_noise, strict=True)),

@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from gpgrad_core.datasets.cpet import pose_of_matrix
-from gpgrad_core.datasets.poses import parse_numbers
+from gpgrad_core.datasets.poses import parse_numbers, pose_of_matrix
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation
 from gpgrad_core.evaluation.report import Section

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.datasets.npy import Load, opened_npz
+from gpgrad_core.datasets.clouds.npy import Load, opened_npz
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.shortlist import Shortlist, ShortlistState, Vocabulary

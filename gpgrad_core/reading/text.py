@@ -1,6 +1,7 @@
 """Text and the numbers in it."""
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
@@ -67,6 +68,37 @@ def lines_of(text: str) -> list[str]:
     if not lines[-1]:
         lines.pop()
     return lines
+
+
+def split_rows(
+    path: Path, most_bytes: int | None = None, *, comment: str | None = "#"
+) -> list[tuple[str, list[str]]]:
+    """Split each row of a text file into words; rows without words are left out.
+
+    Args:
+        path: The file.
+        most_bytes: The largest size; None allows any.
+        comment: What begins a comment, which lasts until the end of the line; None allows none.
+
+    Returns:
+        The words of each row, after its place for error messages: the file and the line.
+
+    Raises:
+        InputError: If there is no such file, or as `read_text`.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    rows: list[tuple[str, list[str]]] = []
+    for number, line in enumerate(lines_of(read_text(path, most_bytes)), start=1):
+        words = (line if comment is None else line.split(comment, 1)[0]).split()
+        if words:
+            rows.append((f"{path}, line {number}", words))
+    return rows
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """Write a text file, one line each; the line ends are the same on every system."""
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
 def parse_number(word: str) -> float | None:

@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.poses import make_pose
 from gpgrad_core.errors import InputError
+from gpgrad_core.georeference import check_place
 from gpgrad_core.libraries import load_library
-from gpgrad_core.reading.places import is_place
 from gpgrad_core.run.progress import Cancelled
-from gpgrad_core.scans.keeping import Condition, Tally
+from gpgrad_core.scans.conditions import Condition, Tally
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.point_cloud2 import points_of
 from gpgrad_core.scans.pose_files import (
@@ -210,9 +210,7 @@ def _add_place(contents: _Contents, message: Any, logged: int, where: str) -> No
     place = [float(message.latitude), float(message.longitude), float(message.altitude)]
     if int(message.status.status) < 0 or not np.isfinite(place).all():
         return
-    if not is_place(*place):
-        numbers = " ".join(f"{number:g}" for number in place)
-        raise InputError(f"{where}: {numbers} are no latitude, longitude, height")
+    check_place(place, where)
     contents.place_stamps.append(seconds(message.header) or 1e-9 * logged)
     contents.places.append(place)
 

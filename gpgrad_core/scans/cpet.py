@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.datasets.clouds import read_points
+from gpgrad_core.datasets.clouds import read_cloud
 from gpgrad_core.datasets.cpet import PosedScan
 from gpgrad_core.errors import InputError
 from gpgrad_core.scans.recording import Reader, Recording, RecordingSources, identify
@@ -63,6 +63,6 @@ def open_posed_scans(
 def _reader(scans: Sequence[PosedScan]) -> Reader:
     def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
         for one in scans[start:stop]:
-            yield read_points(one.cloud)
+            yield read_cloud(one.cloud).points
 
     return read

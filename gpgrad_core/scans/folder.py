@@ -3,17 +3,16 @@
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.clouds import READERS, read_points, read_property
+from gpgrad_core.datasets.clouds import CLOUD_ENDINGS, is_cloud, read_cloud
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.whole import is_unfinished
-from gpgrad_core.scans.keeping import Condition, Tally, kept_points
+from gpgrad_core.scans.conditions import Condition, Tally, kept_points
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.pose_files import (
     Mount,
@@ -183,13 +182,13 @@ def _find_clouds(path: Path) -> tuple[list[Path], Path]:
         clouds = sorted(
             entry
             for entry in folder.iterdir()
-            if entry.suffix.lower() in READERS and not entry.name.startswith(".")
+            if is_cloud(entry) and not entry.name.startswith(".")
         )
         if clouds:
             return clouds, folder
     raise InputError(
         f"{path}: holds no scans: neither it nor its {', '.join(CLOUD_FOLDERS[1:])} have clouds "
-        f"({' '.join(READERS)}), and it is not a bag"
+        f"({CLOUD_ENDINGS}), and it is not a bag"
     )
 
 
@@ -294,8 +293,8 @@ def number_in(stem: str) -> float | None:
 def _reader(clouds: list[Path], keep: Sequence[Condition], tally: Tally) -> Reader:
     def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
         for cloud in clouds[start:stop]:
-            points = read_points(cloud)
-            mask = kept_points(keep, partial(read_property, cloud), str(cloud), tally)
-            yield points if mask is None else points[mask]
+            content = read_cloud(cloud, {condition.field for condition in keep})
+            mask = kept_points(keep, content.numbers.get, str(cloud), tally)
+            yield content.points if mask is None else content.points[mask]
 
     return read

@@ -29,10 +29,10 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.poses import parse_numbers
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.places import is_place
-from gpgrad_core.reading.png16 import read_grey_png
-from gpgrad_core.reading.text import lines_of, read_text
-from gpgrad_core.scans.keeping import Condition, Tally, kept_points
+from gpgrad_core.georeference import check_place
+from gpgrad_core.reading.images import read_grey_png
+from gpgrad_core.reading.text import split_rows
+from gpgrad_core.scans.conditions import Condition, Tally, kept_points
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.pose_files import PoseFile, positions_of, read_mount, read_pose_file
 from gpgrad_core.scans.recording import (
@@ -162,11 +162,7 @@ def read_places(path: Path) -> PoseFile:
     """
     stamps: list[float] = []
     places: list[list[float]] = []
-    for number, line in enumerate(lines_of(read_text(path)), start=1):
-        words = line.split()
-        if not words:
-            continue
-        where = f"{path}, line {number}"
+    for where, words in split_rows(path, comment=None):
         if len(words) < 5:
             raise InputError(
                 f"{where}: has {len(words)} columns; a position has 5 or more: time, kind, "
@@ -174,8 +170,7 @@ def read_places(path: Path) -> PoseFile:
             )
         stamps.append(_time(words[0], where))
         places.append(parse_numbers(words[2:5], where))
-        if not is_place(*places[-1]):
-            raise InputError(f"{where}: {' '.join(words[2:5])} are no latitude, longitude, height")
+        check_place(places[-1], where)
     if len(stamps) < 2:
         raise InputError(f"{path}: holds {len(stamps)} positions; a track needs two or more")
     return positions_of(np.array(stamps), np.array(places))

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.scans.keeping import Condition, Tally, kept_points
+from gpgrad_core.scans.conditions import Condition, Tally, kept_points
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's types by the numbers that the message uses for them."""

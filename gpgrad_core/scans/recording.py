@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.scans.keeping import Condition, Tally
+from gpgrad_core.scans.conditions import Condition, Tally
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
 

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gpgrad_core.datasets.clouds.ply import write_ply
 from gpgrad_core.datasets.dem import ElevationModel, ground_of
 from gpgrad_core.datasets.folder import SIMULATED, check_vacant
-from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import pose_row
-from gpgrad_core.datasets.rover import STEP, Track, plan_track, scan, sensor_pose
+from gpgrad_core.datasets.routes import STEP, Track, plan_track
+from gpgrad_core.datasets.rover import scan, sensor_pose
 from gpgrad_core.datasets.simulate import (
     ATTITUDE_STD,
     ODOMETRY_STREAM,
@@ -17,11 +18,10 @@ from gpgrad_core.datasets.simulate import (
     drift,
     true_pose,
 )
-from gpgrad_core.datasets.simulation_params import SimulationParams
-from gpgrad_core.datasets.streams import stream
-from gpgrad_core.datasets.tables import write_lines
+from gpgrad_core.datasets.simulation_params import SimulationParams, stream
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.text import write_lines
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import Pose

@@ -11,6 +11,7 @@ import numpy as np
 from tests.fuzz.mutation import (
     NUM_POINTS,
     Case,
+    Mutator,
     at_random,
     cut,
     flipped,
@@ -439,3 +440,17 @@ def kitti(rng: random.Random) -> Case:
     if what == "far":
         return Case(struct.pack("<4f", 1e30, 0, 0, 0) + body[16:], what, damaged=True)
     return at_random(rng, body)
+
+
+MUTATORS: dict[str, Mutator] = {
+    ".bin": kitti,
+    ".csv": table,
+    ".las": las,
+    ".laz": laz,
+    ".npy": npy,
+    ".npz": npz,
+    ".pcd": pcd,
+    ".ply": ply,
+    ".xyz": table,
+}
+"""By the ending of the files. Of other formats an example is damaged anywhere."""

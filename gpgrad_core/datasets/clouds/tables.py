@@ -2,14 +2,15 @@
 
 import csv
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array
+from gpgrad_core.datasets.clouds.format import CloudFormat, PointCloud, cut_short, surplus
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.text import (
     COMMA_HINT,
@@ -20,11 +21,6 @@ from gpgrad_core.reading.text import (
 )
 
 COMMENT_MARKS = ("#", "//")
-
-
-def write_lines(path: Path, lines: Iterable[str]) -> None:
-    """Write a text file, one line each; the line ends are the same on every system."""
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
 @dataclass(frozen=True)
@@ -42,7 +38,7 @@ class Layout:
     separator: str | None = None
 
 
-def read_table(path: Path) -> Float[Array, "n 3"]:
+def read_table(path: Path, names: Collection[str] = ()) -> PointCloud:  # noqa: ARG001 - has none
     """Read an XYZ or CSV file.
 
     Columns are separated by commas, semicolons, tabs or spaces. If the first row is a header, it
@@ -50,17 +46,16 @@ def read_table(path: Path) -> Float[Array, "n 3"]:
     they are the first three columns. Further columns are ignored, and so are empty lines and lines
     that start with ``#`` or ``//``. All rows have the same number of columns.
 
-    Args:
-        path: The file.
-
-    Returns:
-        Positions [m], possibly none. An empty field is read as NaN.
+    An empty field is read as NaN.
 
     Raises:
         InputError: If a row has another number of columns than the first, a field is not a
             number, or the numbers are written with decimal commas; the message names the line.
     """
-    lines = lines_of(read_text(path))
+    return PointCloud(_read_positions(lines_of(read_text(path)), path))
+
+
+def _read_positions(lines: Sequence[str], path: Path) -> Float[Array, "n 3"]:
     first = next((k for k, line in enumerate(lines) if _is_data(line)), None)
     if first is None:
         return np.empty((0, 3))
@@ -156,30 +151,6 @@ def read_body(
     return parse_rows(body, layout, path, first_line=start, comments=False)
 
 
-def as_floats(
-    columns: NDArray[np.floating] | NDArray[np.integer],
-) -> NDArray[np.floating]:
-    """Convert numbers to floats without loss: float32 stays, everything else becomes float64."""
-    kept = np.float32 if columns.dtype.kind == "f" and columns.dtype.itemsize == 4 else np.float64
-    return columns.astype(kept, copy=False)
-
-
-def cut_short(path: Path, promised: int, found: int) -> InputError:
-    """Make the error for a file with fewer points than its header says."""
-    return InputError(
-        f"{path}: is cut short: its header promises {promised:,} points, but the file ends after "
-        f"{found:,}; copy or save it again"
-    )
-
-
-def surplus(path: Path, promised: int, found: int, what: str) -> InputError:
-    """Make the error for a file that holds more than its header says."""
-    return InputError(
-        f"{path}: holds more than its header says: {found:,} {what} instead of {promised:,}; "
-        "save it again"
-    )
-
-
 def parse_rows(
     lines: Sequence[str], layout: Layout, path: Path, *, first_line: int, comments: bool = True
 ) -> Float[Array, "n columns"]:
@@ -270,3 +241,7 @@ def _fields(line: str, separator: str | None) -> list[str]:
 def _shorten(text: str) -> str:
     text = text.strip()
     return text if len(text) <= 40 else text[:39] + "…"
+
+
+HOLDS = "a table of numbers; a first row may name the columns x, y and z"
+CSV, XYZ = (CloudFormat(ending, HOLDS, read_table) for ending in (".csv", ".xyz"))

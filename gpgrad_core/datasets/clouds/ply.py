@@ -7,7 +7,7 @@ missing. After a check of the number of points in the header, NumPy reads the re
 
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,14 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.tables import Layout, as_floats, cut_short, read_body, surplus
+from gpgrad_core.datasets.clouds.format import (
+    CloudFormat,
+    PointCloud,
+    as_floats,
+    cut_short,
+    surplus,
+)
+from gpgrad_core.datasets.clouds.tables import Layout, read_body
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.text import parse_count
 
@@ -89,62 +96,39 @@ class _Header:
         raise InputError(f"{path}: its header has no 'element vertex'; it holds no points")
 
 
-def read_ply(path: Path) -> Float[NDArray[np.floating], "n 3"]:
+def read_ply(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read the vertices of a PLY file, ascii or binary of either byte order.
 
     Args:
         path: The file.
+        names: Which further numbers of each vertex to read, by the names of their properties.
 
     Returns:
-        Positions [m], float32 if they are float32 in the file, otherwise float64.
+        Positions [m], float32 if they are float32 in the file, otherwise float64. Colours that are
+        whole numbers are divided by the largest number of their type; floats are not changed.
 
     Raises:
         InputError: If it is not a PLY file, has no x, y and z, or ends too early.
     """
     data = path.read_bytes()
     header = _parse_header(data, path)
-    return as_floats(_read_vertices(data, header, "xyz", path))
-
-
-def read_ply_colors(path: Path) -> Float[Array, "n 3"] | None:
-    """Read the vertices' red, green and blue in [0, 1]; None if they have none.
-
-    Whole numbers are divided by the largest number of their type; floats are not changed.
-
-    Raises:
-        InputError: See `read_ply`.
-    """
-    data = path.read_bytes()
-    header = _parse_header(data, path)
-    kinds = _numbers(header.vertex(path))
-    if not all(name in kinds for name in RGB):
-        return None
-    colors = _read_vertices(data, header, RGB, path).astype(np.float64)
-    whole = np.dtype(kinds["red"]).kind in "iu"
-    return colors / np.iinfo(kinds["red"]).max if whole else colors
-
-
-def read_ply_property(path: Path, name: str) -> Float[Array, "n"] | None:
-    """Read one number of each vertex, such as its ``noise_std`` [m]; None if they have none.
-
-    Raises:
-        InputError: See `read_ply`.
-    """
-    data = path.read_bytes()
-    header = _parse_header(data, path)
-    if name not in _numbers(header.vertex(path)):
-        return None
-    return _read_vertices(data, header, (name,), path).astype(np.float64).ravel()
-
-
-def _numbers(vertex: _Element) -> dict[str, str]:
-    """NumPy's types of the properties that are numbers, by name."""
-    return {one.name: one.kind for one in vertex.properties if not one.length}
+    kinds = {one.name: one.kind for one in header.vertex(path).properties if not one.length}
+    rgb = RGB if all(name in kinds for name in RGB) else ()
+    further = [name for name in names if name in kinds]
+    columns = _read_vertices(data, header, [*"xyz", *rgb, *further], path)
+    colors = None
+    if rgb:
+        colors = np.column_stack([columns[name] for name in RGB]).astype(np.float64)
+        if np.dtype(kinds["red"]).kind in "iu":
+            colors /= np.iinfo(kinds["red"]).max
+    points = np.column_stack([columns[name] for name in "xyz"])
+    return PointCloud(as_floats(points), colors, {name: columns[name] for name in further})
 
 
 def _read_vertices(
     data: bytes, header: _Header, properties: Sequence[str], path: Path
-) -> NDArray[Any]:
+) -> dict[str, NDArray[Any]]:
+    """Read some properties of every vertex, by their names."""
     vertex = header.vertex(path)
     place = header.elements.index(vertex)
     before, after = header.elements[:place], header.elements[place + 1 :]
@@ -154,7 +138,7 @@ def _read_vertices(
             wanted = ", ".join(properties)
             raise InputError(f"{path}: {wanted} must come before all list properties of a vertex")
         width = None if vertex.has_list else len(vertex.properties)
-        return read_body(
+        body = read_body(
             data[header.num_bytes :],
             vertex.count,
             Layout(columns, width),
@@ -164,6 +148,7 @@ def _read_vertices(
             after=sum(element.count for element in after if element.properties),
             first_line=header.num_lines + 1,
         )
+        return dict(zip(properties, body.T, strict=True))
     for element in (*before, vertex):
         if element.has_list:
             raise InputError(
@@ -178,10 +163,8 @@ def _read_vertices(
         raise cut_short(path, vertex.count, available)
     end = start + vertex.count * dtype.itemsize
     _check_end(data, end, after, order, vertex.count, path)
-    if not vertex.count:
-        return np.empty((0, len(columns)))
-    rows = np.frombuffer(data, dtype, vertex.count, start)
-    return np.column_stack([rows[str(column)] for column in columns])
+    rows = np.frombuffer(data, dtype, vertex.count, start) if vertex.count else np.empty(0, dtype)
+    return {name: rows[str(column)] for name, column in zip(properties, columns, strict=True)}
 
 
 def _check_end(
@@ -394,3 +377,11 @@ def write_ply_pieces(path: Path, pieces: Iterable[Float[Array, "n 3"]]) -> int:
             file.write(header.encode("ascii"))
             shutil.copyfileobj(body, file)
     return count
+
+
+PLY = CloudFormat(
+    ".ply",
+    "x, y, z; colours; `noise_std` and `range` of each point if they are there",
+    read_ply,
+    submap_numbers=("noise_std", "range"),
+)

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.datasets.simulation_params import SimulationParams
-from gpgrad_core.datasets.streams import stream, stream_at
+from gpgrad_core.datasets.simulation_params import SimulationParams, stream, stream_at
 from gpgrad_core.datasets.terrain import (
     CRATER_DIAMETERS,
     CRATER_SLOPE,

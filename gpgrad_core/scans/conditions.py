@@ -79,7 +79,7 @@ def parse_condition(text: str) -> Condition:
 
 def kept_points(
     conditions: Sequence[Condition],
-    values_of: Callable[[str], NDArray[np.float64] | None],
+    values_of: Callable[[str], NDArray[np.generic] | None],
     where: str,
     tally: Tally | None = None,
 ) -> Bool[NDArray[np.bool_], "n"] | None:
@@ -102,7 +102,7 @@ def kept_points(
         values = values_of(one.field)
         if values is None:
             raise InputError(f"{where}: its points have no field {one.field} for --keep {one}")
-        met = RELATIONS[one.relation](values, one.limit)
+        met = RELATIONS[one.relation](np.asarray(values, np.float64), one.limit)
         mask = met if mask is None else mask & met
     if mask is not None and tally is not None:
         tally.add(mask)
