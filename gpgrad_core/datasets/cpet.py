@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.datasets.poses import parse_numbers, pose_of_matrix
+from gpgrad_core.datasets.poses import pose_of_matrix
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.text import split_rows
+from gpgrad_core.reading.text import parse_numbers, split_rows
 from gpgrad_core.se2 import Pose
 
 CLOUD, TRUTH = ".xyz", ".gt"

@@ -9,9 +9,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.text import (
-    COMMA_HINT,
-    DECIMAL_COMMA,
-    parse_number,
+    parse_numbers,
     split_rows,
     write_lines,
 )
@@ -91,24 +89,6 @@ def _rows(
             )
         named_at[index] = where.rpartition(", ")[2]
         yield index, values[1:], where
-
-
-def parse_numbers(words: list[str], where: str) -> list[float]:
-    """Parse the columns of a row.
-
-    Raises:
-        InputError: If one is not a number or not finite; the message begins with `where`.
-    """
-    values: list[float] = []
-    for word in words:
-        value = parse_number(word)
-        if value is None:
-            hint = f"; {COMMA_HINT}" if DECIMAL_COMMA.fullmatch(word) else ""
-            raise InputError(f"{where}: holds something that is not a number: {word[:40]!r}{hint}")
-        values.append(value)
-    if not np.isfinite(values).all():
-        raise InputError(f"{where}: holds a value that is not finite")
-    return values
 
 
 def make_pose(values: list[float], where: str) -> Pose:

@@ -1,5 +1,6 @@
 """Text and the numbers in it."""
 
+import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -108,6 +109,24 @@ def parse_number(word: str) -> float | None:
     (1000.0, None)
     """
     return float(word) if NUMBER.fullmatch(word) else None
+
+
+def parse_numbers(words: list[str], where: str) -> list[float]:
+    """Parse the columns of a row.
+
+    Raises:
+        InputError: If one is not a number or not finite; the message begins with `where`.
+    """
+    values: list[float] = []
+    for word in words:
+        value = parse_number(word)
+        if value is None:
+            hint = f"; {COMMA_HINT}" if DECIMAL_COMMA.fullmatch(word) else ""
+            raise InputError(f"{where}: holds something that is not a number: {word[:40]!r}{hint}")
+        values.append(value)
+    if not all(map(math.isfinite, values)):
+        raise InputError(f"{where}: holds a value that is not finite")
+    return values
 
 
 def parse_count(word: str) -> int | None:

@@ -27,11 +27,10 @@ from jaxtyping import Float, UInt16
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.poses import parse_numbers
 from gpgrad_core.errors import InputError
 from gpgrad_core.georeference import check_place
 from gpgrad_core.reading.images import read_grey_png
-from gpgrad_core.reading.text import split_rows
+from gpgrad_core.reading.text import parse_numbers, split_rows
 from gpgrad_core.scans.conditions import Condition, Tally, kept_points
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.pose_files import PoseFile, positions_of, read_mount, read_pose_file

@@ -31,10 +31,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.poses import check_position, make_pose, parse_numbers
+from gpgrad_core.datasets.poses import check_position, make_pose
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
-from gpgrad_core.reading.text import lines_of, read_text
+from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.scans.recording import Reader, Recording, RecordingSources, identify
 from gpgrad_core.scans.trajectory import Poses

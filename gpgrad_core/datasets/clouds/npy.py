@@ -38,7 +38,7 @@ _ITEM = re.compile(
 )
 
 
-def read_npy(path: Path, names: Collection[str] = ()) -> PointCloud:  # noqa: ARG001 - has none
+def read_npy(path: Path, _names: Collection[str] = ()) -> PointCloud:
     """Read an array of shape (n, 3).
 
     Raises:

@@ -38,7 +38,7 @@ class Layout:
     separator: str | None = None
 
 
-def read_table(path: Path, names: Collection[str] = ()) -> PointCloud:  # noqa: ARG001 - has none
+def read_table(path: Path, _names: Collection[str] = ()) -> PointCloud:
     """Read an XYZ or CSV file.
 
     Columns are separated by commas, semicolons, tabs or spaces. If the first row is a header, it
