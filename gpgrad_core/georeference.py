@@ -167,10 +167,10 @@ def make_georeference(origin: tuple[float, float, float], crs: str | None = None
         "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
     )
     place = (float(longitude), float(latitude), float(height))
-    found = Georeference(system.to_string(), system.to_wkt(), place, to_degrees, to_system)
-    if not np.isfinite(found.apply(np.zeros((1, 3)))).all():
+    georeference = Georeference(system.to_string(), system.to_wkt(), place, to_degrees, to_system)
+    if not np.isfinite(georeference.apply(np.zeros((1, 3)))).all():
         raise InputError(f"PROJ cannot compute {crs} near {latitude:g},{longitude:g}; name another")
-    return found
+    return georeference
 
 
 def _check_inside(system: Any, longitude: float, latitude: float, what: str) -> None:

@@ -29,17 +29,11 @@ LARGEST = 10_000
 
 @dataclass(frozen=True)
 class PosedScan:
-    """A scan and the file of its pose.
+    """A scan and the file of its pose."""
 
-    Attributes:
-        name: The scan's name, which is that of its folder.
-        cloud: File of its points.
-        truth: File of its pose.
-    """
-
-    name: str
-    cloud: Path
-    truth: Path
+    name: str  # the scan's name, which is that of its folder
+    cloud: Path  # file of its points
+    truth: Path  # file of its pose
 
     def read_pose(self) -> Pose:
         """Read the pose, ``T_world_scanner``.
@@ -63,16 +57,17 @@ def find_posed_scans(folder: Path) -> list[PosedScan]:
     """
     if not folder.is_dir():
         return []
-    inner = sorted(one for one in folder.iterdir() if one.is_dir())
-    posed = [one for one in inner if is_posed_scan(one)]
-    bare = [one for one in inner if (one / f"{one.name}{CLOUD}").is_file() and one not in posed]
+    inner = sorted(scan for scan in folder.iterdir() if scan.is_dir())
+    posed = [scan for scan in inner if is_posed_scan(scan)]
+    bare = [s for s in inner if (s / f"{s.name}{CLOUD}").is_file() and s not in posed]
     if posed and bare:
         raise InputError(
             f"{bare[0]}: has {bare[0].name}{CLOUD} but no pose {bare[0].name}{TRUTH}; copy the "
             "pose too, or remove the scan"
         )
     return [
-        PosedScan(one.name, one / f"{one.name}{CLOUD}", one / f"{one.name}{TRUTH}") for one in posed
+        PosedScan(scan.name, scan / f"{scan.name}{CLOUD}", scan / f"{scan.name}{TRUTH}")
+        for scan in posed
     ]
 
 

@@ -1,6 +1,5 @@
 """``dataset.toml``: what a dataset is, as its maker says."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -12,6 +11,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.georeference import HIGHEST
 from gpgrad_core.reading.records import as_record
 from gpgrad_core.reading.toml_files import read_toml
+from gpgrad_core.types import Dataset
 
 TEXTS = ("name", "description", "licence")
 Noise: TypeAlias = Annotated[float, Meta(ge=0.0, lt=1e6)]
@@ -25,19 +25,6 @@ RULES = {
     "sensor_noise": "a table",
     "preferred": "a table",
 }
-
-
-@dataclass(frozen=True, eq=False)
-class DatasetInfo:
-    """The content of ``dataset.toml``; `Dataset` explains the fields."""
-
-    name: str = ""
-    description: str = ""
-    licence: str = ""
-    sensor_noise: dict[str, float] = field(default_factory=dict[str, float])
-    preferred: dict[str, object] = field(default_factory=dict[str, object])
-    notes: tuple[str, ...] = ()
-    origin: tuple[float, float, float] | None = None
 
 
 class _SensorNoise(Struct, frozen=True, forbid_unknown_fields=True):
@@ -54,7 +41,7 @@ class _File(Struct):
     origin: Place | None = None
 
 
-def read_dataset_toml(path: Path, submap_ids: frozenset[str]) -> DatasetInfo:
+def read_dataset_toml(path: Path, submap_ids: frozenset[str]) -> Dataset:
     """Read ``dataset.toml``.
 
     Args:
@@ -64,23 +51,28 @@ def read_dataset_toml(path: Path, submap_ids: frozenset[str]) -> DatasetInfo:
     Raises:
         InputError: If the file is not TOML, a value has the wrong type, or a preferred submap does
             not exist.
+
+    Returns:
+        What the file says of the dataset, which has no submaps yet; its name is empty if the file
+        gives none. ``notes`` names the keys that were ignored.
     """
     table = read_toml(path)
     content = as_record(table, _File, str(path), RULES)
     _check_preferred(content.preferred, path, submap_ids)
     noise = structs.asdict(content.sensor_noise)
-    return DatasetInfo(
+    return Dataset(
         content.name,
-        content.description,
-        content.licence,
-        {key: number for key, number in noise.items() if number is not None},
-        content.preferred,
-        tuple(
+        (),
+        description=content.description,
+        licence=content.licence,
+        sensor_noise={key: number for key, number in noise.items() if number is not None},
+        preferred=content.preferred,
+        notes=tuple(
             f"{path.name}: the unknown key {key!r} was ignored"
             for key in table
             if key not in _File.__struct_fields__
         ),
-        content.origin,
+        origin=content.origin,
     )
 
 
@@ -108,24 +100,24 @@ def _check_preferred(preferred: dict[str, object], path: Path, submap_ids: froze
         )
 
 
-def write_dataset_toml(path: Path, info: DatasetInfo) -> None:
+def write_dataset_toml(path: Path, dataset: Dataset) -> None:
     """Write ``dataset.toml``.
 
     Args:
         path: The file; it is overwritten if it exists.
-        info: The content; its notes are not written.
+        dataset: What is written of it: all but its submaps and notes.
     """
-    parts = [tomli_w.dumps({key: getattr(info, key) for key in TEXTS if getattr(info, key)})]
-    if info.sensor_noise:
-        noise = tomli_w.dumps({"sensor_noise": info.sensor_noise})
+    parts = [tomli_w.dumps({key: getattr(dataset, key) for key in TEXTS if getattr(dataset, key)})]
+    if dataset.sensor_noise:
+        noise = tomli_w.dumps({"sensor_noise": dataset.sensor_noise})
         parts.append(f"# Noise of a point at range r [m]: constant + quadratic r^2\n{noise}")
-    if info.origin is not None:
-        place = tomli_w.dumps({"origin": list(info.origin)})
+    if dataset.origin is not None:
+        place = tomli_w.dumps({"origin": list(dataset.origin)})
         # Before the tables: TOML would take it for a part of the last one.
         parts.insert(
             1,
             f"# Where the poses have their zero: latitude and longitude [deg], height [m]\n{place}",
         )
-    if info.preferred:
-        parts.append(tomli_w.dumps({"preferred": info.preferred}))
+    if dataset.preferred:
+        parts.append(tomli_w.dumps({"preferred": dataset.preferred}))
     path.write_text("\n".join(parts), encoding="utf-8", newline="\n")

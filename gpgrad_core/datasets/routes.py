@@ -37,17 +37,11 @@ AHEAD = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 @dataclass(frozen=True)
 class Stop:
-    """A pose of the rover, seen from above.
+    """A pose of the rover, seen from above."""
 
-    Attributes:
-        x: Position along x [m].
-        y: Position along y [m].
-        yaw: Heading [rad].
-    """
-
-    x: float
-    y: float
-    yaw: float
+    x: float  # position along x [m]
+    y: float  # position along y [m]
+    yaw: float  # heading [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,14 +49,10 @@ class Track:
     """A drive out and back, as points with the distance `STEP`.
 
     The rover turns on the spot at the far end, so the heading jumps there.
-
-    Attributes:
-        xy: Positions (n, 2) [m].
-        yaw: Heading of the rover at each position (n,) [rad].
     """
 
-    xy: Float[Array, "n 2"]
-    yaw: Float[Array, "n"]
+    xy: Float[Array, "n 2"]  # positions (n, 2) [m]
+    yaw: Float[Array, "n"]  # heading of the rover at each position (n,) [rad]
 
     @property
     def length(self) -> float:
@@ -201,7 +191,7 @@ def _walk(count: int, rng: Generator) -> Float[Array, "m 2"]:
     """Walk over so many edges of a square lattice, and list the crossings."""
     side = int(np.ceil(0.5 * (1.0 + np.sqrt(1.0 + 2.0 * NEW_GROUND * count)))) + 1
     at, heading = (0, 0), 0
-    known: set[frozenset[tuple[int, int]]] = set()
+    driven: set[frozenset[tuple[int, int]]] = set()
     places = [at]
     for _ in range(count):
         choices: list[tuple[int, tuple[int, int]]] = []
@@ -210,11 +200,11 @@ def _walk(count: int, rng: Generator) -> Float[Array, "m 2"]:
             there = at[0] + AHEAD[new][0], at[1] + AHEAD[new][1]
             if all(0 <= k < side for k in there):
                 choices.append((new, there))
-        before = [choice for choice in choices if frozenset((at, choice[1])) in known]
+        before = [choice for choice in choices if frozenset((at, choice[1])) in driven]
         others = [choice for choice in choices if choice not in before]
         preferred = before if before and (not others or rng.random() < RETURN) else others
         heading, there = preferred[int(rng.integers(len(preferred)))]
-        known.add(frozenset((at, there)))
+        driven.add(frozenset((at, there)))
         at = there
         places.append(at)
     return np.array(places, dtype=np.float64)

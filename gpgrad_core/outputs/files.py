@@ -66,13 +66,13 @@ def check_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -
     """
     read = [path for path in inputs if path is not None]
     for output in (path for path in outputs if path is not None):
-        for one in read:
-            if _same(output, one):
+        for source in read:
+            if _same(output, source):
                 raise InputError(f"{output}: is read as an input; name another output")
-            if one.resolve().is_relative_to(output.resolve()):
-                raise InputError(f"{output}: holds the input {one}; name another output")
-            if one.is_dir() and _belongs(output, one):
-                raise InputError(f"{output}: belongs to the input {one}; name another output")
+            if source.resolve().is_relative_to(output.resolve()):
+                raise InputError(f"{output}: holds the input {source}; name another output")
+            if source.is_dir() and _belongs(output, source):
+                raise InputError(f"{output}: belongs to the input {source}; name another output")
 
 
 def _same(first: Path, second: Path) -> bool:

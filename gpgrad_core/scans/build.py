@@ -12,15 +12,8 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.clouds.ply import write_ply
 from gpgrad_core.datasets.cpet import find_posed_scans
-from gpgrad_core.datasets.dataset_toml import DatasetInfo, write_dataset_toml
-from gpgrad_core.datasets.folder import (
-    INFO_FILE,
-    ODOMETRY_FILES,
-    POSITIONS_FILE,
-    TRUTH_FILE,
-    check_vacant,
-)
-from gpgrad_core.datasets.poses import pose_row, write_poses, write_positions
+from gpgrad_core.datasets.folder import check_vacant, write_all_but_clouds
+from gpgrad_core.datasets.poses import pose_row
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.text import write_lines
 from gpgrad_core.run.progress import Progress, part, silent
@@ -42,7 +35,7 @@ from gpgrad_core.scans.recording import Reader, Recording, RecordingSources
 from gpgrad_core.scans.trajectory import Located, Poses
 from gpgrad_core.scans.voxels import Voxels, VoxelSums, reach
 from gpgrad_core.se2 import Pose, level_pose
-from gpgrad_core.types import Submap
+from gpgrad_core.types import Dataset, Submap
 from gpgrad_core.version import VERSION
 
 LOOKED_AT = 24
@@ -168,7 +161,7 @@ def build_dataset(
         ],
     }
     if sources.keep:
-        header["keep"] = [str(one) for one in sources.keep]
+        header["keep"] = [str(condition) for condition in sources.keep]
     with open_journal(directory, header, restart=restart, overwrite=overwrite) as begun:
         resumed = len(begun.entries)
         whole = _add_submaps(begun, recording, pieces, params, progress)
@@ -200,14 +193,14 @@ def _levelled(recording: Recording, params: BuildParams) -> tuple[Recording, tup
     notes: tuple[str, ...] = ()
     if params.gravity == "cloud":
         normals = _ground_normals(recording, params)
-        found = estimate_up(normals, recording.name)
-        off = np.arccos(np.clip(found.up @ named, -1.0, 1.0))
+        estimate = estimate_up(normals, recording.name)
+        off = np.arccos(np.clip(estimate.up @ named, -1.0, 1.0))
         notes = (
             f"the direction up, by the ground of {len(normals)} scans, is {np.degrees(off):.1f} "
             "degrees off that of the poses; half of the scans are within "
-            f"{np.degrees(found.spread):.1f} degrees",
+            f"{np.degrees(estimate.spread):.1f} degrees",
         )
-        turn = turned_upright(found.up)
+        turn = turned_upright(estimate.up)
     covariance, truth = recording.covariance, recording.truth
     if covariance is not None:
         matrix = turn.as_matrix()
@@ -359,23 +352,19 @@ def _write_rest(
             stamp = f"{k}" if recording.stamps is None else f"{recording.stamps[k]:.6f}"
             rows.append(pose_row(stamp, (level.inverse() @ recording.sensor(k)).one(0)))
         write_lines(trajectories / f"{entry.id}.txt", rows)
-    write_poses(journal.folder / ODOMETRY_FILES[0], odometry)
-    if truth and recording.positions_only:
-        # The antenna's place stands for that of the body: its mount is not known.
-        places = {k: pose.translation for k, pose in truth.items()}
-        write_positions(journal.folder / POSITIONS_FILE, places)
-    elif truth:
-        write_poses(journal.folder / TRUTH_FILE, truth)
-    info = DatasetInfo(
-        name=journal.directory.name,
+    # The antenna's place stands for that of the body: its mount is not known.
+    dataset = Dataset(
+        journal.directory.name,
+        (),
         description=(
             f"{len(odometry)} submap{'s' * (len(odometry) != 1)} of {len(recording):,} scans of "
             f"{recording.name}, cut "
             f"{_limits(params)} (gpgrad build)."
         ),
+        positions_only=recording.positions_only and bool(truth),
         origin=recording.origin,
     )
-    write_dataset_toml(journal.folder / INFO_FILE, info)
+    write_all_but_clouds(journal.folder, dataset, truth, odometry)
 
 
 def _limits(params: BuildParams) -> str:

@@ -60,17 +60,11 @@ class Entry(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 @dataclass(frozen=True, eq=False)
 class Journal:
-    """An unfinished dataset.
+    """An unfinished dataset."""
 
-    Attributes:
-        directory: Where the finished dataset will be.
-        folder: Where the unfinished dataset is.
-        entries: One entry per finished submap.
-    """
-
-    directory: Path
-    folder: Path
-    entries: tuple[Entry, ...]
+    directory: Path  # where the finished dataset will be
+    folder: Path  # where the unfinished dataset is
+    entries: tuple[Entry, ...]  # one entry per finished submap
 
     @property
     def clouds(self) -> Path:

@@ -90,6 +90,18 @@ def read_pose_file(path: Path) -> PoseFile:
     return PoseFile(Trajectory.in_order(table[:, 0], stack, covariance), numbered=False)
 
 
+def read_timed_poses(path: Path) -> Trajectory:
+    """Read TUM rows, as `read_pose_file` does.
+
+    Raises:
+        InputError: See `read_pose_file`; or if the rows are KITTI's.
+    """
+    poses = read_pose_file(path)
+    if poses.numbered:
+        raise InputError(f"{path}: KITTI poses have no times, which the scans need; give TUM poses")
+    return poses.trajectory
+
+
 def read_truth_file(path: Path) -> PoseFile:
     """Read true poses, or true positions as a GNSS receiver gives them.
 
@@ -224,15 +236,10 @@ def _check_times(stamps: Float[Array, "n"], places: list[str]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """The pose of a sensor on the robot's body.
+    """The pose of a sensor on the robot's body."""
 
-    Attributes:
-        pose: One pose, ``T_body_sensor``.
-        on_camera: Whether the body is KITTI's camera, whose y axis points down.
-    """
-
-    pose: Poses
-    on_camera: bool = False
+    pose: Poses  # one pose, ``T_body_sensor``
+    on_camera: bool = False  # whether the body is KITTI's camera, whose y axis points down
 
 
 def read_mount(path: Path) -> Mount:

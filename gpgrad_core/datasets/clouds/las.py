@@ -45,33 +45,19 @@ SMALL_CLOUD = 16_000_000
 
 @dataclass(frozen=True, eq=False)
 class _Header:
-    """What the header says, checked against the size of the file.
+    """What the header says, checked against the size of the file."""
 
-    Attributes:
-        compressed: Whether the points are compressed.
-        kind: Format of a point, from 0 to 10.
-        count: Number of points.
-        length: Bytes of a point.
-        begin: Where the points begin.
-        end: Where the points end; of compressed ones, the latest place.
-        scale: What the three whole numbers are multiplied by [m].
-        offset: What is added then [m].
-        low: Least coordinates [m]; NaN if they are not given.
-        high: Greatest coordinates [m]; NaN if they are not given.
-        laszip: The record that describes the compression; empty if there is none.
-    """
-
-    compressed: bool
-    kind: int
-    count: int
-    length: int
-    begin: int
-    end: int
-    scale: Float[Array, "3"]
-    offset: Float[Array, "3"]
-    low: Float[Array, "3"]
-    high: Float[Array, "3"]
-    laszip: bytes
+    compressed: bool  # whether the points are compressed
+    kind: int  # format of a point, from 0 to 10
+    count: int  # number of points
+    length: int  # bytes of a point
+    begin: int  # where the points begin
+    end: int  # where the points end; of compressed ones, the latest place
+    scale: Float[Array, "3"]  # what the three whole numbers are multiplied by [m]
+    offset: Float[Array, "3"]  # what is added then [m]
+    low: Float[Array, "3"]  # least coordinates [m]; NaN if they are not given
+    high: Float[Array, "3"]  # greatest coordinates [m]; NaN if they are not given
+    laszip: bytes  # the record that describes the compression; empty if there is none
 
 
 def read_las(path: Path, names: Collection[str] = ()) -> PointCloud:

@@ -144,11 +144,11 @@ def _parse_header(header: str, broken: str) -> tuple[np.dtype[Any], bool, tuple[
     except (TypeError, ValueError):
         raise InputError(f"{broken}: {descr} is not a type of numbers") from None
     shape = [parse_count(size.strip()) for size in sizes[1:-1].split(",") if size.strip()]
-    known = tuple(size for size in shape if size is not None)
+    counted = tuple(size for size in shape if size is not None)
     # Only a type of numbers has a fixed meaning: NumPy takes many words for types.
-    if order not in ("True", "False") or not sizes.startswith("(") or len(known) < len(shape):
+    if order not in ("True", "False") or not sizes.startswith("(") or len(counted) < len(shape):
         raise InputError(f"{broken}: its header gives the shape {sizes} and the order {order}")
-    return dtype, order == "True", known
+    return dtype, order == "True", counted
 
 
 @contextmanager

@@ -42,25 +42,15 @@ LAYOUTS = ("ascii", "binary", "binary_compressed")
 
 @dataclass(frozen=True)
 class _Header:
-    """What the header says, checked.
+    """What the header says, checked."""
 
-    Attributes:
-        names: Of the fields; several may have one name.
-        types: NumPy's types of the fields.
-        counts: How many numbers each field has.
-        num_points: Number of points.
-        layout: ``ascii``, ``binary`` or ``binary_compressed``.
-        num_bytes: Where the body starts.
-        num_lines: Number of lines before the body.
-    """
-
-    names: tuple[str, ...]
-    types: tuple[str, ...]
-    counts: tuple[int, ...]
-    num_points: int
-    layout: str
-    num_bytes: int
-    num_lines: int
+    names: tuple[str, ...]  # of the fields; several may have one name
+    types: tuple[str, ...]  # NumPy's types of the fields
+    counts: tuple[int, ...]  # how many numbers each field has
+    num_points: int  # number of points
+    layout: str  # ``ascii``, ``binary`` or ``binary_compressed``
+    num_bytes: int  # where the body starts
+    num_lines: int  # number of lines before the body
 
     @property
     def dtype(self) -> np.dtype[np.void]:
@@ -112,8 +102,8 @@ def _unpacked_colors(packed: NDArray[Any], kind: np.dtype[Any]) -> Float[Array, 
     if kind.kind == "f":
         packed = packed.astype(np.float32).view(np.uint32)
     # A text may hold anything; what is no whole number of four bytes has no colour.
-    known = np.isfinite(packed) & (np.abs(packed.astype(np.float64)) < 2.0**32)
-    whole = np.where(known, packed, 0).astype(np.int64) & 0xFFFFFF
+    sound = np.isfinite(packed) & (np.abs(packed.astype(np.float64)) < 2.0**32)
+    whole = np.where(sound, packed, 0).astype(np.int64) & 0xFFFFFF
     return np.column_stack([whole >> 16, (whole >> 8) & 0xFF, whole & 0xFF]) / 255.0
 
 

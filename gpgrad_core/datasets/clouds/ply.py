@@ -67,18 +67,18 @@ class _Element:
 
     @property
     def has_list(self) -> bool:
-        return any(one.length for one in self.properties)
+        return any(item.length for item in self.properties)
 
     def dtype(self, byte_order: str, lengths: Sequence[int] = ()) -> np.dtype[np.void]:
         """Type of a row, given the lengths of its lists."""
         # The fields are numbered, because two properties may have the same name.
         left = iter(lengths)
         fields: list[Any] = []
-        for k, one in enumerate(self.properties):
-            if one.length:
-                fields.append((f"length {k}", byte_order + one.length))
-            shape = (next(left),) if one.length else ()
-            fields.append((str(k), byte_order + one.kind, shape))
+        for k, item in enumerate(self.properties):
+            if item.length:
+                fields.append((f"length {k}", byte_order + item.length))
+            shape = (next(left),) if item.length else ()
+            fields.append((str(k), byte_order + item.kind, shape))
         return np.dtype(fields)
 
 
@@ -112,7 +112,7 @@ def read_ply(path: Path, names: Collection[str] = ()) -> PointCloud:
     """
     data = path.read_bytes()
     header = _parse_header(data, path)
-    kinds = {one.name: one.kind for one in header.vertex(path).properties if not one.length}
+    kinds = {item.name: item.kind for item in header.vertex(path).properties if not item.length}
     rgb = RGB if all(name in kinds for name in RGB) else ()
     further = [name for name in names if name in kinds]
     columns = _read_vertices(data, header, [*"xyz", *rgb, *further], path)
@@ -134,7 +134,7 @@ def _read_vertices(
     before, after = header.elements[:place], header.elements[place + 1 :]
     columns = _columns(vertex, properties, path)
     if header.layout == "ascii":
-        if any(one.length for one in vertex.properties[: max(columns)]):
+        if any(item.length for item in vertex.properties[: max(columns)]):
             wanted = ", ".join(properties)
             raise InputError(f"{path}: {wanted} must come before all list properties of a vertex")
         width = None if vertex.has_list else len(vertex.properties)
@@ -208,7 +208,7 @@ def _end_of(data: bytes, start: int, element: _Element, order: str, num_points: 
         end = start + element.count * dtype.itemsize
         if end <= len(data):
             rows = np.frombuffer(data, dtype, element.count, start)
-            lists = [k for k, one in enumerate(element.properties) if one.length]
+            lists = [k for k, item in enumerate(element.properties) if item.length]
             same = zip(lists, first[0], strict=True)
             if all(np.all(rows[f"length {k}"] == length) for k, length in same):
                 corners = [k for k in lists if element.properties[k].name in FACE_LISTS]
@@ -232,24 +232,24 @@ def _list_lengths(
     """Read the lengths of a row's lists, and where it ends; None if it cannot be a row."""
     lengths: list[int] = []
     position = start
-    for one in element.properties:
-        size, times = np.dtype(one.kind).itemsize, 1
-        if one.length:
-            width = np.dtype(one.length).itemsize
+    for item in element.properties:
+        size, times = np.dtype(item.kind).itemsize, 1
+        if item.length:
+            width = np.dtype(item.length).itemsize
             if position + width > len(data):
                 return None
-            signed = one.length.startswith("i")
+            signed = item.length.startswith("i")
             little = "little" if order == "<" else "big"
             times = int.from_bytes(data[position : position + width], little, signed=signed)
-            if times < (2 if one.name in FACE_LISTS else 0):  # a face of one corner is none
+            if times < (2 if item.name in FACE_LISTS else 0):  # a face of one corner is none
                 return None
             lengths.append(times)
             position += width
         position += times * size
         if position > len(data):
             return None
-        if one.length and one.name in FACE_LISTS:
-            corners = np.frombuffer(data, order + one.kind, times, position - times * size)
+        if item.length and item.name in FACE_LISTS:
+            corners = np.frombuffer(data, order + item.kind, times, position - times * size)
             if not _are_indices(corners, num_points):
                 return None
     return lengths, position
@@ -282,11 +282,11 @@ def _parse_header(data: bytes, path: Path) -> _Header:
                     raise InputError(f"{where}: names 'element {name}' a second time")
                 elements.append(_Element(name, count, ()))
             case ["property", "list", length, kind, name] if elements and _is_length(length, kind):
-                one = _Property(name, SCALARS[kind], SCALARS[length])
-                elements[-1] = _with_property(elements[-1], one, where)
+                item = _Property(name, SCALARS[kind], SCALARS[length])
+                elements[-1] = _with_property(elements[-1], item, where)
             case ["property", kind, name] if elements and kind in SCALARS:
-                one = _Property(name, SCALARS[kind])
-                elements[-1] = _with_property(elements[-1], one, where)
+                item = _Property(name, SCALARS[kind])
+                elements[-1] = _with_property(elements[-1], item, where)
             case ["ply"] | ["comment", *_] | ["obj_info", *_] | []:
                 pass
             case _:
@@ -298,14 +298,14 @@ def _is_length(length: str, kind: str) -> bool:
     return SCALARS.get(length, "f")[0] in "iu" and kind in SCALARS
 
 
-def _with_property(element: _Element, one: _Property, where: str) -> _Element:
+def _with_property(element: _Element, item: _Property, where: str) -> _Element:
     if len(element.properties) == MOST_PROPERTIES:
         raise InputError(f"{where}: 'element {element.name}' has over {MOST_PROPERTIES} properties")
-    return _Element(element.name, element.count, (*element.properties, one))
+    return _Element(element.name, element.count, (*element.properties, item))
 
 
 def _columns(vertex: _Element, wanted: Sequence[str], path: Path) -> tuple[int, ...]:
-    names = [None if one.length else one.name for one in vertex.properties]
+    names = [None if item.length else item.name for item in vertex.properties]
     missing = [name for name in wanted if name not in names]
     if missing:
         raise InputError(f"{path}: its vertices have no property {' or '.join(missing)}")

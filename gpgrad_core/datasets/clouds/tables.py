@@ -25,17 +25,11 @@ COMMENT_MARKS = ("#", "//")
 
 @dataclass(frozen=True)
 class Layout:
-    """How the rows of a table are read.
+    """How the rows of a table are read."""
 
-    Attributes:
-        columns: Which columns to read, such as those of x, y and z, counted from 0.
-        width: Number of columns that each row must have; None if they may differ.
-        separator: What separates the columns; None means spaces.
-    """
-
-    columns: tuple[int, ...]
-    width: int | None = None
-    separator: str | None = None
+    columns: tuple[int, ...]  # which columns to read, such as those of x, y and z, counted from 0
+    width: int | None = None  # number of columns that each row must have; None if they may differ
+    separator: str | None = None  # what separates the columns; None means spaces
 
 
 def read_table(path: Path, _names: Collection[str] = ()) -> PointCloud:
@@ -129,21 +123,21 @@ def read_body(
         raise InputError(f"{path}: its header says 'ascii', but zero bytes follow; save it again")
     lines = lines_of(data.decode("latin-1"))
     places = [k for k, line in enumerate(lines) if line and not line.isspace()]
-    found = len(places)
+    held = len(places)
     if lines and places and places[-1] == len(lines) - 1 and not data.endswith((b"\n", b"\r")):
         # The last row has no line end: if the file is cut short, the row may lack digits.
         least = layout.width or max(layout.columns) + 1
-        whole = found == before + count + after
-        found -= not whole or (not after and len(lines[-1].split()) < least)
-    if found < before + count:
-        raise cut_short(path, count, max(0, found - before))
-    if found < before + count + after:
+        whole = held == before + count + after
+        held -= not whole or (not after and len(lines[-1].split()) < least)
+    if held < before + count:
+        raise cut_short(path, count, max(0, held - before))
+    if held < before + count + after:
         raise InputError(
             f"{path}: is cut short: its header promises {before + count + after:,} rows, but the "
-            f"file ends after {found:,}; copy or save it again"
+            f"file ends after {held:,}; copy or save it again"
         )
-    if found > before + count + after:
-        raise surplus(path, before + count + after, found, "rows")
+    if held > before + count + after:
+        raise surplus(path, before + count + after, held, "rows")
     chosen = places[before : before + count]
     # Rows that follow each other keep the numbers of their lines, for the error message.
     body = lines[chosen[0] : chosen[-1] + 1] if chosen else []
@@ -196,10 +190,10 @@ def _parse_slowly(
         if not (_is_data(line) if comments else line.strip()):
             continue
         fields = _fields(line, layout.separator)
-        where, found, least = f"{path}, line {number}", len(fields), max(layout.columns) + 1
-        if found < least:
+        where, width, least = f"{path}, line {number}", len(fields), max(layout.columns) + 1
+        if width < least:
             needs = "x, y and z need" if len(layout.columns) == 3 else "it needs"
-            raise InputError(f"{where}: {_has(found)}, {needs} {least}: {_shorten(line)!r}")
+            raise InputError(f"{where}: {_has(width)}, {needs} {least}: {_shorten(line)!r}")
         point: list[float] = []
         for column in layout.columns:
             value = parse_number(fields[column]) if fields[column] else float("nan")
@@ -209,10 +203,10 @@ def _parse_slowly(
                     hint = f"; {COMMA_HINT}"
                 raise InputError(f"{where}: {_shorten(fields[column])!r} is not a number{hint}")
             point.append(value)
-        if layout.width is not None and found != layout.width:
-            hint = f"; {COMMA_HINT}" if layout.separator == "," and found > layout.width else ""
+        if layout.width is not None and width != layout.width:
+            hint = f"; {COMMA_HINT}" if layout.separator == "," and width > layout.width else ""
             raise InputError(
-                f"{where}: {_has(found)}, but the table has {layout.width}: "
+                f"{where}: {_has(width)}, but the table has {layout.width}: "
                 f"{_shorten(line)!r}{hint}"
             )
         points.append(point)

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.datasets.dataset_toml import DatasetInfo, read_dataset_toml, write_dataset_toml
+from gpgrad_core.datasets.dataset_toml import read_dataset_toml, write_dataset_toml
+from gpgrad_core.types import Dataset
 from tests.core.datasets.refusal import assert_refused
 
 IDS = frozenset({"000", "001"})
@@ -34,7 +35,15 @@ def test_everything_comes_back(
         "map": {"length_scale": length_scale, "max_points": points},
         "closure": {},
     }
-    info = DatasetInfo(*texts, "MIT", noise, preferred, origin=origin)
+    info = Dataset(
+        texts[0],
+        (),
+        description=texts[1],
+        licence="MIT",
+        sensor_noise=noise,
+        preferred=preferred,
+        origin=origin,
+    )
     write_dataset_toml(tmp_path / "dataset.toml", info)
     back = read_dataset_toml(tmp_path / "dataset.toml", IDS)
     assert vars(back) == vars(info)
