@@ -103,7 +103,7 @@ FORMATS: dict[str, Format] = {
     ),
     "trajectory": Format(".txt", texts.trajectory, read_pose_file),
     "times": Format(".txt", texts.times, read_times),
-    "positions": Format(".txt", texts.places, read_truth_file),
+    "positions": Format(".txt", texts.positions, read_truth_file),
     "solution": Format(".pos", texts.solution, read_truth_file),
     "katwijk": Format(".txt", texts.katwijk, read_places),
     "places": Format(".csv", texts.places_table, read_places_table),
