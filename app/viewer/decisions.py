@@ -1,21 +1,22 @@
 """What a person decided about single closures, over what the thresholds say."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, TypeAlias
+
+from msgspec import Struct
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs import (
     LONGEST_NOTE,
     Decision,
     closure_of,
-    read_decision,
     read_pair,
     record_of,
     table_of,
 )
-from gpgrad_core.reading.json_files import Record
+from gpgrad_core.reading.records import as_record
 from gpgrad_core.types import Dataset, LoopClosure, Registration
 
 Pair: TypeAlias = tuple[str, str]
@@ -141,28 +142,49 @@ def tables_of(decisions: Decisions) -> list[dict[str, Any]]:
     return tables
 
 
-def read_decisions(records: Sequence[Record]) -> Decisions:
+class _Table(Struct):
+    """A decision in a session's file; `tables_of` writes it."""
+
+    query: str
+    database: str
+    accepted: bool | None = None
+    note: str = ""
+    motion: dict[str, object] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the note as that of any decision."""
+        Decision(self.accepted, self.note)
+
+
+class _Tables(Struct):
+    decisions: list[_Table]
+
+
+def read_decisions(tables: object, where: str) -> Decisions:
     """Read decisions from the tables of a file.
+
+    Args:
+        tables: What the file has under the key ``decisions``.
+        where: The file, for the beginning of the error message.
 
     Raises:
         InputError: If there are too many, or one of them says what it cannot.
     """
-    if len(records) > MOST_DECISIONS:
+    rows = as_record({"decisions": tables}, _Tables, where).decisions
+    if len(rows) > MOST_DECISIONS:
         raise InputError(
-            f"{records[0].where}: there are {len(records):,} decisions; {MOST_DECISIONS:,} is the "
-            "most"
+            f"{where}: there are {len(rows):,} decisions; {MOST_DECISIONS:,} is the most"
         )
     decisions = Decisions()
-    for record in records:
-        pair = record.text("query"), record.text("database")
-        if pair[0] == pair[1]:
-            raise record.wrong("database", "another submap than the query")
-        if "motion" in record.values:
-            values = {**record.record("motion").values, "query": pair[0], "database": pair[1]}
-            found = closure_of(read_pair(Record(values, f"{record.where}, motion")))
-            decisions = with_motion(decisions, pair, found.registration)
-        decision = read_decision(record)
-        decisions = with_note(with_verdict(decisions, pair, decision.accepted), pair, decision.note)
+    for k, row in enumerate(rows):
+        place, pair = f"{where}, decisions[{k}]", (row.query, row.database)
+        if row.query == row.database:
+            raise InputError(f"{place}: 'database' must be another submap than the query")
+        if row.motion is not None:
+            values = {**row.motion, "query": row.query, "database": row.database}
+            closure = closure_of(read_pair(values, f"{place}, motion"))
+            decisions = with_motion(decisions, pair, closure.registration)
+        decisions = with_note(with_verdict(decisions, pair, row.accepted), pair, row.note)
     return decisions
 
 

@@ -27,7 +27,6 @@ from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import to_tables, with_tables
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.reading.json_files import Record
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.records import as_record
 from gpgrad_core.reading.text import read_text
@@ -66,7 +65,7 @@ class _SavedTable(Struct, forbid_unknown_fields=True):
     method: MethodName = "gradient"
     params: dict[str, object] = {}
     camera: _CameraTable | None = None
-    decisions: list[dict[str, object]] = []
+    decisions: list[object] = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +193,6 @@ def as_saved(table: object, where: str) -> SavedSession:
     """
     saved = as_record(table, _SavedTable, where, RULES)
     base = METHODS[saved.method].adapt(PipelineParams())
-    records = Record({"decisions": saved.decisions}, where).records("decisions")
     return SavedSession(
         None if saved.dataset is None else _path(saved.dataset, where),
         saved.query,
@@ -202,7 +200,7 @@ def as_saved(table: object, where: str) -> SavedSession:
         with_tables(ViewOptions(), saved.view, f"{where}, [view]"),
         with_tables(base, saved.params, f"{where}, [params]"),
         None if saved.camera is None else Camera(saved.camera.position, saved.camera.look_at),
-        read_decisions(records),
+        read_decisions(saved.decisions, where),
         saved.method,
     )
 

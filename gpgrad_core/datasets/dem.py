@@ -18,8 +18,7 @@ from jaxtyping import Float
 from scipy import ndimage
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.simulation_params import SimulationParams
-from gpgrad_core.datasets.streams import stream
+from gpgrad_core.datasets.simulation_params import SimulationParams, stream
 from gpgrad_core.datasets.terrain import RESOLUTION, HeightField, add_rocks
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
@@ -90,9 +89,12 @@ def ground_of(
     size = int(np.ceil(params.extent / RESOLUTION)) + 1
     # The middle of the ground is that of the model.
     along = RESOLUTION * (np.arange(size) - 0.5 * (size - 1))
-    row, column = (0.5 * (n - 1) + along / one for n, one in zip(heights.shape, step, strict=True))
-    low = [max(int(np.floor(one[0])) - 8, 0) for one in (row, column)]
-    high = [int(np.ceil(one[-1])) + 9 for one in (row, column)]
+    row, column = (
+        0.5 * (n - 1) + along / step_along
+        for n, step_along in zip(heights.shape, step, strict=True)
+    )
+    low = [max(int(np.floor(cells[0])) - 8, 0) for cells in (row, column)]
+    high = [int(np.ceil(cells[-1])) + 9 for cells in (row, column)]
     window = heights[low[0] : high[0], low[1] : high[1]].astype(np.float64)
     unknown = int(np.sum(~np.isfinite(window)))
     if unknown:

@@ -13,17 +13,17 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.poses import make_pose
 from gpgrad_core.errors import InputError
+from gpgrad_core.georeference import check_place
 from gpgrad_core.libraries import load_library
-from gpgrad_core.reading.places import is_place
 from gpgrad_core.run.progress import Cancelled
-from gpgrad_core.scans.keeping import Condition, Tally
+from gpgrad_core.scans.conditions import Condition, Tally
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.point_cloud2 import points_of
 from gpgrad_core.scans.pose_files import (
     PoseFile,
     positions_of,
     read_mount,
-    read_pose_file,
+    read_timed_poses,
     read_truth_file,
 )
 from gpgrad_core.scans.recording import (
@@ -210,9 +210,7 @@ def _add_place(contents: _Contents, message: Any, logged: int, where: str) -> No
     place = [float(message.latitude), float(message.longitude), float(message.altitude)]
     if int(message.status.status) < 0 or not np.isfinite(place).all():
         return
-    if not is_place(*place):
-        numbers = " ".join(f"{number:g}" for number in place)
-        raise InputError(f"{where}: {numbers} are no latitude, longitude, height")
+    check_place(place, where)
     contents.place_stamps.append(seconds(message.header) or 1e-9 * logged)
     contents.places.append(place)
 
@@ -252,22 +250,16 @@ class _Placing:
     def _trajectory(self) -> Trajectory:
         """Read the poses of the file that was given, or else of the bag's messages."""
         if self.sources.poses is not None:
-            found = read_pose_file(self.sources.poses)
-            if found.numbered:
-                raise InputError(
-                    f"{self.sources.poses}: KITTI poses have no times, which a bag's scans need; "
-                    "give TUM poses"
-                )
-            return found.trajectory
+            return read_timed_poses(self.sources.poses)
         if not self.contents.rows:
             raise InputError(f"{self.path}: its topic {self.contents.pose_topic} has no messages")
         table = np.array(self.contents.rows)
-        known = np.array(self.contents.covariances)
+        covariances = np.array(self.contents.covariances)
         return Trajectory.in_order(
             table[:, 0],
             Poses(table[:, 1:4], Rotation.from_quat(table[:, 4:])),
             # In ROS, a covariance of zeros means that it is not known.
-            known if len(known) and np.any(known) else None,
+            covariances if len(covariances) and np.any(covariances) else None,
         )
 
     def _body_by_transforms(self) -> tuple[Located, str, tuple[str, ...]]:
@@ -365,8 +357,8 @@ def _reading(path: Path) -> Generator[Any]:
 
 def _topics(reader: Any, kinds: Sequence[str]) -> dict[str, int]:
     """Find the topics of some message types, with the number of their messages."""
-    found = {name: info for name, info in reader.topics.items() if info.msgtype in kinds}
-    return {name: int(info.msgcount) for name, info in found.items()}
+    topics = {name: info for name, info in reader.topics.items() if info.msgtype in kinds}
+    return {name: int(info.msgcount) for name, info in topics.items()}
 
 
 def _asks_for_transforms(reader: Any, topic: str | None) -> bool:
@@ -376,20 +368,20 @@ def _asks_for_transforms(reader: Any, topic: str | None) -> bool:
 def _choose(
     reader: Any, kinds: Sequence[str], wanted: str | None, what: str, flag: str, path: Path
 ) -> str:
-    found = _topics(reader, kinds)
-    listed = ", ".join(f"{name} ({count:,})" for name, count in sorted(found.items()))
+    topics = _topics(reader, kinds)
+    listed = ", ".join(f"{name} ({count:,})" for name, count in sorted(topics.items()))
     if wanted is not None:
-        if wanted not in found:
+        if wanted not in topics:
             raise InputError(
                 f"{path}: {flag} {wanted}: is not a topic of {what} there; it has "
                 f"{listed or 'none'}"
             )
         return wanted
-    if len(found) != 1:
+    if len(topics) != 1:
         names = ", ".join(kind.split("/")[-1] for kind in kinds)
-        has = f"has {len(found)} topics of {what}, {listed}: choose one with {flag}"
-        raise InputError(f"{path}: {has if found else f'has no topic of {what} ({names})'}")
-    return next(iter(found))
+        has = f"has {len(topics)} topics of {what}, {listed}: choose one with {flag}"
+        raise InputError(f"{path}: {has if topics else f'has no topic of {what} ({names})'}")
+    return next(iter(topics))
 
 
 def _listed(parents: dict[str, str]) -> str:

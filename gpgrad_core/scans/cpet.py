@@ -8,12 +8,10 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.datasets.clouds import read_points
+from gpgrad_core.datasets.clouds import read_cloud
 from gpgrad_core.datasets.cpet import PosedScan
-from gpgrad_core.errors import InputError
 from gpgrad_core.scans.recording import Reader, Recording, RecordingSources, identify
 from gpgrad_core.scans.trajectory import Located, Poses
 
@@ -31,30 +29,18 @@ def open_posed_scans(
     Raises:
         InputError: If a pose cannot be read, or the sources name other files.
     """
-    given = {
-        "--poses": sources.poses,
-        "--truth": sources.truth,
-        "--times": sources.times,
-        "--mount": sources.mount,
-    }
-    for flag, file in given.items():
-        if file is not None:
-            raise InputError(f"{flag} {file}: the scans of {path} have a pose each, in NAME.gt")
-    if sources.keep:
-        raise InputError(f"--keep {sources.keep[0]}: the scans of {path} have x, y and z only")
-    poses = [one.read_pose() for one in scans]
-    body = Poses(
-        np.array([pose.translation for pose in poses]),
-        Rotation.from_quat([pose.quaternion for pose in poses]),
-    )
+    each = f"the scans of {path} have a pose each, in NAME.gt"
+    sources.refuse(each, "poses", "truth", "times", "mount")
+    sources.refuse(f"the scans of {path} have x, y and z only", "keep")
+    body = Poses.of(*(scan.read_pose() for scan in scans))
     return Recording(
         name=path.resolve().name,
-        identity=identify([file for one in scans for file in (one.cloud, one.truth)]),
+        identity=identify([file for scan in scans for file in (scan.cloud, scan.truth)]),
         stamps=None,
         body=body,
         mount=Poses.identity(),
         read=_reader(scans),
-        labels=tuple(one.cloud.name for one in scans),
+        labels=tuple(scan.cloud.name for scan in scans),
         truth=Located(body, np.ones(len(scans), bool)),
         notes=("the poses of the scans are the true ones; there is no odometry",),
     )
@@ -62,7 +48,7 @@ def open_posed_scans(
 
 def _reader(scans: Sequence[PosedScan]) -> Reader:
     def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
-        for one in scans[start:stop]:
-            yield read_points(one.cloud)
+        for scan in scans[start:stop]:
+            yield read_cloud(scan.cloud).points
 
     return read

@@ -3,17 +3,16 @@
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.clouds import READERS, read_points, read_property
+from gpgrad_core.datasets.clouds import CLOUD_ENDINGS, is_cloud, read_cloud
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.whole import is_unfinished
-from gpgrad_core.scans.keeping import Condition, Tally, kept_points
+from gpgrad_core.scans.conditions import Condition, Tally, kept_points
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.pose_files import (
     Mount,
@@ -73,22 +72,22 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     keys = keys[order]
     located = files.poses.trajectory.at(keys, params)
     notes += place(keys, located, _span(files.poses), str(path), params)
-    known = np.flatnonzero(located.known)
-    kept = [clouds[k] for k in order[known]]
+    posed = np.flatnonzero(located.known)
+    kept = [clouds[k] for k in order[posed]]
     true_poses, truth_notes = truth_at(
-        files.true_trajectory, keys[known], str(files.truth_path), params
+        files.true_trajectory, keys[posed], str(files.truth_path), params
     )
     tally = Tally()
     return Recording(
         name=path.resolve().name,
         identity=identify([*kept, *files.paths]),
-        stamps=None if stamps is None else stamps[order[known]],
-        body=located.poses[known],
+        stamps=None if stamps is None else stamps[order[posed]],
+        body=located.poses[posed],
         mount=files.mount.pose,
         read=_reader(kept, sources.keep, tally),
         labels=tuple(cloud.name for cloud in kept),
         up="-y" if files.mount.on_camera else "z",
-        covariance=None if located.covariance is None else located.covariance[known],
+        covariance=None if located.covariance is None else located.covariance[posed],
         truth=true_poses,
         positions_only=files.truth is not None and files.truth.positions_only,
         notes=(*notes, *files.mount_notes, *truth_notes, *keeping(sources)),
@@ -183,13 +182,13 @@ def _find_clouds(path: Path) -> tuple[list[Path], Path]:
         clouds = sorted(
             entry
             for entry in folder.iterdir()
-            if entry.suffix.lower() in READERS and not entry.name.startswith(".")
+            if is_cloud(entry) and not entry.name.startswith(".")
         )
         if clouds:
             return clouds, folder
     raise InputError(
         f"{path}: holds no scans: neither it nor its {', '.join(CLOUD_FOLDERS[1:])} have clouds "
-        f"({' '.join(READERS)}), and it is not a bag"
+        f"({CLOUD_ENDINGS}), and it is not a bag"
     )
 
 
@@ -211,8 +210,8 @@ def _find_mount(
     mount = read_mount(path)
     if mount.on_camera:
         return path, mount, (f"{path.name}: is KITTI's, so the poses are of a camera: up is -y",)
-    found = f"{path.name}: was found and is used as the sensor's pose on the body"
-    return path, mount, () if sources.mount else (found,)
+    note = f"{path.name}: was found and is used as the sensor's pose on the body"
+    return path, mount, () if sources.mount else (note,)
 
 
 def _span(poses: PoseFile) -> str:
@@ -242,13 +241,13 @@ def _stamps(
         return rows.astype(np.float64), None if times is None else times[rows], ()
     if times is not None:
         return times, times, ()
-    known = [number for number in numbers if number is not None]
-    if len(known) < len(numbers):
+    times_in_names = [number for number in numbers if number is not None]
+    if len(times_in_names) < len(numbers):
         first = clouds[numbers.index(None)].name
         raise InputError(
             f"{path}: the name {first} holds no time; give the scans' times: --times FILE"
         )
-    stamps = np.array(known)
+    stamps = np.array(times_in_names)
     spans = poses.trajectory.stamps[[0, -1]] + [-1.0, 1.0]
     middle = float(np.median(stamps))
     for scale, unit in ((1.0, ""), (1e-9, "nanoseconds"), (1e-6, "microseconds"), (1e-3, "ms")):
@@ -294,8 +293,8 @@ def number_in(stem: str) -> float | None:
 def _reader(clouds: list[Path], keep: Sequence[Condition], tally: Tally) -> Reader:
     def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
         for cloud in clouds[start:stop]:
-            points = read_points(cloud)
-            mask = kept_points(keep, partial(read_property, cloud), str(cloud), tally)
-            yield points if mask is None else points[mask]
+            content = read_cloud(cloud, {condition.field for condition in keep})
+            mask = kept_points(keep, content.numbers.get, str(cloud), tally)
+            yield content.points if mask is None else content.points[mask]
 
     return read

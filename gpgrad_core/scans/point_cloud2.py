@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.scans.keeping import Condition, Tally, kept_points
+from gpgrad_core.scans.conditions import Condition, Tally, kept_points
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's types by the numbers that the message uses for them."""
@@ -30,14 +30,14 @@ def points_of(
             bytes than its header says.
     """
     fields = {field.name: field for field in message.fields}
-    names = [*"xyz", *dict.fromkeys(one.field for one in keep if one.field not in ("x", "y", "z"))]
+    names = list(dict.fromkeys([*"xyz", *(condition.field for condition in keep)]))
     missing = [name for name in names if name not in fields]
     if missing:
         held = ", ".join(fields) or "nothing"
         raise InputError(f"{where}: its points have no field {' or '.join(missing)}, only {held}")
     order = ">" if message.is_bigendian else "<"
     formats = [order + NUMBERS.get(fields[name].datatype, "") for name in names]
-    wrong = [name for name, one in zip(names, formats, strict=True) if len(one) < 2]
+    wrong = [name for name, kind in zip(names, formats, strict=True) if len(kind) < 2]
     if wrong and wrong[0] in "xyz":
         raise InputError(f"{where}: x, y and z do not have a number type of PointCloud2")
     if wrong:

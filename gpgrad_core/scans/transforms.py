@@ -77,8 +77,8 @@ class FrameRows:
         Raises:
             InputError: If a frame has a second parent, or a quaternion is not of unit length.
         """
-        for one in message.transforms:
-            parent, child = plain(one.header.frame_id), plain(one.child_frame_id)
+        for transform in message.transforms:
+            parent, child = plain(transform.header.frame_id), plain(transform.child_frame_id)
             if self.parents.setdefault(child, parent) != parent:
                 raise InputError(
                     f"{where}: the frame {child!r} has two parents, {self.parents[child]!r} and "
@@ -87,8 +87,8 @@ class FrameRows:
             if static:
                 self.static.add(child)
                 self.rows[child] = []  # only the latest counts
-            move, turn = one.transform.translation, one.transform.rotation
-            stamp = seconds(one.header)
+            move, turn = transform.transform.translation, transform.transform.rotation
+            stamp = seconds(transform.header)
             values = [float(v) for v in (move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)]
             make_pose(values, f"{where}, {parent} > {child} at {stamp:.3f} s")
             self.rows[child].append([stamp, *values])

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from gpgrad_core.datasets.clouds import READERS
+from gpgrad_core.datasets.clouds import is_cloud
 from gpgrad_core.datasets.cpet import is_posed_scan
 from gpgrad_core.errors import InputError
 
@@ -92,7 +92,7 @@ def list_folder(root: Path, folder: Path) -> Listing:
             continue
         if entry.is_dir():
             folders.append(entry.name)
-        elif entry.suffix.lower() in READERS:
+        elif is_cloud(entry):
             clouds.append(entry.name)
     hidden = max(len(folders) - MOST_ENTRIES, 0) + max(len(clouds) - MOST_ENTRIES, 0)
     return Listing(

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from gpgrad_core.datasets import load_cloud
 from gpgrad_core.datasets.clouds import load_cloud_with_notes
-from gpgrad_core.datasets.ply import write_ply
+from gpgrad_core.datasets.clouds.ply import write_ply
 from tests.core.datasets.refusal import assert_refused
 
 WORLD = np.array([456_789.123456789, 5_123_456.987654321, -1234.000000123])
@@ -169,7 +169,7 @@ def test_a_missing_file_and_an_unknown_ending(tmp_path: Path) -> None:
     assert_refused(
         lambda: load_cloud(tmp_path / "a.e57"),
         "a.e57: unknown ending '.e57'",
-        ".ply .pcd .npz .npy .xyz .csv .las .laz .bin",
+        ".bin .csv .las .laz .npy .npz .pcd .ply .xyz",
     )
     (tmp_path / "folder.ply").mkdir()
     assert_refused(lambda: load_cloud(tmp_path / "folder.ply"), "folder.ply: cannot be read")

@@ -7,7 +7,8 @@ import open3d as o3d
 import pytest
 
 from gpgrad_core.datasets import load_cloud, load_dataset, write_dataset
-from gpgrad_core.datasets.ply import read_ply, read_ply_colors, write_ply
+from gpgrad_core.datasets.clouds import read_cloud
+from gpgrad_core.datasets.clouds.ply import write_ply
 from gpgrad_core.types import Dataset, Submap
 
 RNG = np.random.default_rng(0)
@@ -34,10 +35,11 @@ def test_colors_of_open3ds_files(
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     path = tmp_path / "cloud.ply"
     write_ply(path, POINTS, COLORS)
-    np.testing.assert_allclose(read_ply_colors(path), COLORS, atol=1e-9)
-    np.testing.assert_allclose(read_ply(path), POINTS, atol=1e-6)
+    cloud = read_cloud(path)
+    np.testing.assert_allclose(cloud.colors, COLORS, atol=1e-9)
+    np.testing.assert_allclose(cloud.points, POINTS, atol=1e-6)
     write_ply(path, POINTS)
-    assert read_ply_colors(path) is None
+    assert read_cloud(path).colors is None
 
 
 def test_colors_are_dropped_with_their_points_and_are_part_of_the_fingerprint() -> None:

@@ -210,7 +210,7 @@ def test_a_preferred_submap_that_is_not_there_is_refused(folder: Path) -> None:
 def test_places_that_hold_nothing(tmp_path: Path, folder: Path) -> None:
     assert_refused(lambda: load_dataset(tmp_path / "none"), "none: no such file or folder")
     (tmp_path / "empty").mkdir()
-    assert_refused(lambda: load_dataset(tmp_path / "empty"), "empty: holds no clouds (.ply .pcd")
+    assert_refused(lambda: load_dataset(tmp_path / "empty"), "empty: holds no clouds (.bin .csv")
     assert_refused(lambda: load_dataset(tmp_path), "it holds the datasets set; give one of them")
     for path in (folder / "submaps").iterdir():
         path.unlink()

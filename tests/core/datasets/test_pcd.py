@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.datasets import load_cloud
-from gpgrad_core.datasets.pcd import decompress_lzf
+from gpgrad_core.datasets.clouds.pcd import decompress_lzf
 from tests.core.datasets.refusal import assert_refused
 
 LAYOUTS = {"ascii": (True, False), "binary": (False, False), "compressed": (False, True)}

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gpgrad_core.datasets import load_cloud
-from gpgrad_core.datasets.ply import write_ply
+from gpgrad_core.datasets.clouds.ply import write_ply
 from tests.core.datasets.refusal import assert_refused
 
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.datasets import load_cloud, load_dataset, write_dataset
-from gpgrad_core.datasets.ply import write_ply
+from gpgrad_core.datasets.clouds.ply import write_ply
 from gpgrad_core.gradient_map import TerrainParams, point_noise
 from gpgrad_core.types import Dataset, Submap
 from tests.core.datasets.refusal import assert_refused

@@ -194,7 +194,7 @@ def test_what_cannot_be_brought_together(tmp_path: Path) -> None:
         ("# a\n0 0 0 0 0 0 0 2\n", "line 2: the quaternion"),
         ("0 0 0 0 0 0 0 x\n", "line 1: holds something that is not a number"),
         ("0 0 0 nan 0 0 0 1\n", "line 1: holds a value that is not finite"),
-        ("1 0 0 0 0 1 0 0 0 0 2 0\n", "line 1: the first three columns of the 3x4"),
+        ("1 0 0 0 0 1 0 0 0 0 2 0\n", "line 1: the first three columns of the pose's matrix"),
         ("0 0 0 0 0 0 0 1\n1 0 0 0 0 1 0 0 0 0 1 0\n", "line 2: has 12 columns, the rows before"),
     ],
 )

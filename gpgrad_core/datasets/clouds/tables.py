@@ -2,14 +2,15 @@
 
 import csv
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array
+from gpgrad_core.datasets.clouds.format import CloudFormat, PointCloud, cut_short, surplus
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.text import (
     COMMA_HINT,
@@ -22,27 +23,16 @@ from gpgrad_core.reading.text import (
 COMMENT_MARKS = ("#", "//")
 
 
-def write_lines(path: Path, lines: Iterable[str]) -> None:
-    """Write a text file, one line each; the line ends are the same on every system."""
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
-
-
 @dataclass(frozen=True)
 class Layout:
-    """How the rows of a table are read.
+    """How the rows of a table are read."""
 
-    Attributes:
-        columns: Which columns to read, such as those of x, y and z, counted from 0.
-        width: Number of columns that each row must have; None if they may differ.
-        separator: What separates the columns; None means spaces.
-    """
-
-    columns: tuple[int, ...]
-    width: int | None = None
-    separator: str | None = None
+    columns: tuple[int, ...]  # which columns to read, such as those of x, y and z, counted from 0
+    width: int | None = None  # number of columns that each row must have; None if they may differ
+    separator: str | None = None  # what separates the columns; None means spaces
 
 
-def read_table(path: Path) -> Float[Array, "n 3"]:
+def read_table(path: Path, _names: Collection[str] = ()) -> PointCloud:
     """Read an XYZ or CSV file.
 
     Columns are separated by commas, semicolons, tabs or spaces. If the first row is a header, it
@@ -50,17 +40,16 @@ def read_table(path: Path) -> Float[Array, "n 3"]:
     they are the first three columns. Further columns are ignored, and so are empty lines and lines
     that start with ``#`` or ``//``. All rows have the same number of columns.
 
-    Args:
-        path: The file.
-
-    Returns:
-        Positions [m], possibly none. An empty field is read as NaN.
+    An empty field is read as NaN.
 
     Raises:
         InputError: If a row has another number of columns than the first, a field is not a
             number, or the numbers are written with decimal commas; the message names the line.
     """
-    lines = lines_of(read_text(path))
+    return PointCloud(_read_positions(lines_of(read_text(path)), path))
+
+
+def _read_positions(lines: Sequence[str], path: Path) -> Float[Array, "n 3"]:
     first = next((k for k, line in enumerate(lines) if _is_data(line)), None)
     if first is None:
         return np.empty((0, 3))
@@ -134,50 +123,26 @@ def read_body(
         raise InputError(f"{path}: its header says 'ascii', but zero bytes follow; save it again")
     lines = lines_of(data.decode("latin-1"))
     places = [k for k, line in enumerate(lines) if line and not line.isspace()]
-    found = len(places)
+    held = len(places)
     if lines and places and places[-1] == len(lines) - 1 and not data.endswith((b"\n", b"\r")):
         # The last row has no line end: if the file is cut short, the row may lack digits.
         least = layout.width or max(layout.columns) + 1
-        whole = found == before + count + after
-        found -= not whole or (not after and len(lines[-1].split()) < least)
-    if found < before + count:
-        raise cut_short(path, count, max(0, found - before))
-    if found < before + count + after:
+        whole = held == before + count + after
+        held -= not whole or (not after and len(lines[-1].split()) < least)
+    if held < before + count:
+        raise cut_short(path, count, max(0, held - before))
+    if held < before + count + after:
         raise InputError(
             f"{path}: is cut short: its header promises {before + count + after:,} rows, but the "
-            f"file ends after {found:,}; copy or save it again"
+            f"file ends after {held:,}; copy or save it again"
         )
-    if found > before + count + after:
-        raise surplus(path, before + count + after, found, "rows")
+    if held > before + count + after:
+        raise surplus(path, before + count + after, held, "rows")
     chosen = places[before : before + count]
     # Rows that follow each other keep the numbers of their lines, for the error message.
     body = lines[chosen[0] : chosen[-1] + 1] if chosen else []
     start = first_line + (chosen[0] if chosen else 0)
     return parse_rows(body, layout, path, first_line=start, comments=False)
-
-
-def as_floats(
-    columns: NDArray[np.floating] | NDArray[np.integer],
-) -> NDArray[np.floating]:
-    """Convert numbers to floats without loss: float32 stays, everything else becomes float64."""
-    kept = np.float32 if columns.dtype.kind == "f" and columns.dtype.itemsize == 4 else np.float64
-    return columns.astype(kept, copy=False)
-
-
-def cut_short(path: Path, promised: int, found: int) -> InputError:
-    """Make the error for a file with fewer points than its header says."""
-    return InputError(
-        f"{path}: is cut short: its header promises {promised:,} points, but the file ends after "
-        f"{found:,}; copy or save it again"
-    )
-
-
-def surplus(path: Path, promised: int, found: int, what: str) -> InputError:
-    """Make the error for a file that holds more than its header says."""
-    return InputError(
-        f"{path}: holds more than its header says: {found:,} {what} instead of {promised:,}; "
-        "save it again"
-    )
 
 
 def parse_rows(
@@ -225,10 +190,10 @@ def _parse_slowly(
         if not (_is_data(line) if comments else line.strip()):
             continue
         fields = _fields(line, layout.separator)
-        where, found, least = f"{path}, line {number}", len(fields), max(layout.columns) + 1
-        if found < least:
+        where, width, least = f"{path}, line {number}", len(fields), max(layout.columns) + 1
+        if width < least:
             needs = "x, y and z need" if len(layout.columns) == 3 else "it needs"
-            raise InputError(f"{where}: {_has(found)}, {needs} {least}: {_shorten(line)!r}")
+            raise InputError(f"{where}: {_has(width)}, {needs} {least}: {_shorten(line)!r}")
         point: list[float] = []
         for column in layout.columns:
             value = parse_number(fields[column]) if fields[column] else float("nan")
@@ -238,10 +203,10 @@ def _parse_slowly(
                     hint = f"; {COMMA_HINT}"
                 raise InputError(f"{where}: {_shorten(fields[column])!r} is not a number{hint}")
             point.append(value)
-        if layout.width is not None and found != layout.width:
-            hint = f"; {COMMA_HINT}" if layout.separator == "," and found > layout.width else ""
+        if layout.width is not None and width != layout.width:
+            hint = f"; {COMMA_HINT}" if layout.separator == "," and width > layout.width else ""
             raise InputError(
-                f"{where}: {_has(found)}, but the table has {layout.width}: "
+                f"{where}: {_has(width)}, but the table has {layout.width}: "
                 f"{_shorten(line)!r}{hint}"
             )
         points.append(point)
@@ -270,3 +235,7 @@ def _fields(line: str, separator: str | None) -> list[str]:
 def _shorten(text: str) -> str:
     text = text.strip()
     return text if len(text) <= 40 else text[:39] + "…"
+
+
+HOLDS = "a table of numbers; a first row may name the columns x, y and z"
+CSV, XYZ = (CloudFormat(ending, HOLDS, read_table) for ending in (".csv", ".xyz"))

@@ -6,17 +6,16 @@ it has looked at the size, and leaves what a shape does not cover unread.
 
 import math
 import re
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Collection, Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
 from zipfile import ZipInfo
 
 import numpy as np
-from jaxtyping import Float
 
-from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.tables import as_floats
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.datasets.clouds.format import CloudFormat, PointCloud, Points, as_floats
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.archives import opened_archive, read_member
 from gpgrad_core.reading.text import parse_count
@@ -39,7 +38,7 @@ _ITEM = re.compile(
 )
 
 
-def read_npy(path: Path) -> Float[NDArray[np.floating], "n 3"]:
+def read_npy(path: Path, _names: Collection[str] = ()) -> PointCloud:
     """Read an array of shape (n, 3).
 
     Raises:
@@ -49,19 +48,37 @@ def read_npy(path: Path) -> Float[NDArray[np.floating], "n 3"]:
     data = path.read_bytes()
     if data.startswith(ZIP_MAGIC):
         raise InputError(f"{path}: is an NPZ archive; rename it to .npz")
-    return _check_points(_parse(data, f"{path}: is not a complete NPY file"), str(path))
+    array = _parse(data, f"{path}: is not a complete NPY file")
+    return PointCloud(_check_points(array, str(path)))
 
 
-def read_npz(path: Path) -> Float[NDArray[np.floating], "n 3"]:
+def read_npz(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read the array ``points`` of an archive, or its only array of shape (n, 3).
 
+    Args:
+        path: The file.
+        names: Which further arrays, of one number for each point, to read.
+
     Raises:
-        InputError: If it is no archive of arrays, or holds no such array.
+        InputError: If it is no archive of arrays, holds no such array of points, or one of the
+            further arrays is no row of numbers.
     """
     with opened_npz(path) as arrays:
-        if "points" in arrays:
-            return _check_points(arrays["points"](), f"{path}, array 'points'")
-        held = {name: load() for name, load in arrays.items()}
+        points = _points_of(arrays, path)
+        numbers = {name: arrays[name]() for name in names if name in arrays}
+    for name, array in numbers.items():
+        if array.ndim != 1 or array.dtype.kind not in "fiu":
+            raise InputError(
+                f"{path}, array {name!r}: must be numbers of shape (n,), one for each point, "
+                f"got {array.dtype} {array.shape}"
+            )
+    return PointCloud(points, numbers=numbers)
+
+
+def _points_of(arrays: Mapping[str, Load], path: Path) -> Points:
+    if "points" in arrays:
+        return _check_points(arrays["points"](), f"{path}, array 'points'")
+    held = {name: load() for name, load in arrays.items()}
     clouds = [name for name, array in held.items() if _has_points_shape(array)]
     if len(clouds) != 1:
         listed = ", ".join(f"{name} {array.shape}" for name, array in held.items()) or "nothing"
@@ -69,24 +86,6 @@ def read_npz(path: Path) -> Float[NDArray[np.floating], "n 3"]:
             f"{path}: needs an array 'points', or just one of shape (n, 3); it holds {listed}"
         )
     return as_floats(held[clouds[0]])
-
-
-def read_npz_property(path: Path, name: str) -> Float[Array, "n"] | None:
-    """Read an array of one number for each point, such as ``noise_std`` [m]; None without it.
-
-    Raises:
-        InputError: If it is something else than a row of numbers.
-    """
-    with opened_npz(path) as arrays:
-        if name not in arrays:
-            return None
-        array = arrays[name]()
-    if array.ndim != 1 or array.dtype.kind not in "fiu":
-        raise InputError(
-            f"{path}, array {name!r}: must be numbers of shape (n,), one for each point, "
-            f"got {array.dtype} {array.shape}"
-        )
-    return array.astype(np.float64)
 
 
 def unpacked_npz(path: Path) -> int:
@@ -145,11 +144,11 @@ def _parse_header(header: str, broken: str) -> tuple[np.dtype[Any], bool, tuple[
     except (TypeError, ValueError):
         raise InputError(f"{broken}: {descr} is not a type of numbers") from None
     shape = [parse_count(size.strip()) for size in sizes[1:-1].split(",") if size.strip()]
-    known = tuple(size for size in shape if size is not None)
+    counted = tuple(size for size in shape if size is not None)
     # Only a type of numbers has a fixed meaning: NumPy takes many words for types.
-    if order not in ("True", "False") or not sizes.startswith("(") or len(known) < len(shape):
+    if order not in ("True", "False") or not sizes.startswith("(") or len(counted) < len(shape):
         raise InputError(f"{broken}: its header gives the shape {sizes} and the order {order}")
-    return dtype, order == "True", known
+    return dtype, order == "True", counted
 
 
 @contextmanager
@@ -186,9 +185,20 @@ def _has_points_shape(array: NDArray[Any]) -> bool:
     return array.ndim == 2 and array.shape[1] == 3 and array.dtype.kind in "fiu"
 
 
-def _check_points(array: NDArray[Any], where: str) -> Float[NDArray[np.floating], "n 3"]:
+def _check_points(array: NDArray[Any], where: str) -> Points:
     if not _has_points_shape(array):
         raise InputError(
             f"{where}: points must be numbers of shape (n, 3), got {array.dtype} {array.shape}"
         )
     return as_floats(array)
+
+
+NPY = CloudFormat(".npy", "an array of shape (n, 3)", read_npy)
+NPZ = CloudFormat(
+    ".npz",
+    "an array `points`, or the only array of shape (n, 3); `noise_std` and `range` if they are "
+    "there",
+    read_npz,
+    submap_numbers=("noise_std", "range"),
+    unpacked_bytes=unpacked_npz,
+)

@@ -5,7 +5,7 @@ of an ascii file that was cut short, and of such a binary file it returns no poi
 warning.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from gpgrad_core.arrays import NDArray
-from gpgrad_core.datasets.tables import Layout, as_floats, cut_short, read_body, surplus
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.datasets.clouds.format import (
+    CloudFormat,
+    PointCloud,
+    as_floats,
+    cut_short,
+    surplus,
+)
+from gpgrad_core.datasets.clouds.tables import Layout, read_body
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.text import parse_count
 
@@ -35,25 +42,15 @@ LAYOUTS = ("ascii", "binary", "binary_compressed")
 
 @dataclass(frozen=True)
 class _Header:
-    """What the header says, checked.
+    """What the header says, checked."""
 
-    Attributes:
-        names: Of the fields; several may have one name.
-        types: NumPy's types of the fields.
-        counts: How many numbers each field has.
-        num_points: Number of points.
-        layout: ``ascii``, ``binary`` or ``binary_compressed``.
-        num_bytes: Where the body starts.
-        num_lines: Number of lines before the body.
-    """
-
-    names: tuple[str, ...]
-    types: tuple[str, ...]
-    counts: tuple[int, ...]
-    num_points: int
-    layout: str
-    num_bytes: int
-    num_lines: int
+    names: tuple[str, ...]  # of the fields; several may have one name
+    types: tuple[str, ...]  # NumPy's types of the fields
+    counts: tuple[int, ...]  # how many numbers each field has
+    num_points: int  # number of points
+    layout: str  # ``ascii``, ``binary`` or ``binary_compressed``
+    num_bytes: int  # where the body starts
+    num_lines: int  # number of lines before the body
 
     @property
     def dtype(self) -> np.dtype[np.void]:
@@ -61,12 +58,20 @@ class _Header:
         fields = zip(self.types, self.counts, strict=True)
         return np.dtype([(str(k), kind, (repeat,)) for k, (kind, repeat) in enumerate(fields)])
 
+    def kind(self, name: str) -> np.dtype[Any]:
+        """Type of a field's numbers."""
+        return np.dtype(self.types[self.names.index(name)])
 
-def read_pcd(path: Path) -> Float[NDArray[np.floating], "n 3"]:
+
+def read_pcd(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read the points of a PCD file.
+
+    The point cloud library packs red, green and blue into three bytes of a field ``rgb`` or
+    ``rgba``, which may be declared as a float.
 
     Args:
         path: The file.
+        names: Which further fields of one number a point to read.
 
     Returns:
         Positions [m], float32 if they are float32 in the file, otherwise float64.
@@ -81,46 +86,25 @@ def read_pcd(path: Path) -> Float[NDArray[np.floating], "n 3"]:
         if header.names.count(name) != 1:
             number = "no" if name not in header.names else "more than one"
             raise InputError(f"{path}: its FIELDS have {number} {name}")
-    return as_floats(_read_fields(data, header, "xyz", path))
+    numbers = zip(header.names, header.counts, strict=True)
+    single = {name for name, count in numbers if count == 1 and header.names.count(name) == 1}
+    further = [name for name in names if name in single]
+    packed = next((name for name in ("rgb", "rgba") if name in header.names), None)
+    if packed is not None and header.kind(packed).itemsize != 4:
+        packed = None
+    columns = _read_fields(data, header, [*"xyz", *([packed] if packed else []), *further], path)
+    points = np.column_stack([columns[name] for name in "xyz"])
+    colors = None if packed is None else _unpacked_colors(columns[packed], header.kind(packed))
+    return PointCloud(as_floats(points), colors, {name: columns[name] for name in further})
 
 
-def read_pcd_colors(path: Path) -> Float[NDArray[np.float64], "n 3"] | None:
-    """Read the points' red, green and blue in [0, 1]; None if they have no field ``rgb``.
-
-    The point cloud library packs three bytes into its field ``rgb`` or ``rgba``, which may be
-    declared as a float.
-
-    Raises:
-        InputError: See `read_pcd`.
-    """
-    data = path.read_bytes()
-    header = _parse_header(data, path)
-    name = next((name for name in ("rgb", "rgba") if name in header.names), None)
-    if name is None:
-        return None
-    kind = np.dtype(header.types[header.names.index(name)])
-    if kind.itemsize != 4:
-        return None
-    packed = _read_fields(data, header, (name,) * 3, path)[:, 0]
+def _unpacked_colors(packed: NDArray[Any], kind: np.dtype[Any]) -> Float[Array, "n 3"]:
     if kind.kind == "f":
         packed = packed.astype(np.float32).view(np.uint32)
     # A text may hold anything; what is no whole number of four bytes has no colour.
-    known = np.isfinite(packed) & (np.abs(packed.astype(np.float64)) < 2.0**32)
-    whole = np.where(known, packed, 0).astype(np.int64) & 0xFFFFFF
+    sound = np.isfinite(packed) & (np.abs(packed.astype(np.float64)) < 2.0**32)
+    whole = np.where(sound, packed, 0).astype(np.int64) & 0xFFFFFF
     return np.column_stack([whole >> 16, (whole >> 8) & 0xFF, whole & 0xFF]) / 255.0
-
-
-def read_pcd_property(path: Path, name: str) -> Float[NDArray[np.float64], "n"] | None:
-    """Read a field of one number a point, such as ``intensity``; None if there is no such field.
-
-    Raises:
-        InputError: See `read_pcd`.
-    """
-    data = path.read_bytes()
-    header = _parse_header(data, path)
-    if header.names.count(name) != 1 or header.counts[header.names.index(name)] != 1:
-        return None
-    return _read_fields(data, header, (name,) * 3, path)[:, 0].astype(np.float64)
 
 
 def unpacked_pcd(path: Path) -> int:
@@ -134,32 +118,34 @@ def unpacked_pcd(path: Path) -> int:
     return header.num_points * header.dtype.itemsize
 
 
-def _read_fields(data: bytes, header: _Header, fields: Sequence[str], path: Path) -> NDArray[Any]:
-    """Read three fields of every point."""
+def _read_fields(
+    data: bytes, header: _Header, fields: Sequence[str], path: Path
+) -> dict[str, NDArray[Any]]:
+    """Read the first number of some fields of every point, by the fields' names."""
     columns = [header.names.index(name) for name in fields]
     count = header.num_points
     if header.layout == "ascii":
         starts = np.concatenate([[0], np.cumsum(header.counts)])
         layout = Layout(tuple(int(starts[column]) for column in columns), int(starts[-1]))
         body = data[header.num_bytes :]
-        return read_body(body, count, layout, path, first_line=header.num_lines + 1)
+        rows = read_body(body, count, layout, path, first_line=header.num_lines + 1)
+        return dict(zip(fields, rows.T, strict=True))
     dtype = header.dtype
     if header.layout == "binary_compressed":
-        return _read_compressed(data[header.num_bytes :], dtype, columns, count, path)
+        values = _read_compressed(data[header.num_bytes :], dtype, columns, count, path)
+        return dict(zip(fields, values, strict=True))
     available = len(data) - header.num_bytes
     if available < count * dtype.itemsize:
         raise cut_short(path, count, available // dtype.itemsize)
     if available > count * dtype.itemsize:
         raise surplus(path, count * dtype.itemsize, available, "bytes of points")
-    if not count:
-        return np.empty((0, len(columns)))
-    table = np.frombuffer(data, dtype, count, header.num_bytes)
-    return np.column_stack([table[str(column)][:, 0] for column in columns])
+    table = np.frombuffer(data, dtype, count, header.num_bytes) if count else np.empty(0, dtype)
+    return {name: table[str(column)][:, 0] for name, column in zip(fields, columns, strict=True)}
 
 
 def _read_compressed(
     body: bytes, dtype: np.dtype[np.void], columns: list[int], count: int, path: Path
-) -> NDArray[Any]:
+) -> list[NDArray[Any]]:
     """Read the layout that stores the values field by field, compressed by LZF."""
     if len(body) < 8:
         raise InputError(f"{path}: is cut short: its compressed points are missing")
@@ -189,9 +175,9 @@ def _read_compressed(
     for column in columns:
         offset = count * sum(dtype[k].itemsize for k in range(column))
         field, (repeat,) = dtype[column].subdtype or (dtype[column], (1,))
-        found = np.frombuffer(unpacked, field, count * repeat, offset) if count else np.empty(0)
-        values.append(found[::repeat])
-    return np.column_stack(values)
+        flat = np.frombuffer(unpacked, field, count * repeat, offset) if count else np.empty(0)
+        values.append(flat[::repeat])
+    return values
 
 
 def decompress_lzf(packed: bytes, size: int) -> bytes:
@@ -298,3 +284,6 @@ def _type(kind: str, size: int, path: Path) -> str:
     if size not in SIZES.get(letter, ()):
         raise InputError(f"{path}: TYPE {kind[:40]} of SIZE {size} is not a number type of PCD")
     return f"<{letter}{size}"
+
+
+PCD = CloudFormat(".pcd", "x, y, z; colours", read_pcd, unpacked_bytes=unpacked_pcd)

@@ -7,7 +7,7 @@ missing. After a check of the number of points in the header, NumPy reads the re
 
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,14 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.tables import Layout, as_floats, cut_short, read_body, surplus
+from gpgrad_core.datasets.clouds.format import (
+    CloudFormat,
+    PointCloud,
+    as_floats,
+    cut_short,
+    surplus,
+)
+from gpgrad_core.datasets.clouds.tables import Layout, read_body
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.text import parse_count
 
@@ -60,18 +67,18 @@ class _Element:
 
     @property
     def has_list(self) -> bool:
-        return any(one.length for one in self.properties)
+        return any(item.length for item in self.properties)
 
     def dtype(self, byte_order: str, lengths: Sequence[int] = ()) -> np.dtype[np.void]:
         """Type of a row, given the lengths of its lists."""
         # The fields are numbered, because two properties may have the same name.
         left = iter(lengths)
         fields: list[Any] = []
-        for k, one in enumerate(self.properties):
-            if one.length:
-                fields.append((f"length {k}", byte_order + one.length))
-            shape = (next(left),) if one.length else ()
-            fields.append((str(k), byte_order + one.kind, shape))
+        for k, item in enumerate(self.properties):
+            if item.length:
+                fields.append((f"length {k}", byte_order + item.length))
+            shape = (next(left),) if item.length else ()
+            fields.append((str(k), byte_order + item.kind, shape))
         return np.dtype(fields)
 
 
@@ -89,72 +96,49 @@ class _Header:
         raise InputError(f"{path}: its header has no 'element vertex'; it holds no points")
 
 
-def read_ply(path: Path) -> Float[NDArray[np.floating], "n 3"]:
+def read_ply(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read the vertices of a PLY file, ascii or binary of either byte order.
 
     Args:
         path: The file.
+        names: Which further numbers of each vertex to read, by the names of their properties.
 
     Returns:
-        Positions [m], float32 if they are float32 in the file, otherwise float64.
+        Positions [m], float32 if they are float32 in the file, otherwise float64. Colours that are
+        whole numbers are divided by the largest number of their type; floats are not changed.
 
     Raises:
         InputError: If it is not a PLY file, has no x, y and z, or ends too early.
     """
     data = path.read_bytes()
     header = _parse_header(data, path)
-    return as_floats(_read_vertices(data, header, "xyz", path))
-
-
-def read_ply_colors(path: Path) -> Float[Array, "n 3"] | None:
-    """Read the vertices' red, green and blue in [0, 1]; None if they have none.
-
-    Whole numbers are divided by the largest number of their type; floats are not changed.
-
-    Raises:
-        InputError: See `read_ply`.
-    """
-    data = path.read_bytes()
-    header = _parse_header(data, path)
-    kinds = _numbers(header.vertex(path))
-    if not all(name in kinds for name in RGB):
-        return None
-    colors = _read_vertices(data, header, RGB, path).astype(np.float64)
-    whole = np.dtype(kinds["red"]).kind in "iu"
-    return colors / np.iinfo(kinds["red"]).max if whole else colors
-
-
-def read_ply_property(path: Path, name: str) -> Float[Array, "n"] | None:
-    """Read one number of each vertex, such as its ``noise_std`` [m]; None if they have none.
-
-    Raises:
-        InputError: See `read_ply`.
-    """
-    data = path.read_bytes()
-    header = _parse_header(data, path)
-    if name not in _numbers(header.vertex(path)):
-        return None
-    return _read_vertices(data, header, (name,), path).astype(np.float64).ravel()
-
-
-def _numbers(vertex: _Element) -> dict[str, str]:
-    """NumPy's types of the properties that are numbers, by name."""
-    return {one.name: one.kind for one in vertex.properties if not one.length}
+    kinds = {item.name: item.kind for item in header.vertex(path).properties if not item.length}
+    rgb = RGB if all(name in kinds for name in RGB) else ()
+    further = [name for name in names if name in kinds]
+    columns = _read_vertices(data, header, [*"xyz", *rgb, *further], path)
+    colors = None
+    if rgb:
+        colors = np.column_stack([columns[name] for name in RGB]).astype(np.float64)
+        if np.dtype(kinds["red"]).kind in "iu":
+            colors /= np.iinfo(kinds["red"]).max
+    points = np.column_stack([columns[name] for name in "xyz"])
+    return PointCloud(as_floats(points), colors, {name: columns[name] for name in further})
 
 
 def _read_vertices(
     data: bytes, header: _Header, properties: Sequence[str], path: Path
-) -> NDArray[Any]:
+) -> dict[str, NDArray[Any]]:
+    """Read some properties of every vertex, by their names."""
     vertex = header.vertex(path)
     place = header.elements.index(vertex)
     before, after = header.elements[:place], header.elements[place + 1 :]
     columns = _columns(vertex, properties, path)
     if header.layout == "ascii":
-        if any(one.length for one in vertex.properties[: max(columns)]):
+        if any(item.length for item in vertex.properties[: max(columns)]):
             wanted = ", ".join(properties)
             raise InputError(f"{path}: {wanted} must come before all list properties of a vertex")
         width = None if vertex.has_list else len(vertex.properties)
-        return read_body(
+        body = read_body(
             data[header.num_bytes :],
             vertex.count,
             Layout(columns, width),
@@ -164,6 +148,7 @@ def _read_vertices(
             after=sum(element.count for element in after if element.properties),
             first_line=header.num_lines + 1,
         )
+        return dict(zip(properties, body.T, strict=True))
     for element in (*before, vertex):
         if element.has_list:
             raise InputError(
@@ -178,10 +163,8 @@ def _read_vertices(
         raise cut_short(path, vertex.count, available)
     end = start + vertex.count * dtype.itemsize
     _check_end(data, end, after, order, vertex.count, path)
-    if not vertex.count:
-        return np.empty((0, len(columns)))
-    rows = np.frombuffer(data, dtype, vertex.count, start)
-    return np.column_stack([rows[str(column)] for column in columns])
+    rows = np.frombuffer(data, dtype, vertex.count, start) if vertex.count else np.empty(0, dtype)
+    return {name: rows[str(column)] for name, column in zip(properties, columns, strict=True)}
 
 
 def _check_end(
@@ -225,7 +208,7 @@ def _end_of(data: bytes, start: int, element: _Element, order: str, num_points: 
         end = start + element.count * dtype.itemsize
         if end <= len(data):
             rows = np.frombuffer(data, dtype, element.count, start)
-            lists = [k for k, one in enumerate(element.properties) if one.length]
+            lists = [k for k, item in enumerate(element.properties) if item.length]
             same = zip(lists, first[0], strict=True)
             if all(np.all(rows[f"length {k}"] == length) for k, length in same):
                 corners = [k for k in lists if element.properties[k].name in FACE_LISTS]
@@ -249,24 +232,24 @@ def _list_lengths(
     """Read the lengths of a row's lists, and where it ends; None if it cannot be a row."""
     lengths: list[int] = []
     position = start
-    for one in element.properties:
-        size, times = np.dtype(one.kind).itemsize, 1
-        if one.length:
-            width = np.dtype(one.length).itemsize
+    for item in element.properties:
+        size, times = np.dtype(item.kind).itemsize, 1
+        if item.length:
+            width = np.dtype(item.length).itemsize
             if position + width > len(data):
                 return None
-            signed = one.length.startswith("i")
+            signed = item.length.startswith("i")
             little = "little" if order == "<" else "big"
             times = int.from_bytes(data[position : position + width], little, signed=signed)
-            if times < (2 if one.name in FACE_LISTS else 0):  # a face of one corner is none
+            if times < (2 if item.name in FACE_LISTS else 0):  # a face of one corner is none
                 return None
             lengths.append(times)
             position += width
         position += times * size
         if position > len(data):
             return None
-        if one.length and one.name in FACE_LISTS:
-            corners = np.frombuffer(data, order + one.kind, times, position - times * size)
+        if item.length and item.name in FACE_LISTS:
+            corners = np.frombuffer(data, order + item.kind, times, position - times * size)
             if not _are_indices(corners, num_points):
                 return None
     return lengths, position
@@ -299,11 +282,11 @@ def _parse_header(data: bytes, path: Path) -> _Header:
                     raise InputError(f"{where}: names 'element {name}' a second time")
                 elements.append(_Element(name, count, ()))
             case ["property", "list", length, kind, name] if elements and _is_length(length, kind):
-                one = _Property(name, SCALARS[kind], SCALARS[length])
-                elements[-1] = _with_property(elements[-1], one, where)
+                item = _Property(name, SCALARS[kind], SCALARS[length])
+                elements[-1] = _with_property(elements[-1], item, where)
             case ["property", kind, name] if elements and kind in SCALARS:
-                one = _Property(name, SCALARS[kind])
-                elements[-1] = _with_property(elements[-1], one, where)
+                item = _Property(name, SCALARS[kind])
+                elements[-1] = _with_property(elements[-1], item, where)
             case ["ply"] | ["comment", *_] | ["obj_info", *_] | []:
                 pass
             case _:
@@ -315,14 +298,14 @@ def _is_length(length: str, kind: str) -> bool:
     return SCALARS.get(length, "f")[0] in "iu" and kind in SCALARS
 
 
-def _with_property(element: _Element, one: _Property, where: str) -> _Element:
+def _with_property(element: _Element, item: _Property, where: str) -> _Element:
     if len(element.properties) == MOST_PROPERTIES:
         raise InputError(f"{where}: 'element {element.name}' has over {MOST_PROPERTIES} properties")
-    return _Element(element.name, element.count, (*element.properties, one))
+    return _Element(element.name, element.count, (*element.properties, item))
 
 
 def _columns(vertex: _Element, wanted: Sequence[str], path: Path) -> tuple[int, ...]:
-    names = [None if one.length else one.name for one in vertex.properties]
+    names = [None if item.length else item.name for item in vertex.properties]
     missing = [name for name in wanted if name not in names]
     if missing:
         raise InputError(f"{path}: its vertices have no property {' or '.join(missing)}")
@@ -394,3 +377,11 @@ def write_ply_pieces(path: Path, pieces: Iterable[Float[Array, "n 3"]]) -> int:
             file.write(header.encode("ascii"))
             shutil.copyfileobj(body, file)
     return count
+
+
+PLY = CloudFormat(
+    ".ply",
+    "x, y, z; colours; `noise_std` and `range` of each point if they are there",
+    read_ply,
+    submap_numbers=("noise_std", "range"),
+)

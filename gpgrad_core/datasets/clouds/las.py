@@ -6,6 +6,7 @@ process of its own: for a damaged file it may abort, or never return.
 """
 
 import struct
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.tables import cut_short, surplus
+from gpgrad_core.datasets.clouds.format import CloudFormat, PointCloud, cut_short, surplus
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.child import DecodingError, decode_apart
@@ -44,62 +45,44 @@ SMALL_CLOUD = 16_000_000
 
 @dataclass(frozen=True, eq=False)
 class _Header:
-    """What the header says, checked against the size of the file.
+    """What the header says, checked against the size of the file."""
 
-    Attributes:
-        compressed: Whether the points are compressed.
-        kind: Format of a point, from 0 to 10.
-        count: Number of points.
-        length: Bytes of a point.
-        begin: Where the points begin.
-        end: Where the points end; of compressed ones, the latest place.
-        scale: What the three whole numbers are multiplied by [m].
-        offset: What is added then [m].
-        low: Least coordinates [m]; NaN if they are not given.
-        high: Greatest coordinates [m]; NaN if they are not given.
-        laszip: The record that describes the compression; empty if there is none.
-    """
-
-    compressed: bool
-    kind: int
-    count: int
-    length: int
-    begin: int
-    end: int
-    scale: Float[Array, "3"]
-    offset: Float[Array, "3"]
-    low: Float[Array, "3"]
-    high: Float[Array, "3"]
-    laszip: bytes
+    compressed: bool  # whether the points are compressed
+    kind: int  # format of a point, from 0 to 10
+    count: int  # number of points
+    length: int  # bytes of a point
+    begin: int  # where the points begin
+    end: int  # where the points end; of compressed ones, the latest place
+    scale: Float[Array, "3"]  # what the three whole numbers are multiplied by [m]
+    offset: Float[Array, "3"]  # what is added then [m]
+    low: Float[Array, "3"]  # least coordinates [m]; NaN if they are not given
+    high: Float[Array, "3"]  # greatest coordinates [m]; NaN if they are not given
+    laszip: bytes  # the record that describes the compression; empty if there is none
 
 
-def read_las(path: Path) -> Float[Array, "n 3"]:
+def read_las(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read the points of a LAS or LAZ file.
+
+    Args:
+        path: The file.
+        names: Which further numbers of each point to read, of those in `FIELDS`.
 
     Raises:
         InputError: If it is no such file, its size is not what its header says, points lie outside
             of the box that its header gives, or lazrs is needed and not installed.
     """
     header, body = _read_body(path)
-    if not header.count:
-        return np.empty((0, 3))
-    points = _column(body, header, 0, "<3i4") * header.scale + header.offset
-    _check_box(points, header, path)
-    return points
-
-
-def read_las_property(path: Path, name: str) -> Float[Array, "n"] | None:
-    """Read a number of each point, one of `FIELDS`, such as ``intensity``; None if it is another.
-
-    Raises:
-        InputError: See `read_las`.
-    """
-    header, body = _read_body(path)
-    field = (FIELDS if header.kind < 6 else FIELDS_FROM_6).get(name)
-    if field is None:
-        return None
-    start, kind, bits = field
-    return (_column(body, header, start, kind) & bits).astype(np.float64)
+    points = np.empty((0, 3))
+    if header.count:
+        points = _column(body, header, 0, "<3i4") * header.scale + header.offset
+        _check_box(points, header, path)
+    fields = FIELDS if header.kind < 6 else FIELDS_FROM_6
+    further = {name: fields[name] for name in names if name in fields}
+    numbers = {
+        name: _column(body, header, start, kind) & bits
+        for name, (start, kind, bits) in further.items()
+    }
+    return PointCloud(points, numbers=numbers)
 
 
 def _read_body(path: Path) -> tuple[_Header, memoryview]:
@@ -121,7 +104,8 @@ def _column(body: memoryview, header: _Header, start: int, kind: str) -> NDArray
     row = np.dtype(
         {"names": ["it"], "formats": [kind], "offsets": [start], "itemsize": header.length}
     )
-    return np.frombuffer(body, row, header.count)["it"]
+    points = np.frombuffer(body, row, header.count) if header.count else np.empty(0, row)
+    return points["it"]
 
 
 def unpacked_las(path: Path) -> int:
@@ -274,3 +258,12 @@ def _check_box(points: Float[Array, "n 3"], header: _Header, path: Path) -> None
 
 def _spelled(position: Float[Array, "3"]) -> str:
     return ", ".join(f"{value:,.3f}" for value in position)
+
+
+LAS = CloudFormat(".las", "x, y, z", read_las, unpacked_bytes=unpacked_las)
+LAZ = CloudFormat(
+    ".laz",
+    "x, y, z; needs the extra `las`: `pip install 'gpgrad[las]'`",
+    read_las,
+    unpacked_bytes=unpacked_las,
+)

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.datasets.simulation_params import SimulationParams
-from gpgrad_core.datasets.streams import stream, stream_at
+from gpgrad_core.datasets.simulation_params import SimulationParams, stream, stream_at
 from gpgrad_core.datasets.terrain import (
     CRATER_DIAMETERS,
     CRATER_SLOPE,
@@ -55,20 +54,13 @@ class Field:
 
     The squares of the weights add up to 1, so the field varies everywhere as much as its patches,
     which are independent.
-
-    Attributes:
-        seed: Seed of the ground.
-        number: Number of the field; another one is independent.
-        persistence: Hurst exponent.
-        largest: Waves longer than this are weakened [m].
-        coarseness: Side of a cell of a patch [cells of the terrain]: a power of two up to 32.
     """
 
-    seed: int
-    number: int
-    persistence: float
-    largest: float
-    coarseness: int
+    seed: int  # seed of the ground
+    number: int  # number of the field; another one is independent
+    persistence: float  # Hurst exponent
+    largest: float  # waves longer than this are weakened [m]
+    coarseness: int  # side of a cell of a patch [cells of the terrain]: a power of two up to 32
 
     @property
     def cell(self) -> float:
@@ -202,7 +194,7 @@ class EndlessGround:
 
     def _craters(self, low: Float[Array, "2"], high: Float[Array, "2"]) -> list[Crater]:
         """Find the craters that reach into a box, the largest first, relative to its corner."""
-        params, found = self.params, list[Crater]()
+        params, craters = self.params, list[Crater]()
         track = self._near(low, high)
         for i, j in _squares(low - CRATER_REACH, high + CRATER_REACH, CRATER_SQUARE):
             rng = stream_at(params.seed, CRATERS, i, j)
@@ -212,8 +204,8 @@ class EndlessGround:
                 drawn = Crater.draw(rng, float(diameter), CRATER_SQUARE)
                 if not drawn.is_in_the_way(track - at):
                     shape = drawn.freshness, drawn.wobble, drawn.turns
-                    found.append(Crater(drawn.centre + at - low, drawn.diameter, *shape))
-        return sorted(found, key=lambda crater: -crater.diameter)
+                    craters.append(Crater(drawn.centre + at - low, drawn.diameter, *shape))
+        return sorted(craters, key=lambda crater: -crater.diameter)
 
     def _lay_rocks(self, elevation: Float[Array, "rows columns"], low: tuple[int, int]) -> None:
         """Lay the rocks of a window. They lie on the ground, not on each other."""

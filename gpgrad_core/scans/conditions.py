@@ -42,15 +42,10 @@ class Condition:
 
 @dataclass
 class Tally:
-    """How many points conditions kept so far, of how many that were read.
+    """How many points conditions kept so far, of how many that were read."""
 
-    Attributes:
-        read: Number of points that were read.
-        kept: Number of those that met all conditions.
-    """
-
-    read: int = 0
-    kept: int = 0
+    read: int = 0  # number of points that were read
+    kept: int = 0  # number of those that met all conditions
 
     def add(self, mask: Bool[NDArray[np.bool_], "n"]) -> None:
         """Count the points of a scan."""
@@ -67,19 +62,19 @@ def parse_condition(text: str) -> Condition:
     Raises:
         InputError: If it is none.
     """
-    found = re.fullmatch(r"\s*([A-Za-z_]\w*)\s*(>=|<=|==|!=|>|<)\s*(\S+)\s*", text)
-    limit = None if found is None else parse_number(found[3])
-    if found is None or limit is None or not np.isfinite(limit):
+    parts = re.fullmatch(r"\s*([A-Za-z_]\w*)\s*(>=|<=|==|!=|>|<)\s*(\S+)\s*", text)
+    limit = None if parts is None else parse_number(parts[3])
+    if parts is None or limit is None or not np.isfinite(limit):
         raise InputError(
             f"--keep {text}: a condition is a field, one of {' '.join(RELATIONS)} and a number, "
             "such as intensity>3"
         )
-    return Condition(found[1], found[2], limit)
+    return Condition(parts[1], parts[2], limit)
 
 
 def kept_points(
     conditions: Sequence[Condition],
-    values_of: Callable[[str], NDArray[np.float64] | None],
+    values_of: Callable[[str], NDArray[np.generic] | None],
     where: str,
     tally: Tally | None = None,
 ) -> Bool[NDArray[np.bool_], "n"] | None:
@@ -98,11 +93,13 @@ def kept_points(
         InputError: If a scan does not have a field; the message names it.
     """
     mask: NDArray[np.bool_] | None = None
-    for one in conditions:
-        values = values_of(one.field)
+    for condition in conditions:
+        values = values_of(condition.field)
         if values is None:
-            raise InputError(f"{where}: its points have no field {one.field} for --keep {one}")
-        met = RELATIONS[one.relation](values, one.limit)
+            raise InputError(
+                f"{where}: its points have no field {condition.field} for --keep {condition}"
+            )
+        met = RELATIONS[condition.relation](np.asarray(values, np.float64), condition.limit)
         mask = met if mask is None else mask & met
     if mask is not None and tally is not None:
         tally.add(mask)
