@@ -5,6 +5,7 @@ import weakref
 from pathlib import Path
 
 import viser
+from msgspec import Struct
 
 from app.viewer.draw.cameras import view_of
 from app.viewer.feature import Cameras, Desk, Feature, ModeSwitch, Restore, Subject
@@ -14,7 +15,6 @@ from app.viewer.links.panel import LinkPanel, script_html, tell
 from app.viewer.runner import Pacer
 from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
-from app.viewer.widgets.bridge import Data
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
@@ -26,6 +26,24 @@ BETWEEN = 0.4
 def add_script(host: Host) -> None:
     """Put the script of the addresses into the current container, which must not be a tab."""
     host.gui.add_html(script_html())
+
+
+class Address(Struct):
+    """What a page has behind ``#``.
+
+    Attributes:
+        text: The part of the address.
+        again: Whether the server was gone meanwhile.
+    """
+
+    text: str
+    again: bool = False
+
+
+class Copied(Struct):
+    """Whether a page could copy its link."""
+
+    copied: bool
 
 
 class Links(Feature):
@@ -61,9 +79,9 @@ class Links(Feature):
         self._lock = threading.Lock()
         self._pacer: Pacer[viser.ClientHandle] = Pacer(self._publish, BETWEEN, "addresses")
         self.workers = (self._pacer,)
-        desk.bridge.hear("arrived", self._arrive)
-        desk.bridge.hear("asked", self._take)
-        desk.bridge.hear("link copied", _say_copied)
+        desk.bridge.hear_as("arrived", Address, self._arrive)
+        desk.bridge.hear_as("asked", Address, self._take)
+        desk.bridge.hear_as("link copied", Copied, _say_copied)
         commands.add_for_page(
             "Session", "Copy link", lambda page: desk.bridge.call(page, "copy", {})
         )
@@ -110,13 +128,12 @@ class Links(Feature):
 
     # A page that comes.
 
-    def _arrive(self, page: viser.ClientHandle, data: Data) -> None:
+    def _arrive(self, page: viser.ClientHandle, address: Address) -> None:
         if page in self._arrived:
             return
         self._arrived[page] = ""
-        text = data.get("text")
-        if isinstance(text, str) and text:
-            self._open(page, text, again=data.get("again") is True)
+        if address.text:
+            self._open(page, address.text, again=address.again)
 
         @page.camera.on_update
         async def _(camera: viser.CameraHandle) -> None:
@@ -125,12 +142,11 @@ class Links(Feature):
 
         self._pacer.ask(page)
 
-    def _take(self, page: viser.ClientHandle, data: Data) -> None:
+    def _take(self, page: viser.ClientHandle, address: Address) -> None:
         """Show what a page asks for that is there already: by a pasted link, back or forward."""
-        text = data.get("text")
-        if page in self._arrived and isinstance(text, str):
-            self._arrived[page] = text  # so that what is shown is written over it
-            self._open(page, text)
+        if page in self._arrived:
+            self._arrived[page] = address.text  # so that what is shown is written over it
+            self._open(page, address.text)
             self._pacer.ask(page)
 
     def _open(self, page: viser.ClientHandle, text: str, *, again: bool = False) -> None:
@@ -225,8 +241,8 @@ def _asks_for(link: Link, state: ViewState) -> bool:
     )
 
 
-def _say_copied(page: viser.ClientHandle, data: Data) -> None:
-    if data.get("copied") is True:
+def _say_copied(page: viser.ClientHandle, said: Copied) -> None:
+    if said.copied:
         tell(page, "Link copied", "Whoever opens it on this viewer sees what you see.")
     else:
         tell(page, "The link was not copied", "Copy it from the tab Save.")

@@ -6,8 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import viser
+from msgspec import Struct
 
 from app.viewer.closure_files import write_closure_file
 from app.viewer.decisions import Decisions, decide
@@ -22,7 +24,6 @@ from app.viewer.save.panel import ExportPanel, ReportPanel, SavingPanel
 from app.viewer.save.report_page import lines_below, report_html
 from app.viewer.session_file import ENDING, Opened, SavedSession, parse_session, session_text
 from app.viewer.state import ViewState
-from app.viewer.widgets.bridge import Data
 from app.viewer.widgets.commands import Commands
 from app.viewer.work import Downloads, safe_name, send_file
 from gpgrad_core.errors import InputError
@@ -31,6 +32,12 @@ from gpgrad_core.pipeline import detect_loop_closures, infer_map
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.run.threads import num_workers
+
+
+class Answer(Struct):
+    """Whether a session may replace what is open."""
+
+    sure: bool
 
 
 class SaveTab(Feature):
@@ -48,7 +55,7 @@ class SaveTab(Feature):
         self._lock = threading.Lock()
         self._asked: tuple[str, SavedSession] | None = None  # file and content to be confirmed
         self._panel = SavingPanel(desk.host, on_save=self._save, on_restore=self._restore)
-        desk.bridge.hear("restore", self._answer)
+        desk.bridge.hear_as("restore", Answer, self._answer)
         self.follow(desk.state)
 
     def follow(self, state: ViewState) -> None:
@@ -81,7 +88,7 @@ class SaveTab(Feature):
             self._asked = name, saved
         self._panel.ask(name)
 
-    def _answer(self, page: viser.ClientHandle, data: Data) -> None:
+    def _answer(self, page: viser.ClientHandle, answer: Answer) -> None:
         """Restore what was asked about, or leave all as it is."""
         del page
         with self._lock:
@@ -89,7 +96,7 @@ class SaveTab(Feature):
         if asked is None:
             return
         name, saved = asked
-        if data.get("sure") is True:
+        if answer.sure:
             self._panel.tell(f"Restoring {name} …")
             self._open(saved)
         else:
@@ -100,6 +107,13 @@ ENDINGS = {"HTML": ".html", "PNG": ".png"}
 SCREEN_DPI, TWICE_DPI = 110, 220
 """A picture alone is twice as fine as a screen shows it."""
 LONGEST_LINK = 4000
+
+
+class WantedReport(Struct):
+    """Which report a page wants, and its own address."""
+
+    kind: Literal["HTML", "PNG"]
+    link: str
 
 
 class ReportTool(Feature):
@@ -116,7 +130,7 @@ class ReportTool(Feature):
         self._panel = ReportPanel(desk.host, tuple(ENDINGS), self._ask)
         self._downloads = Downloads(self._panel.work_bar, "report", desk.capacity.long)
         self.workers = (self._downloads,)
-        desk.bridge.hear("here", self._order)
+        desk.bridge.hear_as("here", WantedReport, self._order)
         commands.add_for_page(
             "Session", "Save report", lambda page: self._ask(self._panel.format, page)
         )
@@ -125,12 +139,10 @@ class ReportTool(Feature):
         """Ask the page for its address first, which it alone knows."""
         self._desk.bridge.call(page, "where", {"kind": kind})
 
-    def _order(self, page: viser.ClientHandle, data: Data) -> None:
-        kind, link = data.get("kind"), data.get("link")
-        if not (isinstance(kind, str) and kind in ENDINGS and isinstance(link, str)):
-            return
-        if len(link) > LONGEST_LINK or not link.startswith(("http://", "https://")):
-            link = ""
+    def _order(self, page: viser.ClientHandle, wanted: WantedReport) -> None:
+        kind = wanted.kind
+        is_link = wanted.link.startswith(("http://", "https://"))
+        link = wanted.link if is_link and len(wanted.link) <= LONGEST_LINK else ""
         state, decisions = self._desk.state, self._desk.decisions
         accepted = decisions.verdicts.get(self._desk.shown_pair)
         note = decisions.notes.get(self._desk.shown_pair, "")

@@ -11,7 +11,7 @@ This depends on how viser builds its pages, so nothing else does it, and a brows
 import json
 from collections.abc import Callable, Mapping
 from html import escape
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import msgspec
 import viser
@@ -25,6 +25,7 @@ Value: TypeAlias = str | float | bool | None
 Data: TypeAlias = Mapping[str, Value]
 """What a page says: plain values by name. They come from outside: whoever takes them checks them.
 """
+Record = TypeVar("Record", bound=msgspec.Struct)
 Act: TypeAlias = Callable[[viser.ClientHandle, Data], None]
 
 AGAIN_MS = 500
@@ -63,6 +64,26 @@ class Bridge:
             act: Given the page and what it said; must be quick, and check what it is given.
         """
         self._acts[name] = act
+
+    def hear_as(
+        self, name: str, kind: type[Record], act: Callable[[viser.ClientHandle, Record], None]
+    ) -> None:
+        """Do the same with a record that is checked; what is none is not heard.
+
+        Args:
+            name: Given to `say`.
+            kind: Of record, with its bounds in the types.
+            act: Given the page and the record; must be quick.
+        """
+
+        def take(page: viser.ClientHandle, data: Data) -> None:
+            try:
+                record = msgspec.convert(data, kind)
+            except msgspec.ValidationError:
+                return
+            act(page, record)
+
+        self.hear(name, take)
 
     def call(self, page: viser.ClientHandle, name: str, data: object) -> None:
         """Have a page do what a script of ours has put into ``gpgrad.acts``.

@@ -4,25 +4,26 @@ The page watches its canvas and says what becomes of it. What is written over th
 clicks through. It hangs on the page's body, because panels that hold it could be put away.
 """
 
-import math
 import weakref
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 import viser
+from msgspec import Meta, Struct, structs
 
 from app.viewer.draw.cameras import set_view, view_of
 from app.viewer.draw.layers import Scale
 from app.viewer.draw.placement import UNKNOWN_CANVAS, Camera, Canvas
 from app.viewer.host import Host
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import Bridge, Data, run_when_shown
+from app.viewer.widgets.bridge import Bridge, run_when_shown
 
 OnCanvas: TypeAlias = Callable[[viser.ClientHandle], None]
 
 LONGEST_SIDE = 100_000.0
 """Of any screen [pixels]."""
+Pixels: TypeAlias = Annotated[float, Meta(ge=0.0, le=LONGEST_SIDE)]
 RECENT = 4
 """Views that a page was brought to last; it may report one of these late."""
 SAME_SHAPE = 0.02
@@ -30,6 +31,17 @@ SAME_SHAPE = 0.02
 BY_HAND = 0.01
 """A camera that is farther from where it was brought, in distances of what is looked at, was moved
 by hand."""
+
+
+class CanvasSaid(Struct):
+    """What a page says of its canvas, and of what covers it at each side."""
+
+    width: Pixels
+    height: Pixels
+    left: Pixels
+    top: Pixels
+    right: Pixels
+    bottom: Pixels
 
 
 class Canvases:
@@ -53,7 +65,7 @@ class Canvases:
         self.caption: dict[str, str] = {}
         self.scales: dict[str, Scale | None] = {}
         host.gui.add_html(run_when_shown(fill_page_file("canvas.js")))
-        bridge.hear("canvas", self._take)
+        bridge.hear_as("canvas", CanvasSaid, self._take)
 
     def tell(self, act: OnCanvas) -> None:
         """Call something whenever a page's canvas is there, or becomes another; must be quick."""
@@ -99,33 +111,16 @@ class Canvases:
             return
         self._set(page, Canvas(known.height * aspect, known.height))
 
-    def _take(self, page: viser.ClientHandle, data: Data) -> None:
-        canvas = read_canvas(data)
-        if canvas is not None:
+    def _take(self, page: viser.ClientHandle, said: CanvasSaid) -> None:
+        canvas = Canvas(*structs.astuple(said))
+        across, along = canvas.width - canvas.left - canvas.right, canvas.height - canvas.top
+        if across >= 1.0 and along - canvas.bottom >= 1.0:
             self._set(page, canvas)
 
     def _set(self, page: viser.ClientHandle, canvas: Canvas) -> None:
         self._known[page] = canvas
         for act in self._told:
             act(page)
-
-
-def read_canvas(data: Data) -> Canvas | None:
-    """Read what a page says of its canvas; None if that can be no canvas."""
-    names = ("width", "height", "left", "top", "right", "bottom")
-    values: list[float] = []
-    for name in names:
-        value = data.get(name)
-        if isinstance(value, bool) or not isinstance(value, float | int):
-            return None
-        values.append(float(value))
-    if not all(math.isfinite(value) and 0.0 <= value <= LONGEST_SIDE for value in values):
-        return None
-    canvas = Canvas(*values)
-    across, along = canvas.width - canvas.left - canvas.right, canvas.height - canvas.top
-    if across < 1.0 or along - canvas.bottom < 1.0:
-        return None
-    return canvas
 
 
 def _is_near(first: Camera, second: Camera) -> bool:

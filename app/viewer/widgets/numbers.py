@@ -17,10 +17,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import viser
+from msgspec import Struct
 
 from app.viewer.host import Host
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import Bridge, Data, run_when_shown
+from app.viewer.widgets.bridge import Bridge, run_when_shown
 from app.viewer.widgets.look import uuid_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import DIGITS, Bounds
@@ -34,6 +35,19 @@ REST_MS = 60
 """A page says where something was let go after its last value, which viser may keep for 50 ms."""
 MOST_MOVES = 50
 """That a page says at once: of more presses without a pause, the last ones."""
+
+
+class Typed(Struct):
+    """What was typed into the box of a widget."""
+
+    widget: str
+    text: str
+
+
+class Rested(Struct):
+    """Where widgets were let go: of each its name and its value, joined by ``;``."""
+
+    moves: str
 
 
 class Numbers:
@@ -53,8 +67,8 @@ class Numbers:
         self._boxes: dict[str, tuple[viser.GuiInputHandle[Any], Callable[[str], None]]] = {}
         script = fill_page_file("numbers.js", REST_MS=REST_MS, MOST_MOVES=MOST_MOVES)
         host.gui.add_html(run_when_shown(script))
-        bridge.hear("typed", self._hear_typed)
-        bridge.hear("rested", self._hear_rested)
+        bridge.hear_as("typed", Typed, self._hear_typed)
+        bridge.hear_as("rested", Rested, self._hear_rested)
 
     def add(
         self,
@@ -77,26 +91,24 @@ class Numbers:
             lambda text: act(read_number(text, name, bounds, whole=whole)),
         )
 
-    def _hear_typed(self, page: viser.ClientHandle, data: Data) -> None:
-        widget, text = data.get("widget"), data.get("text")
-        if not isinstance(widget, str) or not isinstance(text, str) or widget not in self._boxes:
+    def _hear_typed(self, page: viser.ClientHandle, typed: Typed) -> None:
+        if typed.widget not in self._boxes:
             return
-        handle, take = self._boxes[widget]
+        handle, take = self._boxes[typed.widget]
         before, refused = handle.value, ""
         try:
-            take(text)
+            take(typed.text)
         except InputError as error:
             refused = str(error)
             self.refuse(refused)
         # A number that is the same as before is sent to no page: this one writes it anew.
         changed = handle.value != before
-        answer = {"widget": widget, "changed": changed, "refused": refused}
+        answer = {"widget": typed.widget, "changed": changed, "refused": refused}
         self._bridge.call(page, "typed", answer)
 
-    def _hear_rested(self, page: viser.ClientHandle, data: Data) -> None:
+    def _hear_rested(self, page: viser.ClientHandle, rested: Rested) -> None:
         del page
-        moves = data.get("moves")
-        for move in moves.split(";")[:MOST_MOVES] if isinstance(moves, str) else ():
+        for move in rested.moves.split(";")[:MOST_MOVES]:
             widget, _, value = move.partition(" ")
             try:
                 self.rested(widget, float(value) if value else None)
