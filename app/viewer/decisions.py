@@ -66,7 +66,7 @@ class Decisions:
 
 def with_verdict(decisions: Decisions, pair: Pair, accepted: bool | None) -> Decisions:
     """Accept or refuse a pair; None leaves it to the thresholds again."""
-    verdicts = {name: one for name, one in decisions.verdicts.items() if name != pair}
+    verdicts = {named: verdict for named, verdict in decisions.verdicts.items() if named != pair}
     if accepted is not None:
         verdicts[pair] = accepted
     return replace(decisions, verdicts=MappingProxyType(verdicts))
@@ -78,7 +78,7 @@ def with_note(decisions: Decisions, pair: Pair, note: str) -> Decisions:
     What is longer than a line of `LONGEST_NOTE` letters is cut.
     """
     line = " ".join("".join(c if c.isprintable() else " " for c in note).split())
-    notes = {name: one for name, one in decisions.notes.items() if name != pair}
+    notes = {named: text for named, text in decisions.notes.items() if named != pair}
     if line:
         notes[pair] = line[:LONGEST_NOTE].rstrip()
     return replace(decisions, notes=MappingProxyType(notes))
@@ -109,9 +109,9 @@ def decide(closures: Iterable[LoopClosure], decisions: Decisions) -> tuple[LoopC
         decided.append(
             replace(closure, registration=registration, accepted=accepted, reason=reason)
         )
-    known = {(closure.query_id, closure.database_id) for closure in decided}
+    judged = {(closure.query_id, closure.database_id) for closure in decided}
     for pair, registration in decisions.motions.items():
-        if pair not in known:
+        if pair not in judged:
             accepted = decisions.verdicts.get(pair, False)
             decided.append(LoopClosure(*pair, registration, accepted, BY_HAND[accepted]))
     return tuple(decided)
@@ -135,8 +135,8 @@ def tables_of(decisions: Decisions) -> list[dict[str, Any]]:
         if pair in decisions.notes:
             table["note"] = decisions.notes[pair]
         if pair in decisions.motions:
-            found = LoopClosure(query, database, decisions.motions[pair], True, "")
-            motion = table_of(record_of(found))
+            closure = LoopClosure(query, database, decisions.motions[pair], True, "")
+            motion = table_of(record_of(closure))
             table["motion"] = _without_null(motion)
         tables.append(table)
     return tables

@@ -52,10 +52,10 @@ def read_size(text: str) -> int:
     Raises:
         InputError: If it is no size, or too little to work with.
     """
-    found = _SIZE.fullmatch(text.strip())
-    if found is None:
+    parts = _SIZE.fullmatch(text.strip())
+    if parts is None:
         raise InputError(f"--memory {text}: must be a size such as 800MB or 4GB")
-    size = round(float(found[1]) * _UNITS[found[2].upper()])
+    size = round(float(parts[1]) * _UNITS[parts[2].upper()])
     if size < LEAST:
         raise InputError(f"--memory {text}: the viewer needs {shown(LEAST)} or more")
     return size
@@ -171,7 +171,7 @@ def group_limits(
         groups: Folder of all control groups.
         own: Lists those of this process.
     """
-    found: list[int] = []
+    limits: list[int] = []
     with contextlib.suppress(OSError):
         for line in own.read_text().splitlines():
             _, controllers, path = line.split(":", 2)
@@ -182,7 +182,7 @@ def group_limits(
             inner = root / path.lstrip("/")
             for folder in (inner, *inner.parents):
                 with contextlib.suppress(OSError, ValueError):  # "max" is no number
-                    found.append(int((folder / name).read_text()))
+                    limits.append(int((folder / name).read_text()))
                 if folder == root:
                     break
-    return found
+    return limits

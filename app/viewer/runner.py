@@ -182,13 +182,13 @@ class Runner(Generic[Job, Result]):
         if self._slots is None:
             yield
             return
-        mine = False
-        while not mine and self._waiting and not self._closing:
-            mine = self._slots.acquire(timeout=TURN_POLL)
+        has_turn = False
+        while not has_turn and self._waiting and not self._closing:
+            has_turn = self._slots.acquire(timeout=TURN_POLL)
         try:
             yield
         finally:
-            if mine:
+            if has_turn:
                 self._slots.release()
 
     def _take(self) -> Job | None:

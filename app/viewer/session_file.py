@@ -102,10 +102,10 @@ class SavedSession:
             if name is not None:
                 dataset.submap(name)
         check_pair(dataset, self.query_id, self.database_id)
-        known = {submap.id for submap in dataset.submaps}
+        ids = {submap.id for submap in dataset.submaps}
         for pair in self.decisions.pairs:
             for name in pair:
-                if name not in known:
+                if name not in ids:
                     dataset.submap(name)
 
     def apply(self, state: ViewState) -> ViewState:

@@ -114,8 +114,8 @@ class Framing(Feature):
     def frame(self, page: viser.ClientHandle | None) -> None:
         """Bring the camera of a page, or all, to all that is shown."""
         self._kept = False
-        for one in pages(self._desk.host).values() if page is None else (page,):
-            self._frame(one)
+        for shown in pages(self._desk.host).values() if page is None else (page,):
+            self._frame(shown)
 
     def resized(self) -> None:
         """Fill the canvas that the panels leave, seen from where it was seen before."""
@@ -183,12 +183,12 @@ class Framing(Feature):
     def _lead(self) -> None:
         """Place the submaps so that they fill the canvas of the page that came first."""
         canvases = self._desk.canvases
-        known = {
+        measured = {
             number: page for number, page in pages(self._desk.host).items() if canvases.knows(page)
         }
-        if not known:
+        if not measured:
             return
-        tall = canvases.of(known[min(known)]).is_tall
+        tall = canvases.of(measured[min(measured)]).is_tall
         if tall != self._pair.tall:
             self._pair.tall = tall
             self._desk.change()

@@ -125,10 +125,10 @@ class Uploads:
             raise RefusedUpload(f"{name}: cannot come in {num_parts:,} parts")
         if message["transfer_uuid"] in self._uploads:
             raise RefusedUpload(f"{name}: is under way already")
-        mine = [one for one in self._uploads.values() if one.page == page]
-        if len(mine) >= self._limits.unfinished:
+        running = [upload for upload in self._uploads.values() if upload.page == page]
+        if len(running) >= self._limits.unfinished:
             raise RefusedUpload(f"{name}: wait until the files before it have come")
-        if size + sum(one.size for one in self._uploads.values()) > self._most:
+        if size + sum(upload.size for upload in self._uploads.values()) > self._most:
             raise RefusedUpload(f"{name}: wait until other uploads have come; {self._rule} at once")
         if size:
             self._uploads[message["transfer_uuid"]] = _Upload(

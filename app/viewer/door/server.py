@@ -117,7 +117,7 @@ class Door:
         )
         if refusal is not None:
             return connection.respond(refusal.status, refusal.text)
-        pages = sum(one.protocol.state is State.OPEN for one in connection.server.handlers)
+        pages = sum(peer.protocol.state is State.OPEN for peer in connection.server.handlers)
         if wanted and pages >= self.limits.pages:
             return connection.respond(
                 HTTPStatus.SERVICE_UNAVAILABLE,
@@ -195,9 +195,9 @@ class Door:
     def _widget(self, page: int, uuid: str) -> Any:
         """Find a widget that a page may change; None if there is none."""
         for gui in self._guis(page):
-            found = gui._gui_input_handle_from_uuid.get(uuid)
-            if found is not None:
-                return None if found._impl.removed else found
+            widget = gui._gui_input_handle_from_uuid.get(uuid)
+            if widget is not None:
+                return None if widget._impl.removed else widget
         return None
 
     def _guis(self, page: int) -> list[Any]:
@@ -284,7 +284,7 @@ class Connection(ServerConnection):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take a connection; the oldest that has not become a page makes room for it."""
         super().connection_made(transport)
-        waiting = [one for one in self.server.handlers if one.protocol.state is not State.OPEN]
+        waiting = [peer for peer in self.server.handlers if peer.protocol.state is not State.OPEN]
         for oldest in waiting[: -self._door.limits.waiting]:
             oldest.transport.abort()
 
@@ -298,7 +298,7 @@ class Connection(ServerConnection):
         """Give viser's number of the page; None before it has one."""
         if self._page is None:
             live = server._websock_server._live_connections
-            self._page = next((number for number, one in live.items() if one is self), None)
+            self._page = next((number for number, peer in live.items() if peer is self), None)
         return self._page
 
     async def recv(self, decode: bool | None = None) -> Any:

@@ -31,12 +31,12 @@ def fill_page_file(name: str, **values: object) -> str:
         values: By name, in upper case. A script gets anything that JSON can hold, as JSON; a style
             or a piece of HTML gets the text as it is, which must be safe there.
     """
-    known = {**viser_parts(), **values}
+    fillings = {**viser_parts(), **values}
 
     def fill(match: re.Match[str]) -> str:
-        if match[0] not in known:
+        if match[0] not in fillings:
             return match[0]
-        value = known[match[0]]
+        value = fillings[match[0]]
         return json.dumps(value) if name.endswith(".js") else str(value)
 
     return re.sub(r"\b[A-Z][A-Z_]+\b", fill, _read(name))

@@ -105,11 +105,11 @@ class Canvases:
 
         The camera counts other pixels than the page, so that only the shape is certain.
         """
-        known = self._known.get(page)
+        canvas = self._known.get(page)
         aspect = page.camera.aspect
-        if known is None or abs(aspect / known.aspect - 1.0) < SAME_SHAPE:
+        if canvas is None or abs(aspect / canvas.aspect - 1.0) < SAME_SHAPE:
             return
-        self._set(page, Canvas(known.height * aspect, known.height))
+        self._set(page, Canvas(canvas.height * aspect, canvas.height))
 
     def _take(self, page: viser.ClientHandle, said: CanvasSaid) -> None:
         canvas = Canvas(*structs.astuple(said))

@@ -119,7 +119,7 @@ class Commands:
 
     def add_buttons(self) -> None:
         """Add every button of the panels that has no command yet; call it when all are there."""
-        known = {command.label for command in self._commands}
+        labels = {command.label for command in self._commands}
         for handle in inputs_of(self._host):
             if isinstance(handle, viser.GuiButtonHandle):
                 presses = {handle.label: None}
@@ -128,8 +128,8 @@ class Commands:
             else:
                 continue
             for label, option in presses.items():
-                if label not in known:
-                    known.add(label)
+                if label not in labels:
+                    labels.add(label)
                     self.add_for_page(BUTTONS, label, partial(_press, handle, option, label))
 
 
