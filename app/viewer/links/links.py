@@ -10,12 +10,14 @@ from msgspec import Struct
 from app.viewer.draw.cameras import view_of
 from app.viewer.feature import Cameras, Desk, Feature, ModeSwitch, Restore, Subject
 from app.viewer.host import Host, pages
-from app.viewer.links.address import Link, address_of, read_address
-from app.viewer.links.panel import LinkPanel, script_html, tell
+from app.viewer.links.address import LONGEST, Link, address_of, read_address
 from app.viewer.runner import Pacer
 from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import paragraph
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 
@@ -23,9 +25,34 @@ BETWEEN = 0.4
 """Pause between two changes of an address [s]; browsers refuse very many."""
 
 
+NO_LINK = (
+    "This dataset has no link, because it was uploaded or has no path on the server. Save the "
+    "session instead."
+)
+
+
 def add_script(host: Host) -> None:
     """Put the script of the addresses into the current container, which must not be a tab."""
-    host.gui.add_html(script_html())
+    host.gui.add_html(run_when_shown(fill_page_file("links.js", MOST_LETTERS=LONGEST + 1)))
+
+
+def link_html(*, has_link: bool) -> str:
+    """Write the box with a page's own link, as each has a camera, and the button that copies it."""
+    if not has_link:
+        return paragraph(NO_LINK, "opacity:.8")
+    intro = paragraph(
+        "The address of this page follows what is shown: dataset, pair, parameters, layers and "
+        "camera. Whoever opens it on this viewer sees the same."
+    )
+    fill = run_when_shown(
+        "window.gpgradLink&&(this.parentNode.querySelector('input').value=gpgradLink.link())"
+    )
+    return intro + fill_page_file("link.html", FILL=fill)
+
+
+def tell(page: viser.ClientHandle, title: str, body: str) -> None:
+    """Say something about a link to the page that it concerns."""
+    page.add_notification(title, body, auto_close_seconds=12.0, with_close_button=True)
 
 
 class Address(Struct):
@@ -70,7 +97,7 @@ class Links(Feature):
         self._modes = modes
         self._cameras = cameras
         self._restore = restore
-        self._panel = LinkPanel(desk.host)
+        self._body = desk.host.gui.add_html(link_html(has_link=True))
         self._subject: Subject = "pair"
         self._pending: Link | None = None  # whose dataset is being loaded
         self._arrived: weakref.WeakKeyDictionary[viser.ClientHandle, str] = (
@@ -88,7 +115,9 @@ class Links(Feature):
 
     def follow(self, state: ViewState) -> None:
         """Take what is shown now."""
-        self._panel.show(has_link=bool(self._address(state)))
+        content = link_html(has_link=bool(self._address(state)))
+        if self._body.content != content:
+            self._body.content = content
         self._ask_all()
 
     def turned(self, subject: Subject) -> None:
