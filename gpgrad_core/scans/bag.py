@@ -18,7 +18,6 @@ from gpgrad_core.libraries import load_library
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.scans.conditions import Condition, Tally
 from gpgrad_core.scans.params import BuildParams
-from gpgrad_core.scans.point_cloud2 import points_of
 from gpgrad_core.scans.pose_files import (
     PoseFile,
     positions_of,
@@ -36,8 +35,8 @@ from gpgrad_core.scans.recording import (
     spelled,
     truth_at,
 )
+from gpgrad_core.scans.ros_messages import FrameRows, FrameTree, plain, points_of, seconds
 from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
-from gpgrad_core.scans.transforms import FrameRows, FrameTree, plain, seconds
 
 CLOUDS = ("sensor_msgs/msg/PointCloud2",)
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -333,11 +332,7 @@ def _reader(
 
 @contextlib.contextmanager
 def _reading(path: Path) -> Generator[Any]:
-    """Open a bag's reader; every error of the bag becomes an InputError of one line.
-
-    Raises:
-        InputError: If the extra is not installed, or the bag is broken.
-    """
+    """Open a bag's reader; every error of the bag becomes an InputError of one line."""
     try:
         highlevel: Any = load_library("rosbags.highlevel", "gpgrad[ros]")
         typesys: Any = load_library("rosbags.typesys", "gpgrad[ros]")

@@ -135,11 +135,7 @@ def _image(file: Path, kind: str) -> Path:
 
 
 def _time(text: str, where: str) -> float:
-    """Read a time of the dataset [s since 1970].
-
-    Raises:
-        InputError: If it is none.
-    """
+    """Read a time of the dataset [s since 1970]."""
     try:
         return datetime.strptime(f"{text} +0000", "%Y_%m_%d_%H_%M_%S_%f %z").timestamp()
     except ValueError:

@@ -188,11 +188,7 @@ def _add_place(places: dict[tuple[int, ...], Pose], cells: Mapping[str, str], wh
 
 
 def _read_label(label: Path) -> Product:
-    """Read what is needed of a label.
-
-    Raises:
-        InputError: If it is broken, or lacks something; the message names the label and the key.
-    """
+    """Read what is needed of a label."""
     data = _opened(label)
     shape = [_whole(data, key, label) for key in ("BANDS", "LINES", "LINE_SAMPLES")]
     if shape[0] != 3 or not 0 < shape[1] * shape[2] <= MOST_PIXELS:

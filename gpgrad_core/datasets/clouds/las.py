@@ -241,11 +241,7 @@ def _with_table(data: bytes, header: _Header, path: Path) -> bytes:
 
 
 def _check_box(points: Float[Array, "n 3"], header: _Header, path: Path) -> None:
-    """Check the points against the box that the header gives.
-
-    Raises:
-        InputError: If one lies outside.
-    """
+    """Check the points against the box that the header gives."""
     # Programs round the box; a step or a millionth of its size is no damage.
     slack = 2 * header.scale + 1e-6 * np.abs(header.high - header.low)
     low, high = points.min(axis=0), points.max(axis=0)

@@ -178,9 +178,6 @@ def _check_end(
     """Check that a binary file ends where its last element ends.
 
     The corners of faces must be points: by chance, the lengths of their lists may fit elsewhere.
-
-    Raises:
-        InputError: If it ends earlier or later.
     """
     for element in elements:
         end = _end_of(data, position, element, order, num_points)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.scans import BuildParams, RecordingSources, open_recording
-from gpgrad_core.scans.folder import number_in
+from gpgrad_core.scans.cloud_folder import number_in
 from gpgrad_core.scans.trajectory import Poses
 from tests.core.datasets.refusal import assert_refused
 from tests.core.scans.drive import MOUNT, make_drive, tum, write_drive
