@@ -29,9 +29,9 @@ from gpgrad_core.scans.recording import (
     Reader,
     Recording,
     RecordingSources,
+    check_posed,
+    condition_notes,
     identify,
-    keeping,
-    place,
     spelled,
     truth_at,
 )
@@ -99,7 +99,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         notes += (f"{number:,} {have} no time: the time of recording is used",)
     mount, mount_notes = placing.mount()
     both = body.known & mount.known
-    notes += mount_notes + place(stamps, Located(body.poses, both), span, str(path), params)
+    notes += mount_notes + check_posed(stamps, Located(body.poses, both), span, str(path), params)
     kept = np.flatnonzero(both)
     truth, truth_name = contents.truth(), f"{path}, {gnss_topic}"
     if sources.truth is not None:
@@ -124,7 +124,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         covariance=None if body.covariance is None else body.covariance[kept],
         truth=true_poses,
         positions_only=truth is not None and truth.positions_only,
-        notes=(*notes, *truth_notes, *keeping(sources)),
+        notes=(*notes, *truth_notes, *condition_notes(sources)),
         origin=None if truth is None else truth.origin,
         tally=tally,
     )

@@ -30,9 +30,9 @@ from gpgrad_core.scans.recording import (
     Reader,
     Recording,
     RecordingSources,
+    check_posed,
+    condition_notes,
     identify,
-    keeping,
-    place,
     spelled,
     truth_at,
 )
@@ -75,7 +75,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
     located = files.poses.trajectory.at(keys, params)
-    notes += place(keys, located, _span(files.poses), str(path), params)
+    notes += check_posed(keys, located, _span(files.poses), str(path), params)
     posed = np.flatnonzero(located.known)
     kept = [clouds[k] for k in order[posed]]
     true_poses, truth_notes = truth_at(
@@ -94,7 +94,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
         covariance=None if located.covariance is None else located.covariance[posed],
         truth=true_poses,
         positions_only=files.truth is not None and files.truth.positions_only,
-        notes=(*notes, *files.mount_notes, *truth_notes, *keeping(sources)),
+        notes=(*notes, *files.mount_notes, *truth_notes, *condition_notes(sources)),
         origin=None if files.truth is None else files.truth.origin,
         tally=tally,
     )
