@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -35,9 +35,11 @@ from gpgrad_core.scans.recording import (
     spelled,
     truth_at,
 )
-from gpgrad_core.scans.ros_messages import FrameRows, FrameTree, plain, points_of, seconds
+from gpgrad_core.scans.ros_messages import FrameRows, FrameTree, Message, plain, points_of, seconds
 from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
 
+BagReader: TypeAlias = Any
+"""Of rosbags, which makes its types while it runs."""
 CLOUDS = ("sensor_msgs/msg/PointCloud2",)
 ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -154,7 +156,7 @@ class _Contents:
 
 
 def _gnss_topic(
-    reader: Any, sources: RecordingSources, path: Path
+    reader: BagReader, sources: RecordingSources, path: Path
 ) -> tuple[str | None, tuple[str, ...]]:
     """Choose the topic of satellite positions, if they are to be the truth; also give a note."""
     if sources.truth is not None:
@@ -169,7 +171,7 @@ def _gnss_topic(
 
 
 def _gather(
-    reader: Any, cloud_topic: str, pose_topic: str | None, gnss_topic: str | None, path: Path
+    reader: BagReader, cloud_topic: str, pose_topic: str | None, gnss_topic: str | None, path: Path
 ) -> _Contents:
     contents = _Contents(pose_topic=pose_topic)
     transforms = _topics(reader, TRANSFORMS)
@@ -195,7 +197,7 @@ def _gather(
     return contents
 
 
-def _stamp(contents: _Contents, message: Any, logged: int) -> float:
+def _stamp(contents: _Contents, message: Message, logged: int) -> float:
     """Give the time of a message [s], or the time of recording if the message has none."""
     stamp = seconds(message.header)
     if stamp > 0:
@@ -204,7 +206,7 @@ def _stamp(contents: _Contents, message: Any, logged: int) -> float:
     return 1e-9 * logged
 
 
-def _add_place(contents: _Contents, message: Any, logged: int, where: str) -> None:
+def _add_place(contents: _Contents, message: Message, logged: int, where: str) -> None:
     """Take a NavSatFix; one without a fix says nothing (its status is below 0)."""
     place = [float(message.latitude), float(message.longitude), float(message.altitude)]
     if int(message.status.status) < 0 or not np.isfinite(place).all():
@@ -214,7 +216,7 @@ def _add_place(contents: _Contents, message: Any, logged: int, where: str) -> No
     contents.places.append(place)
 
 
-def _add_pose(contents: _Contents, message: Any, kind: str, stamp: float, where: str) -> None:
+def _add_pose(contents: _Contents, message: Message, kind: str, stamp: float, where: str) -> None:
     pose = message.pose.pose if kind in (ODOMETRY, WITH_COVARIANCE) else message.pose
     position, turn = pose.position, pose.orientation
     values = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
@@ -331,7 +333,7 @@ def _reader(
 
 
 @contextlib.contextmanager
-def _reading(path: Path) -> Generator[Any]:
+def _reading(path: Path) -> Generator[BagReader]:
     """Open a bag's reader; every error of the bag becomes an InputError of one line."""
     try:
         highlevel: Any = load_library("rosbags.highlevel", "gpgrad[ros]")
@@ -350,18 +352,18 @@ def _reading(path: Path) -> Generator[Any]:
         raise InputError(f"{path}: is not a complete bag: {said}") from None
 
 
-def _topics(reader: Any, kinds: Sequence[str]) -> dict[str, int]:
+def _topics(reader: BagReader, kinds: Sequence[str]) -> dict[str, int]:
     """Find the topics of some message types, with the number of their messages."""
     topics = {name: info for name, info in reader.topics.items() if info.msgtype in kinds}
     return {name: int(info.msgcount) for name, info in topics.items()}
 
 
-def _asks_for_transforms(reader: Any, topic: str | None) -> bool:
+def _asks_for_transforms(reader: BagReader, topic: str | None) -> bool:
     return topic is not None and topic in _topics(reader, TRANSFORMS)
 
 
 def _choose(
-    reader: Any, kinds: Sequence[str], wanted: str | None, what: str, flag: str, path: Path
+    reader: BagReader, kinds: Sequence[str], wanted: str | None, what: str, flag: str, path: Path
 ) -> str:
     topics = _topics(reader, kinds)
     listed = ", ".join(f"{name} ({count:,})" for name, count in sorted(topics.items()))

@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -16,12 +16,14 @@ from gpgrad_core.scans.conditions import Condition, Tally, kept_points
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
 
+Message: TypeAlias = Any
+"""A message, or a part of one; rosbags makes its types while it runs."""
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's types by the numbers that the message uses for them."""
 
 
 def points_of(
-    message: Any, where: str, keep: Sequence[Condition] = (), tally: Tally | None = None
+    message: Message, where: str, keep: Sequence[Condition] = (), tally: Tally | None = None
 ) -> Float[NDArray[np.floating], "n 3"]:
     """Read x, y and z [m] of each point, also where they are NaN.
 
@@ -140,7 +142,7 @@ class FrameRows:
     rows: dict[str, list[list[float]]] = field(default_factory=lambda: defaultdict(list))
     static: set[str] = field(default_factory=set[str])
 
-    def add(self, message: Any, *, static: bool, where: str) -> None:
+    def add(self, message: Message, *, static: bool, where: str) -> None:
         """Add the transforms of a ``TFMessage``.
 
         Raises:
@@ -183,6 +185,6 @@ def plain(frame: str) -> str:
     return frame.lstrip("/")
 
 
-def seconds(header: Any) -> float:
+def seconds(header: Message) -> float:
     """Give the time of a message [s]."""
     return float(header.stamp.sec) + 1e-9 * float(header.stamp.nanosec)

@@ -9,7 +9,6 @@ import struct
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -99,7 +98,7 @@ def _read_body(path: Path) -> tuple[_Header, memoryview]:
     return header, memoryview(data)[header.begin :]
 
 
-def _column(body: memoryview, header: _Header, start: int, kind: str) -> NDArray[Any]:
+def _column(body: memoryview, header: _Header, start: int, kind: str) -> NDArray[np.integer]:
     """Give what each point has at a place, counted from the point's first byte."""
     row = np.dtype(
         {"names": ["it"], "formats": [kind], "offsets": [start], "itemsize": header.length}
