@@ -14,7 +14,8 @@ scaled, as they would be in a map projection.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from types import ModuleType
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -24,6 +25,9 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
 
 EXTRA = "gpgrad[geo]"
+Transformer: TypeAlias = Any
+CoordinateSystem: TypeAlias = Any
+"""Of pyproj, which may not be installed."""
 HIGHEST = 100_000.0
 """Largest height above or depth below an ellipsoid that counts as one [m]."""
 SEMI_MAJOR, FLATTENING = 6_378_137.0, 1.0 / 298.257223563
@@ -48,8 +52,8 @@ class Georeference:
     name: str
     wkt: str
     origin: tuple[float, float, float]
-    _to_degrees: Any
-    _to_system: Any
+    _to_degrees: Transformer
+    _to_system: Transformer
 
     def geographic(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Give longitude (to the east), latitude [degrees] and height [m] of points (n, 3) [m]."""
@@ -173,7 +177,7 @@ def make_georeference(origin: tuple[float, float, float], crs: str | None = None
     return georeference
 
 
-def _check_inside(system: Any, longitude: float, latitude: float, what: str) -> None:
+def _check_inside(system: CoordinateSystem, longitude: float, latitude: float, what: str) -> None:
     """Refuse an origin far outside of the area that a system is made for."""
     area = system.area_of_use
     inside = bool(np.isfinite(longitude) and np.isfinite(latitude))
@@ -196,7 +200,7 @@ def _zone(latitude: float, longitude: float) -> str:
     return f"EPSG:{(UTM_NORTH if latitude >= 0 else UTM_SOUTH) + number}"
 
 
-def _system(pyproj: Any, crs: str) -> Any:
+def _system(pyproj: ModuleType, crs: str) -> CoordinateSystem:
     try:
         system = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:

@@ -169,7 +169,7 @@ def read_elevation_model(path: Path) -> Elevations:
 
 
 def _known(
-    values: NDArray[Any], no_data: object, path: Path
+    values: NDArray[np.generic], no_data: object, path: Path
 ) -> Float[NDArray[np.floating], "rows columns"]:
     heights = values.astype(np.float32 if values.dtype.itemsize <= 2 else np.float64)
     if no_data is not None:
@@ -183,7 +183,7 @@ def _known(
     return heights
 
 
-def _geo_keys(tags: dict[int, Any]) -> dict[int, int]:
+def _geo_keys(tags: dict[int, object]) -> dict[int, int]:
     """List the keys whose values are numbers in the directory itself."""
     keys = np.asarray(tags.get(GEO_KEYS, ()), dtype=np.int64).ravel()
     rows = keys[4 : len(keys) // 4 * 4].reshape(-1, 4)  # key, where its value is, count, value
@@ -200,7 +200,7 @@ def _check_units(held: dict[int, int], path: Path) -> None:
         raise InputError(f"{path}: is not in metres (unit {unit}); project it to metres first")
 
 
-def _cell_size(tags: dict[int, Any], path: Path) -> tuple[float, float]:
+def _cell_size(tags: dict[int, object], path: Path) -> tuple[float, float]:
     """Find width and height of a cell [m]."""
     scale = np.asarray(tags.get(PIXEL_SCALE, ()), np.float64).ravel()
     turned = np.asarray(tags.get(TRANSFORMATION, ()), np.float64).ravel()
@@ -217,7 +217,7 @@ def _cell_size(tags: dict[int, Any], path: Path) -> tuple[float, float]:
 
 
 def _corner(
-    tags: dict[int, Any], keys: dict[int, int], cell: tuple[float, float], rows: int, path: Path
+    tags: dict[int, object], keys: dict[int, int], cell: tuple[float, float], rows: int, path: Path
 ) -> tuple[float, float]:
     """Find easting and northing of the middle of the cell in the south-west [m]."""
     tie = np.asarray(tags.get(TIE_POINT, ()), np.float64).ravel()

@@ -160,7 +160,7 @@ class ClosureReport:
     dataset: str
     method: str
     seed: int
-    params: Mapping[str, Any]
+    params: Mapping[str, object]
     versions: Mapping[str, str]
     seconds: Mapping[str, float]
     submaps: Mapping[str, int]
@@ -472,10 +472,10 @@ def record_of(closure: LoopClosure, decision: Decision | None = None) -> PairRec
     )
 
 
-def table_of(pair: PairRecord) -> dict[str, Any]:
+def table_of(pair: PairRecord) -> dict[str, object]:
     """Write a record as the table that the file has of it; `read_pair` reads it back."""
     finite = pair.dissimilarity if math.isfinite(pair.dissimilarity) else None
-    table = asdict(pair) | {"dissimilarity": finite}
+    table: dict[str, object] = {**asdict(pair), "dissimilarity": finite}
     for name in ("decision", "images", "mean_dissimilarity"):
         if table[name] is None:
             del table[name]

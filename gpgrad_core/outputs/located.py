@@ -4,10 +4,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.dem import Elevations
 from gpgrad_core.datasets.folder import index_of
 from gpgrad_core.locating import Location, Window, width_of
@@ -58,7 +59,7 @@ def write_located(
         unfinished.write_text(text + "\n", encoding="utf-8", newline="\n")
 
 
-def _row(place: Location) -> dict[str, Any]:
+def _row(place: Location) -> dict[str, object]:
     pair = record_of(place.verdict)
     pose = place.pose
     return {
@@ -137,7 +138,7 @@ def shown_on_model(
     )
 
 
-def _around(model: Elevations, where: Any, margin: float) -> Window:
+def _around(model: Elevations, where: Float[Array, "n 2"], margin: float) -> Window:
     """Cut out the model around places (n, 2) [m], every n-th height if there are too many."""
     size = np.array(model.heights.shape[::-1])
     low = np.floor((where.min(axis=0) - margin - model.corner) / model.cell)

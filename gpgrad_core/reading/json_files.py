@@ -3,7 +3,6 @@
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -46,7 +45,7 @@ def parse_json(text: str, where: str) -> object:
     def refuse(word: str) -> float:
         raise InputError(f"{where}: holds {word}, which is not JSON")
 
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    def once(pairs: list[tuple[str, object]]) -> dict[str, object]:
         table = dict(pairs)
         if len(table) < len(pairs):
             names = [name for name, _ in pairs]

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,7 +18,6 @@ from gpgrad_core.libraries import load_library
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.scans.conditions import Condition, Tally
 from gpgrad_core.scans.params import BuildParams
-from gpgrad_core.scans.point_cloud2 import points_of
 from gpgrad_core.scans.pose_files import (
     PoseFile,
     positions_of,
@@ -30,15 +29,17 @@ from gpgrad_core.scans.recording import (
     Reader,
     Recording,
     RecordingSources,
+    check_posed,
+    condition_notes,
     identify,
-    keeping,
-    place,
     spelled,
     truth_at,
 )
+from gpgrad_core.scans.ros_messages import FrameRows, FrameTree, Message, plain, points_of, seconds
 from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
-from gpgrad_core.scans.transforms import FrameRows, FrameTree, plain, seconds
 
+BagReader: TypeAlias = Any
+"""Of rosbags, which makes its types while it runs."""
 CLOUDS = ("sensor_msgs/msg/PointCloud2",)
 ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -100,7 +101,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         notes += (f"{number:,} {have} no time: the time of recording is used",)
     mount, mount_notes = placing.mount()
     both = body.known & mount.known
-    notes += mount_notes + place(stamps, Located(body.poses, both), span, str(path), params)
+    notes += mount_notes + check_posed(stamps, Located(body.poses, both), span, str(path), params)
     kept = np.flatnonzero(both)
     truth, truth_name = contents.truth(), f"{path}, {gnss_topic}"
     if sources.truth is not None:
@@ -125,7 +126,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         covariance=None if body.covariance is None else body.covariance[kept],
         truth=true_poses,
         positions_only=truth is not None and truth.positions_only,
-        notes=(*notes, *truth_notes, *keeping(sources)),
+        notes=(*notes, *truth_notes, *condition_notes(sources)),
         origin=None if truth is None else truth.origin,
         tally=tally,
     )
@@ -155,7 +156,7 @@ class _Contents:
 
 
 def _gnss_topic(
-    reader: Any, sources: RecordingSources, path: Path
+    reader: BagReader, sources: RecordingSources, path: Path
 ) -> tuple[str | None, tuple[str, ...]]:
     """Choose the topic of satellite positions, if they are to be the truth; also give a note."""
     if sources.truth is not None:
@@ -170,7 +171,7 @@ def _gnss_topic(
 
 
 def _gather(
-    reader: Any, cloud_topic: str, pose_topic: str | None, gnss_topic: str | None, path: Path
+    reader: BagReader, cloud_topic: str, pose_topic: str | None, gnss_topic: str | None, path: Path
 ) -> _Contents:
     contents = _Contents(pose_topic=pose_topic)
     transforms = _topics(reader, TRANSFORMS)
@@ -196,7 +197,7 @@ def _gather(
     return contents
 
 
-def _stamp(contents: _Contents, message: Any, logged: int) -> float:
+def _stamp(contents: _Contents, message: Message, logged: int) -> float:
     """Give the time of a message [s], or the time of recording if the message has none."""
     stamp = seconds(message.header)
     if stamp > 0:
@@ -205,7 +206,7 @@ def _stamp(contents: _Contents, message: Any, logged: int) -> float:
     return 1e-9 * logged
 
 
-def _add_place(contents: _Contents, message: Any, logged: int, where: str) -> None:
+def _add_place(contents: _Contents, message: Message, logged: int, where: str) -> None:
     """Take a NavSatFix; one without a fix says nothing (its status is below 0)."""
     place = [float(message.latitude), float(message.longitude), float(message.altitude)]
     if int(message.status.status) < 0 or not np.isfinite(place).all():
@@ -215,7 +216,7 @@ def _add_place(contents: _Contents, message: Any, logged: int, where: str) -> No
     contents.places.append(place)
 
 
-def _add_pose(contents: _Contents, message: Any, kind: str, stamp: float, where: str) -> None:
+def _add_pose(contents: _Contents, message: Message, kind: str, stamp: float, where: str) -> None:
     pose = message.pose.pose if kind in (ODOMETRY, WITH_COVARIANCE) else message.pose
     position, turn = pose.position, pose.orientation
     values = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
@@ -332,12 +333,8 @@ def _reader(
 
 
 @contextlib.contextmanager
-def _reading(path: Path) -> Generator[Any]:
-    """Open a bag's reader; every error of the bag becomes an InputError of one line.
-
-    Raises:
-        InputError: If the extra is not installed, or the bag is broken.
-    """
+def _reading(path: Path) -> Generator[BagReader]:
+    """Open a bag's reader; every error of the bag becomes an InputError of one line."""
     try:
         highlevel: Any = load_library("rosbags.highlevel", "gpgrad[ros]")
         typesys: Any = load_library("rosbags.typesys", "gpgrad[ros]")
@@ -355,18 +352,18 @@ def _reading(path: Path) -> Generator[Any]:
         raise InputError(f"{path}: is not a complete bag: {said}") from None
 
 
-def _topics(reader: Any, kinds: Sequence[str]) -> dict[str, int]:
+def _topics(reader: BagReader, kinds: Sequence[str]) -> dict[str, int]:
     """Find the topics of some message types, with the number of their messages."""
     topics = {name: info for name, info in reader.topics.items() if info.msgtype in kinds}
     return {name: int(info.msgcount) for name, info in topics.items()}
 
 
-def _asks_for_transforms(reader: Any, topic: str | None) -> bool:
+def _asks_for_transforms(reader: BagReader, topic: str | None) -> bool:
     return topic is not None and topic in _topics(reader, TRANSFORMS)
 
 
 def _choose(
-    reader: Any, kinds: Sequence[str], wanted: str | None, what: str, flag: str, path: Path
+    reader: BagReader, kinds: Sequence[str], wanted: str | None, what: str, flag: str, path: Path
 ) -> str:
     topics = _topics(reader, kinds)
     listed = ", ".join(f"{name} ({count:,})" for name, count in sorted(topics.items()))

@@ -18,9 +18,8 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.reading.text import write_lines
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.scans.bag import is_bag, open_bag
-from gpgrad_core.scans.cpet import open_posed_scans
+from gpgrad_core.scans.cloud_folder import is_scan_folder, open_folder, open_posed_scans
 from gpgrad_core.scans.cutting import cut
-from gpgrad_core.scans.folder import is_scan_folder, open_folder
 from gpgrad_core.scans.gravity import (
     estimate_up,
     ground_normal,

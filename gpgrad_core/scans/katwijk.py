@@ -38,9 +38,9 @@ from gpgrad_core.scans.recording import (
     Reader,
     Recording,
     RecordingSources,
+    check_posed,
+    condition_notes,
     identify,
-    keeping,
-    place,
     spelled,
     truth_at,
 )
@@ -88,22 +88,23 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
                 raise InputError(f"{_image(file, kind)}: no such file; {file.name} needs it")
     stamps = np.array([_time(stamp, str(file)) for stamp, file in scans])
     positions = next((path / name for name in POSITIONS if (path / name).is_file()), None)
+    measured = None if positions is None else read_places(positions)
     notes: tuple[str, ...] = ()
+    truth = None
     if sources.poses is not None:
         trajectory = read_timed_poses(sources.poses)
-    elif positions is None:
+        truth = None if measured is None else measured.trajectory
+    elif positions is None or measured is None:
         raise InputError(f"{path}: has no {POSITIONS[0]}; say where the poses are: --poses FILE")
     else:
-        trajectory = _along_track(read_places(positions).trajectory, positions)
+        trajectory = _along_track(measured.trajectory, positions)
         notes = (
             f"{positions.name}: its positions are used with the heading of the track; pitch and "
             "roll are taken as 0",
         )
     located = trajectory.at(stamps, params)
-    notes += place(stamps, located, f"from {spelled(trajectory.stamps)}", str(path), params)
+    notes += check_posed(stamps, located, f"from {spelled(trajectory.stamps)}", str(path), params)
     posed = np.flatnonzero(located.known)
-    measured = None if positions is None else read_places(positions)
-    truth = measured.trajectory if measured is not None and sources.poses is not None else None
     true_poses, truth_notes = truth_at(truth, stamps[posed], str(positions), params)
     kept = [scans[k][1] for k in posed]
     mount = Poses.identity() if sources.mount is None else read_mount(sources.mount).pose
@@ -124,7 +125,7 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
         labels=tuple(file.name for file in kept),
         truth=true_poses,
         positions_only=truth is not None,
-        notes=(*notes, *truth_notes, *keeping(sources)),
+        notes=(*notes, *truth_notes, *condition_notes(sources)),
         tally=tally,
         origin=None if measured is None else measured.origin,
     )
@@ -135,11 +136,7 @@ def _image(file: Path, kind: str) -> Path:
 
 
 def _time(text: str, where: str) -> float:
-    """Read a time of the dataset [s since 1970].
-
-    Raises:
-        InputError: If it is none.
-    """
+    """Read a time of the dataset [s since 1970]."""
     try:
         return datetime.strptime(f"{text} +0000", "%Y_%m_%d_%H_%M_%S_%f %z").timestamp()
     except ValueError:

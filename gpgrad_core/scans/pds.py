@@ -24,7 +24,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -40,6 +40,8 @@ from gpgrad_core.scans.recording import Reader, Recording, RecordingSources, ide
 from gpgrad_core.scans.trajectory import Poses
 from gpgrad_core.se2 import Pose
 
+Content: TypeAlias = Any
+"""What the library pdr reads of a product."""
 IS_XYZ = re.compile(rb'DERIVED_IMAGE_TYPE\s*=\s*"?XYZ')
 LARGEST_LABEL, LARGEST_TABLE = 1_000_000, 100_000_000
 """Bytes of a label, and of a table of places."""
@@ -188,11 +190,7 @@ def _add_place(places: dict[tuple[int, ...], Pose], cells: Mapping[str, str], wh
 
 
 def _read_label(label: Path) -> Product:
-    """Read what is needed of a label.
-
-    Raises:
-        InputError: If it is broken, or lacks something; the message names the label and the key.
-    """
+    """Read what is needed of a label."""
     data = _opened(label)
     shape = [_whole(data, key, label) for key in ("BANDS", "LINES", "LINE_SAMPLES")]
     if shape[0] != 3 or not 0 < shape[1] * shape[2] <= MOST_PIXELS:
@@ -234,7 +232,7 @@ def _read_label(label: Path) -> Product:
     )
 
 
-def _opened(label: Path) -> Any:
+def _opened(label: Path) -> Content:
     """Open a product by its label; every error of the library becomes an InputError."""
     if label.stat().st_size > LARGEST_LABEL:
         raise InputError(f"{label}: is larger than {LARGEST_LABEL:,} bytes, the most for a label")
@@ -251,14 +249,14 @@ def _opened(label: Path) -> Any:
         raise InputError(f"{label}: is not a product that pdr can read: {said:.200}") from None
 
 
-def _group(data: Any, name: str, label: Path) -> Mapping[str, Any]:
+def _group(data: Content, name: str, label: Path) -> Mapping[str, object]:
     block = data.metablock(name)
     if not isinstance(block, Mapping):
         raise InputError(f"{label}: has no group {name}")
     return block
 
 
-def _whole(data: Any, key: str, label: Path) -> int:
+def _whole(data: Content, key: str, label: Path) -> int:
     value = data.metaget(key)
     if not isinstance(value, int):
         raise InputError(f"{label}: has no whole number {key}")

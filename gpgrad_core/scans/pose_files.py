@@ -186,11 +186,7 @@ def _solution_time(words: list[str], where: str) -> float:
 
 
 def _check_covariances(covariance: Float[Array, "n 6 6"], places: list[str]) -> None:
-    """Refuse what is no covariance of a pose.
-
-    Raises:
-        InputError: If one is not symmetric, or has a variance below 0 or beyond all sense.
-    """
+    """Refuse what is no covariance of a pose."""
     size = np.abs(covariance).max(axis=(1, 2))
     skew = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2))
     # Sums in single precision leave the two halves of a matrix equal to six digits only.

@@ -114,7 +114,7 @@ def identify(files: Iterable[Path]) -> str:
     return digest.hexdigest()
 
 
-def place(
+def check_posed(
     stamps: Float[Array, "n"], located: Located, trajectory: str, where: str, params: BuildParams
 ) -> tuple[str, ...]:
     """Check which scans have a pose.
@@ -148,7 +148,7 @@ def place(
     )
 
 
-def keeping(sources: RecordingSources) -> tuple[str, ...]:
+def condition_notes(sources: RecordingSources) -> tuple[str, ...]:
     """Say which points are left out by conditions, if there are any."""
     said = " and ".join(str(condition) for condition in sources.keep)
     return (f"only points with {said} are kept",) if said else ()
@@ -174,7 +174,7 @@ def truth_at(
     if truth is None:
         return None, ()
     located = truth.at(stamps, params)
-    place(stamps, located, f"from {spelled(truth.stamps)}", where, params)
+    check_posed(stamps, located, f"from {spelled(truth.stamps)}", where, params)
     missing = int(np.sum(~located.known))
     note = f"{missing:,} of {len(stamps):,} scans have no true pose"
     return located, (note,) if missing else ()

@@ -59,9 +59,7 @@ class CloudFormat:
     example: bytes = b""
 
 
-def as_floats(
-    columns: NDArray[np.floating] | NDArray[np.integer],
-) -> NDArray[np.floating]:
+def as_floats(columns: NDArray[np.generic]) -> NDArray[np.floating]:
     """Convert numbers to floats without loss: float32 stays, everything else becomes float64."""
     kept = np.float32 if columns.dtype.kind == "f" and columns.dtype.itemsize == 4 else np.float64
     return columns.astype(kept, copy=False)

@@ -9,7 +9,6 @@ import struct
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -99,7 +98,7 @@ def _read_body(path: Path) -> tuple[_Header, memoryview]:
     return header, memoryview(data)[header.begin :]
 
 
-def _column(body: memoryview, header: _Header, start: int, kind: str) -> NDArray[Any]:
+def _column(body: memoryview, header: _Header, start: int, kind: str) -> NDArray[np.integer]:
     """Give what each point has at a place, counted from the point's first byte."""
     row = np.dtype(
         {"names": ["it"], "formats": [kind], "offsets": [start], "itemsize": header.length}
@@ -241,11 +240,7 @@ def _with_table(data: bytes, header: _Header, path: Path) -> bytes:
 
 
 def _check_box(points: Float[Array, "n 3"], header: _Header, path: Path) -> None:
-    """Check the points against the box that the header gives.
-
-    Raises:
-        InputError: If one lies outside.
-    """
+    """Check the points against the box that the header gives."""
     # Programs round the box; a step or a millionth of its size is no damage.
     slack = 2 * header.scale + 1e-6 * np.abs(header.high - header.low)
     low, high = points.min(axis=0), points.max(axis=0)

@@ -9,8 +9,8 @@ import re
 from collections.abc import Callable, Collection, Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeAlias
-from zipfile import ZipInfo
+from typing import TypeAlias
+from zipfile import ZipFile, ZipInfo
 
 import numpy as np
 
@@ -30,7 +30,7 @@ thousandfold."""
 SMALL_ARRAY = 16_000_000
 """Bytes that any compressed array may grow to."""
 
-Load: TypeAlias = Callable[[], NDArray[Any]]
+Load: TypeAlias = Callable[[], NDArray[np.generic]]
 
 _ITEM = re.compile(
     r"\s*'(?P<key>descr|fortran_order|shape)'\s*:\s*"
@@ -98,7 +98,7 @@ def unpacked_npz(path: Path) -> int:
         return sum(member.file_size for member in archive.infolist())
 
 
-def _parse(data: bytes, broken: str) -> NDArray[Any]:
+def _parse(data: bytes, broken: str) -> NDArray[np.generic]:
     """Parse the content of an NPY file; an error message begins with ``broken``."""
     if not data.startswith(MAGIC) or len(data) < 12:
         raise InputError(f"{broken}: it does not begin as one, with the byte 0x93 and 'NUMPY'")
@@ -122,7 +122,7 @@ def _parse(data: bytes, broken: str) -> NDArray[Any]:
     return array.copy()  # one that can be written to, unlike the file's bytes
 
 
-def _parse_header(header: str, broken: str) -> tuple[np.dtype[Any], bool, tuple[int, ...]]:
+def _parse_header(header: str, broken: str) -> tuple[np.dtype[np.generic], bool, tuple[int, ...]]:
     text = header.strip()
     items: dict[str, str] = {}
     position = 1
@@ -169,7 +169,7 @@ def opened_npz(path: Path) -> Generator[dict[str, Load]]:
             }
 
 
-def _load(archive: Any, member: ZipInfo, path: Path) -> NDArray[Any]:
+def _load(archive: ZipFile, member: ZipInfo, path: Path) -> NDArray[np.generic]:
     if member.file_size > max(SMALL_ARRAY, MOST_GROWTH * member.compress_size):
         raise InputError(
             f"{path}: {member.filename!r} would unpack from {member.compress_size:,} bytes to "
@@ -181,11 +181,11 @@ def _load(archive: Any, member: ZipInfo, path: Path) -> NDArray[Any]:
     return _parse(data, f"{path}, array {name!r}: is not a complete NPY file")
 
 
-def _has_points_shape(array: NDArray[Any]) -> bool:
+def _has_points_shape(array: NDArray[np.generic]) -> bool:
     return array.ndim == 2 and array.shape[1] == 3 and array.dtype.kind in "fiu"
 
 
-def _check_points(array: NDArray[Any], where: str) -> Points:
+def _check_points(array: NDArray[np.generic], where: str) -> Points:
     if not _has_points_shape(array):
         raise InputError(
             f"{where}: points must be numbers of shape (n, 3), got {array.dtype} {array.shape}"

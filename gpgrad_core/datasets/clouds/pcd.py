@@ -8,7 +8,6 @@ warning.
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -58,7 +57,7 @@ class _Header:
         fields = zip(self.types, self.counts, strict=True)
         return np.dtype([(str(k), kind, (repeat,)) for k, (kind, repeat) in enumerate(fields)])
 
-    def kind(self, name: str) -> np.dtype[Any]:
+    def kind(self, name: str) -> np.dtype[np.number]:
         """Type of a field's numbers."""
         return np.dtype(self.types[self.names.index(name)])
 
@@ -98,7 +97,7 @@ def read_pcd(path: Path, names: Collection[str] = ()) -> PointCloud:
     return PointCloud(as_floats(points), colors, {name: columns[name] for name in further})
 
 
-def _unpacked_colors(packed: NDArray[Any], kind: np.dtype[Any]) -> Float[Array, "n 3"]:
+def _unpacked_colors(packed: NDArray[np.number], kind: np.dtype[np.number]) -> Float[Array, "n 3"]:
     if kind.kind == "f":
         packed = packed.astype(np.float32).view(np.uint32)
     # A text may hold anything; what is no whole number of four bytes has no colour.
@@ -120,7 +119,7 @@ def unpacked_pcd(path: Path) -> int:
 
 def _read_fields(
     data: bytes, header: _Header, fields: Sequence[str], path: Path
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, NDArray[np.number]]:
     """Read the first number of some fields of every point, by the fields' names."""
     columns = [header.names.index(name) for name in fields]
     count = header.num_points
@@ -145,7 +144,7 @@ def _read_fields(
 
 def _read_compressed(
     body: bytes, dtype: np.dtype[np.void], columns: list[int], count: int, path: Path
-) -> list[NDArray[Any]]:
+) -> list[NDArray[np.number]]:
     """Read the layout that stores the values field by field, compressed by LZF."""
     if len(body) < 8:
         raise InputError(f"{path}: is cut short: its compressed points are missing")
@@ -171,7 +170,7 @@ def _read_compressed(
     unpacked = decompress_lzf(packed, size)
     if len(unpacked) != size:
         raise InputError(f"{path}: its compressed points are damaged; copy or save it again")
-    values: list[NDArray[Any]] = []
+    values: list[NDArray[np.number]] = []
     for column in columns:
         offset = count * sum(dtype[k].itemsize for k in range(column))
         field, (repeat,) = dtype[column].subdtype or (dtype[column], (1,))

@@ -127,7 +127,7 @@ def read_ply(path: Path, names: Collection[str] = ()) -> PointCloud:
 
 def _read_vertices(
     data: bytes, header: _Header, properties: Sequence[str], path: Path
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, NDArray[np.number]]:
     """Read some properties of every vertex, by their names."""
     vertex = header.vertex(path)
     place = header.elements.index(vertex)
@@ -178,9 +178,6 @@ def _check_end(
     """Check that a binary file ends where its last element ends.
 
     The corners of faces must be points: by chance, the lengths of their lists may fit elsewhere.
-
-    Raises:
-        InputError: If it ends earlier or later.
     """
     for element in elements:
         end = _end_of(data, position, element, order, num_points)
@@ -222,7 +219,7 @@ def _end_of(data: bytes, start: int, element: _Element, order: str, num_points: 
     return position
 
 
-def _are_indices(corners: NDArray[Any], num_points: int) -> bool:
+def _are_indices(corners: NDArray[np.number], num_points: int) -> bool:
     return bool(np.all((corners >= 0) & (corners < num_points)))
 
 

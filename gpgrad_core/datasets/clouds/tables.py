@@ -70,11 +70,7 @@ def _read_positions(lines: Sequence[str], path: Path) -> Float[Array, "n 3"]:
 
 
 def _refuse_decimal_commas(lines: Sequence[str], first: int, width: int, path: Path) -> None:
-    """Refuse commas that are, or may be, those of numbers: ``3,158,8,503`` has 2 or 4 columns.
-
-    Raises:
-        InputError: If they are.
-    """
+    """Refuse commas that are, or may be, those of numbers: ``3,158,8,503`` has 2 or 4 columns."""
     words = lines[first].split()
     if len(words) > 1 and all(DECIMAL_COMMA.fullmatch(word) for word in words):
         raise InputError(f"{path}, line {first + 1}: {_shorten(lines[first])!r}: {COMMA_HINT}")

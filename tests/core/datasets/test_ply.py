@@ -34,13 +34,6 @@ def ply(layout: str, vertex: list[str], count: int, before: str = "", after: str
     return ("\n".join(lines) + "\n").encode()
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "binary"])
-def test_what_trimesh_writes_is_read(encoding: str, points: np.ndarray, tmp_path: Path) -> None:
-    mesh = trimesh.Trimesh(points, [[0, 1, 2], [3, 4, 5]], process=False)
-    mesh.export(tmp_path / "a.ply", encoding=encoding)
-    np.testing.assert_allclose(load_cloud(tmp_path / "a.ply").points, points, atol=1e-7)
-
-
 def test_what_is_written_trimesh_reads(points: np.ndarray, tmp_path: Path) -> None:
     write_ply(tmp_path / "a.ply", points)
     np.testing.assert_array_equal(trimesh.load(tmp_path / "a.ply").vertices, points)

@@ -1,4 +1,7 @@
-"""A folder of clouds with a file of poses -> a recording."""
+"""A folder of clouds with a file of poses, or with a pose each -> a recording.
+
+`gpgrad_core.datasets.cpet` has the form of scans with a pose each.
+"""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -10,6 +13,7 @@ from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.clouds import CLOUD_ENDINGS, is_cloud, read_cloud
+from gpgrad_core.datasets.cpet import PosedScan
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.whole import is_unfinished
 from gpgrad_core.scans.conditions import Condition, Tally, kept_points
@@ -26,13 +30,13 @@ from gpgrad_core.scans.recording import (
     Reader,
     Recording,
     RecordingSources,
+    check_posed,
+    condition_notes,
     identify,
-    keeping,
-    place,
     spelled,
     truth_at,
 )
-from gpgrad_core.scans.trajectory import Poses, Trajectory
+from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
 
 CLOUD_FOLDERS = ("", "scans", "velodyne", "velodyne_points", "clouds")
 POSE_NAMES = ("poses.txt", "poses.tum", "poses_odom.txt", "odometry.txt", "trajectory.txt")
@@ -71,7 +75,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
     located = files.poses.trajectory.at(keys, params)
-    notes += place(keys, located, _span(files.poses), str(path), params)
+    notes += check_posed(keys, located, _span(files.poses), str(path), params)
     posed = np.flatnonzero(located.known)
     kept = [clouds[k] for k in order[posed]]
     true_poses, truth_notes = truth_at(
@@ -90,9 +94,39 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
         covariance=None if located.covariance is None else located.covariance[posed],
         truth=true_poses,
         positions_only=files.truth is not None and files.truth.positions_only,
-        notes=(*notes, *files.mount_notes, *truth_notes, *keeping(sources)),
+        notes=(*notes, *files.mount_notes, *truth_notes, *condition_notes(sources)),
         origin=None if files.truth is None else files.truth.origin,
         tally=tally,
+    )
+
+
+def open_posed_scans(
+    path: Path, scans: Sequence[PosedScan], sources: RecordingSources
+) -> Recording:
+    """Open scans with a pose each.
+
+    Args:
+        path: The folder of their folders.
+        scans: The scans, as `find_posed_scans` finds them.
+        sources: Must name no file.
+
+    Raises:
+        InputError: If a pose cannot be read, or the sources name other files.
+    """
+    each = f"the scans of {path} have a pose each, in NAME.gt"
+    sources.refuse(each, "poses", "truth", "times", "mount")
+    sources.refuse(f"the scans of {path} have x, y and z only", "keep")
+    body = Poses.of(*(scan.read_pose() for scan in scans))
+    return Recording(
+        name=path.resolve().name,
+        identity=identify([file for scan in scans for file in (scan.cloud, scan.truth)]),
+        stamps=None,
+        body=body,
+        mount=Poses.identity(),
+        read=_reader([scan.cloud for scan in scans]),
+        labels=tuple(scan.cloud.name for scan in scans),
+        truth=Located(body, np.ones(len(scans), bool)),
+        notes=("the poses of the scans are the true ones; there is no odometry",),
     )
 
 
@@ -290,7 +324,9 @@ def number_in(stem: str) -> float | None:
     return float(numbers[-1]) if numbers else None
 
 
-def _reader(clouds: list[Path], keep: Sequence[Condition], tally: Tally) -> Reader:
+def _reader(
+    clouds: list[Path], keep: Sequence[Condition] = (), tally: Tally | None = None
+) -> Reader:
     def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
         for cloud in clouds[start:stop]:
             content = read_cloud(cloud, {condition.field for condition in keep})
