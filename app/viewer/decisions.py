@@ -27,6 +27,8 @@ RIGHT, WRONG_MOTION, NO_OVERLAP, MISSED = "right", "wrong motion", "no overlap",
 """What becomes of a pair: its verdict, and where the truth is known, whether that is right."""
 
 BY_HAND = {accepted: Decision(accepted).reason for accepted in (True, False)}
+DECIDES: dict[str, bool | None] = {"accept": True, "refuse": False, "as found": None}
+"""By the words for it, what a person makes of a pair; None leaves it to the thresholds."""
 MOST_DECISIONS = 2000
 """Of a session's file."""
 

@@ -19,8 +19,7 @@ from app.viewer.inspect.tab import InspectTab
 from app.viewer.links.links import Links, add_script
 from app.viewer.modes.tab import Modes
 from app.viewer.nudge.tab import NudgeTab
-from app.viewer.pair.shortcuts import add_shortcuts
-from app.viewer.pair.tab import PairTab
+from app.viewer.pair.tab import PairTab, add_shortcuts
 from app.viewer.params.tab import ParamsTab
 from app.viewer.permissions import READ_ALL, Permissions
 from app.viewer.pose_graph.tab import PoseGraphTab

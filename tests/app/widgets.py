@@ -56,7 +56,22 @@ def user_presses(handle: Any, page: FakePage | None = None) -> None:
     user_sets(handle, True, page)
 
 
-def html_says(bridge: Bridge, name: str, page: FakePage | None = None, **data: object) -> None:
+def html_says(bridge: Bridge, name: str, /, page: FakePage | None = None, **data: object) -> None:
     """Say something as a script of a page does."""
     message = {"number": next(_numbers), "times": 1, "name": name, "data": data}
     bridge.take(page or FakePage(), json.dumps(message))
+
+
+def press_key(
+    host: Host, key: str, modifier: str | None = None, page: FakePage | None = None
+) -> None:
+    """Let a page press the key of a command."""
+    gui: Any = host.gui  # viser has no public name for its commands
+    (handle,) = [
+        handle
+        for handle in gui._command_handle_from_uuid.values()
+        if (handle.hotkey, handle.modifier) == (key, modifier)
+    ]
+    event = viser.CommandEvent(client=page or FakePage(), client_id=1, target=handle)
+    for callback in handle._impl.trigger_cb:
+        asyncio.run(callback(event))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from app.viewer.best_pair.panel import BestPairNote
+from app.viewer.best_pair.search import BestPairNote
 from app.viewer.params.tab import MAIN_PARAMETERS
 from app.viewer.server import Viewer
 from app.viewer.widgets.bridge import Data

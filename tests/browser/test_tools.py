@@ -173,7 +173,7 @@ def test_the_flat_picture_is_drawn_for_who_has_it_in_view(open_viewer: Open) -> 
     page = open_viewer()
     page.settle()
     (session,) = page.viewer.sessions  # type: ignore[attr-defined]
-    image = session.inspect._matches._image
+    image = session.inspect.matches.image
     assert not image.visible
     page.tab("Inspect")
     page.wait(lambda: image.visible, "the picture")

@@ -24,13 +24,7 @@ class ModesPanel:
     """Buttons for the modes, and a line on the present one."""
 
     def __init__(self, host: Host, mode: Mode, on_change: Callable[[Mode], None]) -> None:
-        """Make the widgets in the current container.
-
-        Args:
-            host: Whose GUI they join.
-            mode: The present one.
-            on_change: Given the mode that a user chose; must be quick.
-        """
+        """Make the widgets in the current container; they report the mode that a user chose."""
         self._buttons = host.gui.add_button_group(
             "Mode",
             MODES,

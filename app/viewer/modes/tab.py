@@ -43,14 +43,7 @@ class Modes(Feature):
         panels: Mapping[Mode, viser.PanelHandle],
         commands: Commands,
     ) -> None:
-        """Take over the panels and the scenes.
-
-        Args:
-            pair: Scene of the pair.
-            world: The world.
-            panels: Panel of each mode; one at a time is to be seen.
-            commands: Get those for the full screen.
-        """
+        """Take over the scenes, and the panels, of which one at a time is to be seen."""
         self._scenes = pair, world
         self._panels = panels
         for panel in panels.values():

@@ -11,7 +11,7 @@ This depends on how viser builds its pages, so nothing else does it, and a brows
 import json
 from collections.abc import Callable, Mapping
 from html import escape
-from typing import TypeAlias, TypeVar
+from typing import Annotated, TypeAlias, TypeVar
 
 import msgspec
 import viser
@@ -25,6 +25,8 @@ Value: TypeAlias = str | float | bool | None
 Data: TypeAlias = Mapping[str, Value]
 """What a page says: plain values by name. They come from outside: whoever takes them checks them.
 """
+Whole: TypeAlias = Annotated[float, msgspec.Meta(ge=-1, le=1e9, multiple_of=1)]
+"""A whole number that a page says, such as a place in a list."""
 Record = TypeVar("Record", bound=msgspec.Struct)
 Act: TypeAlias = Callable[[viser.ClientHandle, Data], None]
 
@@ -40,6 +42,13 @@ class Said(msgspec.Struct, forbid_unknown_fields=True):
     times: int
     name: str
     data: dict[str, Value]
+
+
+class SaidPair(msgspec.Struct):
+    """A pair of submaps that a page names."""
+
+    query: str
+    database: str
 
 
 class Bridge:

@@ -26,7 +26,7 @@ from gpgrad_core.run.progress import silent
 from tests.app.synthetic import make_dataset
 from tests.app.widgets import find, said, user_presses, user_sets
 
-DATASET = make_dataset(num_points=600)
+DATASET = make_dataset(num_points=250)
 GIVEN = with_path(PipelineParams(), "map.resolution", 0.1)
 STATE = open_dataset(DATASET, GIVEN, source="/data/hills")
 PAPER = with_method(STATE, "paper")
