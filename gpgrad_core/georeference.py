@@ -4,10 +4,18 @@ A local frame is level at its origin, with x to the east, y to the north and z u
 geocentric by the equations of the topocentric frame (IOGP Guidance Note 7-2, Sec. 4.1.3, method
 9837), then longitude, latitude and height on the ellipsoid of the coordinate system, and at last
 coordinates of a map projection. PROJ computes all of it, by its library pyproj.
+
+The way back, from places on the Earth to a local frame, needs no library: the ellipsoid is WGS 84
+(NIMA TR8350.2: a = 6378137 m, 1/f = 298.257223563). A position becomes geocentric by the closed
+form of that report, and the difference to the origin is turned into the origin's horizon. So
+heights above the ellipsoid stay heights within millimetres near the origin, and distances are not
+scaled, as they would be in a map projection.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from types import ModuleType
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -15,9 +23,14 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
-from gpgrad_core.reading.places import HIGHEST
 
 EXTRA = "gpgrad[geo]"
+Transformer: TypeAlias = Any
+CoordinateSystem: TypeAlias = Any
+"""Of pyproj, which may not be installed."""
+HIGHEST = 100_000.0
+"""Largest height above or depth below an ellipsoid that counts as one [m]."""
+SEMI_MAJOR, FLATTENING = 6_378_137.0, 1.0 / 298.257223563
 BEYOND = 3.0
 """So far outside of its area a system is still used [degrees]."""
 FARTHEST = 1e8
@@ -39,8 +52,8 @@ class Georeference:
     name: str
     wkt: str
     origin: tuple[float, float, float]
-    _to_degrees: Any
-    _to_system: Any
+    _to_degrees: Transformer
+    _to_system: Transformer
 
     def geographic(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Give longitude (to the east), latitude [degrees] and height [m] of points (n, 3) [m]."""
@@ -51,6 +64,45 @@ class Georeference:
         longitude, latitude, height = self.geographic(points).T
         x, y = self._to_system.transform(longitude, latitude)
         return np.column_stack([x, y, height])
+
+
+def check_place(place: Sequence[float], where: str) -> None:
+    """Refuse three numbers that can be no latitude, longitude [degrees] and height [m].
+
+    Raises:
+        InputError: If they cannot; the message begins with `where`.
+    """
+    latitude, longitude, height = place
+    if abs(latitude) > 90.0 or abs(longitude) > 360.0 or abs(height) > HIGHEST:
+        numbers = " ".join(f"{number:.10g}" for number in place)
+        raise InputError(f"{where}: {numbers} are no latitude, longitude, height")
+
+
+def east_north_up(places: Float[Array, "n 3"], origin: Float[Array, "3"]) -> Float[Array, "n 3"]:
+    """Give positions relative to an origin, in its horizon.
+
+    Args:
+        places: Latitude [degrees], longitude [degrees] and height above the ellipsoid [m] (n, 3).
+        origin: The same of the origin (3,).
+
+    Returns:
+        Metres east, north and up (n, 3).
+    """
+    latitude, longitude = np.radians(origin[:2])
+    s, c = np.sin(latitude), np.cos(latitude)
+    t, d = np.sin(longitude), np.cos(longitude)
+    turn = np.array([[-t, d, 0.0], [-s * d, -s * t, c], [c * d, c * t, s]])
+    return (_geocentric(places) - _geocentric(origin[None])) @ turn.T
+
+
+def _geocentric(places: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    latitude, longitude = np.radians(places[:, 0]), np.radians(places[:, 1])
+    height = places[:, 2]
+    squared = FLATTENING * (2.0 - FLATTENING)
+    across = SEMI_MAJOR / np.sqrt(1.0 - squared * np.sin(latitude) ** 2)
+    level = (across + height) * np.cos(latitude)
+    up = (across * (1.0 - squared) + height) * np.sin(latitude)
+    return np.column_stack([level * np.cos(longitude), level * np.sin(longitude), up])
 
 
 def read_origin(text: str) -> tuple[float, float, float]:
@@ -119,13 +171,13 @@ def make_georeference(origin: tuple[float, float, float], crs: str | None = None
         "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
     )
     place = (float(longitude), float(latitude), float(height))
-    found = Georeference(system.to_string(), system.to_wkt(), place, to_degrees, to_system)
-    if not np.isfinite(found.apply(np.zeros((1, 3)))).all():
+    georeference = Georeference(system.to_string(), system.to_wkt(), place, to_degrees, to_system)
+    if not np.isfinite(georeference.apply(np.zeros((1, 3)))).all():
         raise InputError(f"PROJ cannot compute {crs} near {latitude:g},{longitude:g}; name another")
-    return found
+    return georeference
 
 
-def _check_inside(system: Any, longitude: float, latitude: float, what: str) -> None:
+def _check_inside(system: CoordinateSystem, longitude: float, latitude: float, what: str) -> None:
     """Refuse an origin far outside of the area that a system is made for."""
     area = system.area_of_use
     inside = bool(np.isfinite(longitude) and np.isfinite(latitude))
@@ -148,7 +200,7 @@ def _zone(latitude: float, longitude: float) -> str:
     return f"EPSG:{(UTM_NORTH if latitude >= 0 else UTM_SOUTH) + number}"
 
 
-def _system(pyproj: Any, crs: str) -> Any:
+def _system(pyproj: ModuleType, crs: str) -> CoordinateSystem:
     try:
         system = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:

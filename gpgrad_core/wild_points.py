@@ -145,9 +145,10 @@ class _UsualDifference:
         near = pairs[_evenly(np.arange(len(pairs)), 10 * COMPARED)]
         some = _evenly(order, COMPARED)
         first, second = np.triu_indices(len(some), 1)
-        one, other = np.concatenate([near, np.column_stack([some[first], some[second]])]).T
-        distances = np.hypot(*(points[one, :2] - points[other, :2]).T)
-        differences = np.abs(points[one, 2] - points[other, 2])
+        far = np.column_stack([some[first], some[second]])
+        start, end = points[np.concatenate([near, far]).T]
+        distances = np.hypot(*(start[:, :2] - end[:, :2]).T)
+        differences = np.abs(start[:, 2] - end[:, 2])
         nearest_first = np.argsort(distances)
         num_bins = int(np.log2(len(distances) / POINTS_A_BIN)) + 1
         ends = np.geomspace(min(POINTS_A_BIN, len(distances)), len(distances), num_bins + 1)

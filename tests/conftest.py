@@ -3,8 +3,6 @@
 Importing this file switches the shape checks on. pytest imports it before any test module.
 """
 
-import contextlib
-import io
 import os
 import tempfile
 from collections.abc import Iterator
@@ -67,9 +65,7 @@ def real_data() -> Path:
 @pytest.fixture
 def server() -> Iterator[object]:
     """Start a viewer's server on a free port, without a browser."""
-    import viser  # noqa: PLC0415 - for the tests of the app alone
+    from tests.app.server import started_server  # noqa: PLC0415 - for the tests of the app alone
 
-    with contextlib.redirect_stdout(io.StringIO()):
-        made = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    with started_server() as made:
         yield made
-        made.stop()

@@ -36,8 +36,7 @@ from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 
 if TYPE_CHECKING:  # loaded when they are needed: a page is served before
-    from app.viewer.opened import Opened
-    from app.viewer.session_file import SavedSession
+    from app.viewer.session_file import Opened, SavedSession
 
 
 @dataclass(frozen=True)
@@ -176,7 +175,7 @@ class View:
         self, source: Path, saved: "SavedSession | None", memo: Memo, stage: Stage
     ) -> "Opened":
         """Load the dataset, and fit what is automatic, while pages are served already."""
-        from app.viewer.opened import Opened  # noqa: PLC0415 - loads slowly
+        from app.viewer.session_file import Opened  # noqa: PLC0415 - loads slowly
 
         dataset = load(source, most_bytes=MOST_LOADED, told=stage("Reading the submaps"))
         base = base_params(dataset, None if saved else self.params)

@@ -1,27 +1,34 @@
 """What a person decided about single closures, over what the thresholds say."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, TypeAlias
+
+from msgspec import Struct
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs import (
     LONGEST_NOTE,
     Decision,
     closure_of,
-    read_decision,
     read_pair,
     record_of,
     table_of,
 )
-from gpgrad_core.reading.json_files import Record
+from gpgrad_core.reading.records import as_record
 from gpgrad_core.types import Dataset, LoopClosure, Registration
 
 Pair: TypeAlias = tuple[str, str]
 """(query id, database id)."""
 
+ACCEPTED, REFUSED = "accepted", "refused"
+RIGHT, WRONG_MOTION, NO_OVERLAP, MISSED = "right", "wrong motion", "no overlap", "missed"
+"""What becomes of a pair: its verdict, and where the truth is known, whether that is right."""
+
 BY_HAND = {accepted: Decision(accepted).reason for accepted in (True, False)}
+DECIDES: dict[str, bool | None] = {"accept": True, "refuse": False, "as found": None}
+"""By the words for it, what a person makes of a pair; None leaves it to the thresholds."""
 MOST_DECISIONS = 2000
 """Of a session's file."""
 
@@ -61,7 +68,7 @@ class Decisions:
 
 def with_verdict(decisions: Decisions, pair: Pair, accepted: bool | None) -> Decisions:
     """Accept or refuse a pair; None leaves it to the thresholds again."""
-    verdicts = {name: one for name, one in decisions.verdicts.items() if name != pair}
+    verdicts = {named: verdict for named, verdict in decisions.verdicts.items() if named != pair}
     if accepted is not None:
         verdicts[pair] = accepted
     return replace(decisions, verdicts=MappingProxyType(verdicts))
@@ -73,7 +80,7 @@ def with_note(decisions: Decisions, pair: Pair, note: str) -> Decisions:
     What is longer than a line of `LONGEST_NOTE` letters is cut.
     """
     line = " ".join("".join(c if c.isprintable() else " " for c in note).split())
-    notes = {name: one for name, one in decisions.notes.items() if name != pair}
+    notes = {named: text for named, text in decisions.notes.items() if named != pair}
     if line:
         notes[pair] = line[:LONGEST_NOTE].rstrip()
     return replace(decisions, notes=MappingProxyType(notes))
@@ -104,9 +111,9 @@ def decide(closures: Iterable[LoopClosure], decisions: Decisions) -> tuple[LoopC
         decided.append(
             replace(closure, registration=registration, accepted=accepted, reason=reason)
         )
-    known = {(closure.query_id, closure.database_id) for closure in decided}
+    judged = {(closure.query_id, closure.database_id) for closure in decided}
     for pair, registration in decisions.motions.items():
-        if pair not in known:
+        if pair not in judged:
             accepted = decisions.verdicts.get(pair, False)
             decided.append(LoopClosure(*pair, registration, accepted, BY_HAND[accepted]))
     return tuple(decided)
@@ -130,35 +137,56 @@ def tables_of(decisions: Decisions) -> list[dict[str, Any]]:
         if pair in decisions.notes:
             table["note"] = decisions.notes[pair]
         if pair in decisions.motions:
-            found = LoopClosure(query, database, decisions.motions[pair], True, "")
-            motion = table_of(record_of(found))
+            closure = LoopClosure(query, database, decisions.motions[pair], True, "")
+            motion = table_of(record_of(closure))
             table["motion"] = _without_null(motion)
         tables.append(table)
     return tables
 
 
-def read_decisions(records: Sequence[Record]) -> Decisions:
+class _Table(Struct):
+    """A decision in a session's file; `tables_of` writes it."""
+
+    query: str
+    database: str
+    accepted: bool | None = None
+    note: str = ""
+    motion: dict[str, object] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the note as that of any decision."""
+        Decision(self.accepted, self.note)
+
+
+class _Tables(Struct):
+    decisions: list[_Table]
+
+
+def read_decisions(tables: object, where: str) -> Decisions:
     """Read decisions from the tables of a file.
+
+    Args:
+        tables: What the file has under the key ``decisions``.
+        where: The file, for the beginning of the error message.
 
     Raises:
         InputError: If there are too many, or one of them says what it cannot.
     """
-    if len(records) > MOST_DECISIONS:
+    rows = as_record({"decisions": tables}, _Tables, where).decisions
+    if len(rows) > MOST_DECISIONS:
         raise InputError(
-            f"{records[0].where}: there are {len(records):,} decisions; {MOST_DECISIONS:,} is the "
-            "most"
+            f"{where}: there are {len(rows):,} decisions; {MOST_DECISIONS:,} is the most"
         )
     decisions = Decisions()
-    for record in records:
-        pair = record.text("query"), record.text("database")
-        if pair[0] == pair[1]:
-            raise record.wrong("database", "another submap than the query")
-        if "motion" in record.values:
-            values = {**record.record("motion").values, "query": pair[0], "database": pair[1]}
-            found = closure_of(read_pair(Record(values, f"{record.where}, motion")))
-            decisions = with_motion(decisions, pair, found.registration)
-        decision = read_decision(record)
-        decisions = with_note(with_verdict(decisions, pair, decision.accepted), pair, decision.note)
+    for k, row in enumerate(rows):
+        place, pair = f"{where}, decisions[{k}]", (row.query, row.database)
+        if row.query == row.database:
+            raise InputError(f"{place}: 'database' must be another submap than the query")
+        if row.motion is not None:
+            values = {**row.motion, "query": row.query, "database": row.database}
+            closure = closure_of(read_pair(values, f"{place}, motion"))
+            decisions = with_motion(decisions, pair, closure.registration)
+        decisions = with_note(with_verdict(decisions, pair, row.accepted), pair, row.note)
     return decisions
 
 

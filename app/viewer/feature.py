@@ -1,25 +1,24 @@
 """The features of the viewer and their desk: what a feature may ask, and what it is told.
 
 A feature is a tab or a tool. It knows its session by one object, the desk. It reads the present
-state there and asks for changes there; the desk tells all features of whatever happens. So no
-feature needs to know another.
+state there and asks for changes there; the desk tells all features of whatever happens. What one
+feature does for another is a call: the session hands it over as one of the narrow protocols
+below. So no feature needs to know another.
 """
 
 import threading
 from collections.abc import Callable, Mapping
-from typing import Concatenate, Literal, ParamSpec, TypeAlias, TypeVar
+from typing import Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import viser
 
-from app.viewer.capacity import Capacity
 from app.viewer.decisions import Decisions, Pair, in_order
 from app.viewer.draw.placement import Camera
 from app.viewer.host import Host
 from app.viewer.methods import METHODS, MethodName
-from app.viewer.opened import Opened
 from app.viewer.permissions import READ_ALL, Permissions
-from app.viewer.runner import Worker
-from app.viewer.session_file import SavedSession
+from app.viewer.runner import Capacity, Worker
+from app.viewer.session_file import Opened, SavedSession
 from app.viewer.state import (
     Probe,
     ViewOptions,
@@ -39,10 +38,12 @@ from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.types import Dataset, GradientMap, LoopClosure, Registration
+from gpgrad_core.types import Dataset, GradientMap, LoopClosure
 
 Subject: TypeAlias = Literal["pair", "world"]
 """What the scene shows."""
+Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
+"""What the page is for."""
 
 
 class Feature:
@@ -93,40 +94,8 @@ class Feature:
     def decided(self, decisions: Decisions) -> None:
         """Take what a person has decided about pairs, after each change of it."""
 
-    # What another feature asks for; the feature that can do it answers.
-
-    def compare_pairs(self) -> None:
-        """Register all pairs with the present parameters."""
-
-    def stop_comparing(self) -> None:
-        """Stop registering all pairs."""
-
-    def use_motion(self, query_id: str, database_id: str, registration: Registration) -> None:
-        """Take a registration that was set by hand into the pose graph."""
-
-    def restore(self, saved: SavedSession) -> None:
-        """Open what a saved session had open, with all that it had set."""
-
-    def tune(self) -> None:
-        """Go to the mode in which a pair is tuned."""
-
-    def turn_to(self, subject: Subject) -> None:
-        """Show the pair or the world."""
-
-    def frame(self, page: viser.ClientHandle | None) -> None:
-        """Bring the camera of a page to all that is shown; None means those of all pages."""
-
-    def look(self, page: viser.ClientHandle, camera: Camera) -> None:
-        """Show a page what is shown from where a link has the camera."""
-
-    def explore(self) -> None:
-        """Go to the mode in which all submaps are looked at."""
-
-    def keep_cameras(self) -> None:
-        """Leave the cameras where they are when what is shown changes next."""
-
-    def set_full_screen(self, full_screen: bool) -> None:
-        """Put the panels away, or back."""
+    def resized(self) -> None:
+        """Take that the panels were put away, or back: the canvases become others soon."""
 
     # How it ends.
 
@@ -144,7 +113,65 @@ class Feature:
 
 
 F = TypeVar("F", bound=Feature)
-P = ParamSpec("P")
+
+
+# What one feature does for others: the session hands it to those that ask for it.
+
+Frame: TypeAlias = Callable[[viser.ClientHandle | None], None]
+"""Brings the camera of a page to all that is shown; None means those of all pages."""
+Restore: TypeAlias = Callable[[SavedSession], None]
+"""Opens what a saved session had open, with all that it had set."""
+
+
+@runtime_checkable
+class Cameras(Protocol):
+    """Moves the cameras of the pages."""
+
+    def frame(self, page: viser.ClientHandle | None) -> None:
+        """Bring the camera of a page to all that is shown; None means those of all pages."""
+        ...
+
+    def look(self, page: viser.ClientHandle, camera: Camera) -> None:
+        """Show a page what is shown from where a link has the camera."""
+        ...
+
+    def keep_cameras(self) -> None:
+        """Leave the cameras where they are when what is shown changes next."""
+        ...
+
+
+@runtime_checkable
+class Comparison(Protocol):
+    """Registers all pairs with the present parameters."""
+
+    def compare_pairs(self) -> None:
+        """Begin to register them; returns at once."""
+        ...
+
+    def stop_comparing(self) -> None:
+        """Stop registering them."""
+        ...
+
+
+@runtime_checkable
+class ModeSwitch(Protocol):
+    """Changes what the page is for, and so what the scene shows."""
+
+    def go(self, mode: Mode) -> None:
+        """Go to a mode."""
+        ...
+
+    def tune(self, query_id: str, database_id: str) -> None:
+        """Show a pair in the mode in which it is tuned."""
+        ...
+
+    def turn_to(self, subject: Subject) -> None:
+        """Show the pair or the world."""
+        ...
+
+    def set_full_screen(self, full_screen: bool) -> None:
+        """Put the panels away, or back."""
+        ...
 
 
 class Desk:
@@ -279,7 +306,7 @@ class Desk:
             self._set(opened.begin(self._state.options))
         for feature in self._features:
             feature.opened(opened)
-        self.tell(Feature.decided, self.decisions)
+        self.tell(lambda feature: feature.decided(self.decisions))
 
     # What a person decided about pairs.
 
@@ -312,14 +339,14 @@ class Desk:
                 self._decisions.append(after)
             else:
                 self._decisions[-1] = after
-        self.tell(Feature.decided, after)
+        self.tell(lambda feature: feature.decided(after))
 
     def take_back(self) -> None:
         """Take the last decision back."""
         with self._lock:
             if len(self._decisions) > 1:
                 self._decisions.pop()
-        self.tell(Feature.decided, self.decisions)
+        self.tell(lambda feature: feature.decided(self.decisions))
 
     def _set(self, state: ViewState) -> None:
         """Make a state the present one; the lock is held, so that all see the same order."""
@@ -327,22 +354,11 @@ class Desk:
         for feature in self._features:
             feature.follow(state)
 
-    # News and requests.
-
-    def tell(
-        self, news: Callable[Concatenate[Feature, P], None], *args: P.args, **kwargs: P.kwargs
-    ) -> None:
-        """Pass news or a request on to every feature, such as ``Feature.show``.
+    def tell(self, news: Callable[[Feature], None]) -> None:
+        """Tell every feature, in the order in which they joined.
 
         Args:
-            news: The method of `Feature` that it reaches; each feature has its own.
-            args: What it takes.
-            kwargs: What it takes by name.
+            news: Calls one method of the feature that it is given, one under "What happens".
         """
         for feature in self._features:
-            getattr(feature, news.__name__)(*args, **kwargs)
-
-    def tune(self, query_id: str, database_id: str) -> None:
-        """Show a pair in the mode in which it is tuned."""
-        self.choose(query_id, database_id)
-        self.tell(Feature.tune)
+            news(feature)

@@ -5,9 +5,10 @@ else needs to know which of the two it is drawing on.
 """
 
 from collections.abc import Mapping
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import viser
+from viser._messages import Message
 
 PANEL_WIDTH = 310
 """Width of the panel of parameters [pixels]."""
@@ -20,6 +21,16 @@ def pages(host: Host) -> Mapping[int, viser.ClientHandle]:
     if isinstance(host, viser.ViserServer):
         return host.get_clients()
     return {host.client_id: host}
+
+
+def inputs_of(host: Host) -> list[Any]:
+    """List the widgets that a user can act on; viser's kinds have no common class."""
+    return list(host.gui._gui_input_handle_from_uuid.values())  # pyright: ignore[reportPrivateUsage]
+
+
+def send_to(page: viser.ClientHandle, message: Message) -> None:
+    """Send one page a message for which viser has no method."""
+    page._websock_connection.queue_message(message)  # pyright: ignore[reportPrivateUsage]
 
 
 def set_theme(host: Host, *, dark: bool) -> None:

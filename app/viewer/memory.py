@@ -41,7 +41,6 @@ GOING = 0.2
 
 _SIZE = re.compile(r"(\d{1,6}(?:\.\d{1,6})?) ?([MGT])B", re.ASCII | re.IGNORECASE)
 _UNITS = {"M": 1e6, "G": 1e9, "T": 1e12}
-_GROUPS, _MINE = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 
 
 def read_size(text: str) -> int:
@@ -53,10 +52,10 @@ def read_size(text: str) -> int:
     Raises:
         InputError: If it is no size, or too little to work with.
     """
-    found = _SIZE.fullmatch(text.strip())
-    if found is None:
+    parts = _SIZE.fullmatch(text.strip())
+    if parts is None:
         raise InputError(f"--memory {text}: must be a size such as 800MB or 4GB")
-    size = round(float(found[1]) * _UNITS[found[2].upper()])
+    size = round(float(parts[1]) * _UNITS[parts[2].upper()])
     if size < LEAST:
         raise InputError(f"--memory {text}: the viewer needs {shown(LEAST)} or more")
     return size
@@ -73,7 +72,7 @@ def shown(size: float) -> str:
 
 def default_budget() -> int:
     """Give the budget that nobody has set: a share of what this process may have at all."""
-    total = min([psutil.virtual_memory().total, *_limits()])
+    total = min([psutil.virtual_memory().total, *group_limits()])
     return round(min(max(SHARE * total, LEAST), MOST))
 
 
@@ -163,20 +162,27 @@ class MemoryKeeper:
         return 0 if self._helper is None else resident(self._helper.process_id)
 
 
-def _limits() -> list[int]:
-    """Read the limits of this process's control groups [bytes], which containers have."""
-    found: list[int] = []
+def group_limits(
+    groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")
+) -> list[int]:
+    """Read the limits of this process's control groups [bytes], which containers have.
+
+    Args:
+        groups: Folder of all control groups.
+        own: Lists those of this process.
+    """
+    limits: list[int] = []
     with contextlib.suppress(OSError):
-        for line in _MINE.read_text().splitlines():
+        for line in own.read_text().splitlines():
             _, controllers, path = line.split(":", 2)
             if controllers and "memory" not in controllers.split(","):
                 continue
             name = "memory.limit_in_bytes" if controllers else "memory.max"
-            root = _GROUPS / "memory" if controllers else _GROUPS
+            root = groups / "memory" if controllers else groups
             inner = root / path.lstrip("/")
             for folder in (inner, *inner.parents):
                 with contextlib.suppress(OSError, ValueError):  # "max" is no number
-                    found.append(int((folder / name).read_text()))
+                    limits.append(int((folder / name).read_text()))
                 if folder == root:
                     break
-    return found
+    return limits

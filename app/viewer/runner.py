@@ -1,16 +1,24 @@
-"""One worker that always ends on the newest job, because sliders outrun the pipeline."""
+"""Workers with a thread of their own, and how much of the machine they may hold.
+
+A `Runner` always ends on the newest job, because sliders outrun the pipeline. A `Pacer` acts for
+everybody who asks, but not more often than makes sense.
+"""
 
 import contextlib
 import logging
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Hashable
+from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
 
+from gpgrad_core.run.helper import Helper
 from gpgrad_core.run.progress import Cancelled, Progress
+from gpgrad_core.run.threads import num_workers
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
+Key = TypeVar("Key", bound=Hashable)
 
 _log = logging.getLogger(__name__)
 
@@ -26,7 +34,6 @@ LONGEST_BLIND = 0.25
 
 Patience alone shows nothing during a long drag over work that takes longer than patience.
 """
-
 
 TURN_POLL = 0.05
 """How often a worker that waits for its turn looks whether it is still wanted [s]."""
@@ -74,12 +81,12 @@ class Runner(Generic[Job, Result]):
         """Start the worker.
 
         Args:
-            work: Capacity a job into a result; should call its progress hook every few
+            work: Turns a job into a result; should call its progress hook every few
                 hundredths of a second, for there it is stopped when it is no longer wanted.
             on_result: Given the job, its result and the seconds it took.
             on_error: Given the job and what was raised.
             on_start: Told of a job that begins.
-            preview: Capacity a job into a rough result for ``on_result``, or None for none.
+            preview: Turns a job into a rough result for ``on_result``, or None for none.
             on_cancel: Told of a job that `cancel` has stopped, or that waited for its turn.
             patience: See `PATIENCE` [s].
             longest_blind: See `LONGEST_BLIND` [s].
@@ -175,13 +182,13 @@ class Runner(Generic[Job, Result]):
         if self._slots is None:
             yield
             return
-        mine = False
-        while not mine and self._waiting and not self._closing:
-            mine = self._slots.acquire(timeout=TURN_POLL)
+        has_turn = False
+        while not has_turn and self._waiting and not self._closing:
+            has_turn = self._slots.acquire(timeout=TURN_POLL)
         try:
             yield
         finally:
-            if mine:
+            if has_turn:
                 self._slots.release()
 
     def _take(self) -> Job | None:
@@ -238,3 +245,83 @@ class Runner(Generic[Job, Result]):
         except Exception:
             _log.exception("reporting an error failed")
         self._last_shown = time.monotonic()
+
+
+class Pacer(Generic[Key]):
+    """One thread that acts for each key that has asked, and then pauses.
+
+    Whoever asks during the pause is served after it, once, so the last wish is always fulfilled.
+    """
+
+    def __init__(self, act: Callable[[Key], None], pause: float, name: str) -> None:
+        """Start the thread.
+
+        Args:
+            act: Given the key; an error in it is logged.
+            pause: After each round [s].
+            name: Of the thread, for debuggers.
+        """
+        self._act = act
+        self._pause = pause
+        self._asked: dict[Key, None] = {}
+        self._busy = False
+        self._closing = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def ask(self, key: Key) -> None:
+        """Have it act for a key soon; returns at once."""
+        with self._changed:
+            self._asked[key] = None
+            self._changed.notify_all()
+
+    def wait_idle(self, timeout: float) -> bool:
+        """Wait until nobody waits; says whether that came true within the timeout [s]."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._asked and not self._busy, timeout)
+
+    def close(self) -> None:
+        """Stop; who still waits is not served."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        if self._thread is not threading.current_thread():
+            self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._asked or self._closing)
+                if self._closing:
+                    return
+                asked, self._asked, self._busy = self._asked, {}, True
+            for key in asked:
+                try:
+                    self._act(key)
+                except Exception:
+                    _log.exception("could not be done")
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+                end = time.monotonic() + self._pause
+                while not self._closing and (left := end - time.monotonic()) > 0:
+                    self._changed.wait(left)
+
+
+@dataclass(frozen=True, eq=False)
+class Capacity:
+    """What a worker must hold while it computes.
+
+    Attributes:
+        pictures: For the pair that a session shows: as many slots as there are processors.
+        long: For work that takes longer than a picture, one at a time. It is apart from the
+            pictures, so that sliders answer meanwhile.
+        helper: A process that infers one of two submaps; None where there is one processor.
+    """
+
+    pictures: threading.Semaphore = field(
+        default_factory=lambda: threading.Semaphore(max(1, num_workers()))
+    )
+    long: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(1))
+    helper: Helper | None = None

@@ -5,19 +5,19 @@ import io
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import viser
 
-from app.viewer.capacity import Capacity
 from app.viewer.door.admission import Admission
 from app.viewer.door.limits import Limits
 from app.viewer.door.server import Told, open_server
-from app.viewer.host import set_theme
+from app.viewer.host import PANEL_WIDTH, set_theme
 from app.viewer.memory import MEMO_SHARE, MemoryKeeper, default_budget
 from app.viewer.permissions import READ_ALL, Permissions
-from app.viewer.waiting import WaitingPage
+from app.viewer.runner import Capacity
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, resolve_parameters
 from gpgrad_core.run.helper import start_helper
@@ -30,9 +30,8 @@ from gpgrad_core.types import Dataset
 
 # A page is served before these are loaded, which takes a second.
 if TYPE_CHECKING:
-    from app.viewer.opened import Opened
     from app.viewer.session import Session
-    from app.viewer.session_file import SavedSession
+    from app.viewer.session_file import Opened, SavedSession
 
 EVERYWHERE = ("0.0.0.0", "::")
 """Hosts that stand for all addresses of the machine."""
@@ -43,9 +42,58 @@ Stage: TypeAlias = Callable[[str], Progress]
 Opening: TypeAlias = "Callable[[Memo, Stage], Opened]"
 """Opens a dataset. The memo keeps its fits; progress may raise Cancelled."""
 
-
+REPORT_EVERY = 0.01
+"""The progress is shown anew once it has grown by this share of the whole."""
 LONGEST_OPENING = 10.0
 """An opening that is told to stop is waited for at most so long [s]."""
+
+
+class WaitingPage:
+    """Stands in the panel of every page until there is a session to show."""
+
+    def __init__(self, server: viser.ViserServer, title: str) -> None:
+        """Show it.
+
+        Args:
+            server: Whose pages show it.
+            title: Names what is being opened.
+        """
+        gui = server.gui
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(PANEL_WIDTH)
+        self._server = server
+        self._title = gui.add_html(
+            f'<h2 style="margin:10px 12px 2px;font-size:1.05em">Opening {escape(title)}</h2>'
+        )
+        self._words = gui.add_html(_line("Starting"))
+        self._bar = gui.add_progress_bar(0.0, animated=True)
+
+    def stage(self, words: str) -> Progress:
+        """Say what is done next; returns where to report how far it is."""
+        shown = 0.0
+        self._words.content = _line(words)
+        self._bar.value = 0.0
+
+        def report(fraction: float) -> None:
+            nonlocal shown
+            if fraction - shown >= REPORT_EVERY:
+                shown = fraction
+                self._bar.value = 100 * min(fraction, 1.0)
+
+        return report
+
+    def remove(self) -> None:
+        """Make room for the session."""
+        for handle in (self._title, self._words, self._bar):
+            handle.remove()
+        self._server.flush()
+
+
+def _line(words: str) -> str:
+    return (
+        f'<div data-testid="opening" role="status" style="padding:2px 12px;font-size:.9em">'
+        f"{escape(words)} …</div>"
+    )
 
 
 class Viewer:
@@ -100,7 +148,7 @@ class Viewer:
         self._memo = Memo(round(MEMO_SHARE * budget), store)
         opened = None
         if not callable(dataset):
-            from app.viewer.opened import Opened  # noqa: PLC0415
+            from app.viewer.session_file import Opened  # noqa: PLC0415
 
             asked = preferred_parameters(dataset, PipelineParams()) if params is None else params
             used = resolve_parameters(dataset.submaps, asked, self._memo)

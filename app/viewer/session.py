@@ -11,30 +11,26 @@ from app.viewer.all_pairs.tab import AllPairsTab
 from app.viewer.best_pair.search import BestPair
 from app.viewer.canvas.cursor import Cursor
 from app.viewer.canvas.framing import Framing
-from app.viewer.capacity import Capacity
 from app.viewer.data.tab import DataTab
 from app.viewer.demo.tab import DemoTab
-from app.viewer.feature import Desk
+from app.viewer.feature import Desk, Mode
 from app.viewer.host import PANEL_WIDTH, Host
 from app.viewer.inspect.tab import InspectTab
 from app.viewer.links.links import Links, add_script
-from app.viewer.modes.panel import Mode
 from app.viewer.modes.tab import Modes
 from app.viewer.nudge.tab import NudgeTab
-from app.viewer.opened import Opened
-from app.viewer.pair.shortcuts import add_shortcuts
-from app.viewer.pair.tab import PairTab
+from app.viewer.pair.tab import PairTab, add_shortcuts
 from app.viewer.params.tab import ParamsTab
 from app.viewer.permissions import READ_ALL, Permissions
 from app.viewer.pose_graph.tab import PoseGraphTab
-from app.viewer.save.exports import Exports
-from app.viewer.save.report import ReportTool
-from app.viewer.save.tab import SaveTab
+from app.viewer.runner import Capacity
+from app.viewer.save.tab import Exports, ReportTool, SaveTab
+from app.viewer.session_file import Opened
 from app.viewer.state import ViewOptions, ViewState
 from app.viewer.triage.tab import TriageTab
 from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import FAINT, paragraph
 from app.viewer.widgets.look import Look
-from app.viewer.widgets.presence import PresenceLine
 from app.viewer.world import WorldTab
 from gpgrad_core.run.memo import Memo
 
@@ -78,38 +74,42 @@ class Session:
         Look(host)
         modes = desk.join(Modes(desk))
         tune, explore, demo = gui.add_panel(), gui.add_panel(), gui.add_panel()
-        self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View")))
-        desk.join(ParamsTab(desk, opened.params, commands, on_error=self.pair.refuse))
-        self._presence = PresenceLine(host)
-        best_pair = desk.join(BestPair(desk, opened, commands))
+
+        def frame(page: viser.ClientHandle | None) -> None:
+            framing.frame(page)  # which is made of the two that ask for it
+
+        self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View"), frame))
         scene = self.pair.scene
+        with explore.add_tab("World"):
+            self.world = desk.join(WorldTab(desk, modes, frame))
+        framing = desk.join(Framing(desk, scene, self.world))
+        desk.join(ParamsTab(desk, opened.params, commands, on_error=self.pair.refuse))
+        self._presence = host.gui.add_html("")
+        best_pair = desk.join(BestPair(desk, opened, commands, modes))
         with tune.add_tab("Inspect"):
             self.inspect = desk.join(InspectTab(desk, scene.pick, scene.show_ruler))
         with tune.add_tab("All pairs"):
             best_pair.add_button()
-            desk.join(AllPairsTab(desk))
+            comparison = desk.join(AllPairsTab(desk))
         with tune.add_tab("Triage"):
-            desk.join(TriageTab(desk, commands))
+            desk.join(TriageTab(desk, commands, comparison.compare_pairs))
         with tune.add_tab("Data"):
             self.data = desk.join(DataTab(desk))
         with tune.add_tab("Save"):
-            desk.join(SaveTab(desk))
+            desk.join(SaveTab(desk, self.data.restore))
             desk.join(ReportTool(desk, commands))
             desk.join(Exports(desk))
-            desk.join(Links(desk, commands))
+            desk.join(Links(desk, commands, modes, framing, self.data.restore))
         with tune.add_tab("Nudge"):
             desk.join(NudgeTab(desk, scene))
-        with explore.add_tab("World"):
-            self.world = desk.join(WorldTab(desk))
         with explore.add_tab("Pose graph"):
-            self.pose_graph = desk.join(PoseGraphTab(desk, self.world))
+            self.pose_graph = desk.join(PoseGraphTab(desk, self.world, comparison, modes))
         with demo.add_tab("Demo"):
-            desk.join(DemoTab(desk, scene, self.world))
+            desk.join(DemoTab(desk, scene, self.world, modes, framing))
         panels: dict[Mode, viser.PanelHandle] = {"Explore": explore, "Tune": tune, "Demo": demo}
-        desk.join(Framing(desk, scene, self.world))
         desk.join(Cursor(desk, scene))
         modes.arrange(scene, self.world, panels, commands)
-        add_shortcuts(commands, desk, self.pair, self.inspect.step)
+        add_shortcuts(commands, desk, self.pair, frame, self.inspect.step)
         commands.add_buttons()
         add_script(host)  # a page may be there already: what it says is heard by now
         desk.change()  # the first picture
@@ -120,8 +120,11 @@ class Session:
         return self.desk.state
 
     def show_presence(self, count: int) -> None:
-        """Say how many pages show this session."""
-        self._presence.show(count)
+        """Say how many pages show this session; nothing while it is one."""
+        words = f"{count} pages share this session: all see and change the same."
+        self._presence.content = (
+            f'<div data-testid="presence">{paragraph(words, FAINT)}</div>' if count > 1 else ""
+        )
 
     def wait_idle(self, timeout: float = 60.0) -> bool:
         """Wait until the picture is up to date; says whether that came true in time [s]."""

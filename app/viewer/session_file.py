@@ -1,11 +1,14 @@
-"""A session as a file: dataset, pair, parameters, view, camera and decisions on pairs."""
+"""What a session begins with: a dataset that was opened, and perhaps a session that was saved.
 
-from collections.abc import Mapping
+A saved session is a file: dataset, pair, parameters, view, camera and decisions on pairs.
+"""
+
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import cast
+from typing import Annotated, TypeAlias
 
 import tomli_w
+from msgspec import Meta, Struct
 
 from app.viewer.decisions import MOST_DECISIONS, Decisions, read_decisions, tables_of
 from app.viewer.draw.placement import Camera
@@ -14,6 +17,7 @@ from app.viewer.state import (
     ViewOptions,
     ViewState,
     check_pair,
+    open_dataset,
     with_method,
     with_options,
     with_pair,
@@ -23,8 +27,8 @@ from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import to_tables, with_tables
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.reading.json_files import Record, is_number
 from gpgrad_core.reading.paths import check_path
+from gpgrad_core.reading.records import as_record
 from gpgrad_core.reading.text import read_text
 from gpgrad_core.reading.toml_files import parse_toml
 from gpgrad_core.types import MAX_COORDINATE, Dataset
@@ -33,7 +37,35 @@ ENDING = ".gpgrad.toml"
 LARGEST = 100_000
 """Bytes of such a file: a few thousand, and about 70 for each decision. What a page sends is parsed
 in a thread of its own, which such a file keeps busy for a tenth of a second at most."""
-KEYS = ("dataset", "query", "database", "view", "method", "params", "camera", "decisions")
+Coordinate: TypeAlias = Annotated[float, Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
+Place: TypeAlias = tuple[Coordinate, Coordinate, Coordinate]
+RULES = {
+    "view": "a table, [view]",
+    "params": "a table, [params]",
+    "camera": "a table, [camera]",
+    "position": "three numbers, [x, y, z]",
+    "look_at": "three numbers, [x, y, z]",
+    "method": " or ".join(METHOD_NAMES),
+}
+"""What values of the file must be, where their types do not say it in words."""
+
+
+class _CameraTable(Struct):
+    position: Place
+    look_at: Place
+
+
+class _SavedTable(Struct, forbid_unknown_fields=True):
+    """The file as it is; what options, parameters and decisions may be is in types of their own."""
+
+    dataset: str | None = None
+    query: str | None = None
+    database: str | None = None
+    view: dict[str, object] = {}
+    method: MethodName = "gradient"
+    params: dict[str, object] = {}
+    camera: _CameraTable | None = None
+    decisions: list[object] = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +102,10 @@ class SavedSession:
             if name is not None:
                 dataset.submap(name)
         check_pair(dataset, self.query_id, self.database_id)
-        known = {submap.id for submap in dataset.submaps}
+        ids = {submap.id for submap in dataset.submaps}
         for pair in self.decisions.pairs:
             for name in pair:
-                if name not in known:
+                if name not in ids:
                     dataset.submap(name)
 
     def apply(self, state: ViewState) -> ViewState:
@@ -146,48 +178,31 @@ def parse_session(text: str | bytes, where: str) -> SavedSession:
     Raises:
         InputError: As `read_session`.
     """
-    table = parse_toml(text, where, LARGEST)
-    unknown = [key for key in table if key not in KEYS]
-    if unknown:
-        raise InputError(
-            f"{where}: is not a saved session: unknown key {unknown[0]}; known: {', '.join(KEYS)}"
-        )
-    dataset = _text(table, "dataset", where)
-    method = check_method(_text(table, "method", where), where)
-    base = METHODS[method].adapt(PipelineParams())
-    return SavedSession(
-        None if dataset is None else _path(dataset, where),
-        _text(table, "query", where),
-        _text(table, "database", where),
-        with_tables(ViewOptions(), _table(table, "view", where), f"{where}, [view]"),
-        with_tables(base, _table(table, "params", where), f"{where}, [params]"),
-        _camera(_table(table, "camera", where), where) if "camera" in table else None,
-        read_decisions(Record(table, where).records("decisions"))
-        if "decisions" in table
-        else Decisions(),
-        method,
-    )
+    return as_saved(parse_toml(text, where, LARGEST), where)
 
 
-def check_method(name: str | None, where: str) -> MethodName:
-    """Check the name of a method; None is the usual one.
+def as_saved(table: object, where: str) -> SavedSession:
+    """Make a saved session of the tables of a file, or of what a link says.
+
+    Args:
+        table: Texts, numbers and tables by name.
+        where: What they come from, for the message.
 
     Raises:
-        InputError: If the viewer runs no such method.
+        InputError: If a name is not known, or a value is none that it can be.
     """
-    if name is None:
-        return SavedSession.method
-    for known in METHOD_NAMES:
-        if name == known:
-            return known
-    raise InputError(f"{where}: method must be {' or '.join(METHOD_NAMES)}, got {name[:40]!r}")
-
-
-def _text(table: Mapping[str, object], key: str, where: str) -> str | None:
-    value = table.get(key)
-    if value is not None and not isinstance(value, str):
-        raise InputError(f"{where}: {key} must be a text in quotes, got {value!r}")
-    return value
+    saved = as_record(table, _SavedTable, where, RULES)
+    base = METHODS[saved.method].adapt(PipelineParams())
+    return SavedSession(
+        None if saved.dataset is None else _path(saved.dataset, where),
+        saved.query,
+        saved.database,
+        with_tables(ViewOptions(), saved.view, f"{where}, [view]"),
+        with_tables(base, saved.params, f"{where}, [params]"),
+        None if saved.camera is None else Camera(saved.camera.position, saved.camera.look_at),
+        read_decisions(saved.decisions, where),
+        saved.method,
+    )
 
 
 def _path(text: str, where: str) -> Path:
@@ -197,24 +212,29 @@ def _path(text: str, where: str) -> Path:
         raise InputError(f"{where}: dataset: {error}") from None
 
 
-def _table(table: Mapping[str, object], key: str, where: str) -> Mapping[str, object]:
-    value = table.get(key, {})
-    if not isinstance(value, dict):
-        raise InputError(f"{where}: {key} must be a table, [{key}], got {value!r}")
-    return cast("Mapping[str, object]", value)
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A dataset that was read, and what to start it with.
 
+    Attributes:
+        dataset: The submaps.
+        params: What "Reset parameters" goes back to, as it was given.
+        source: Path that it was read from.
+        saved: Pair, parameters and view to begin with; None begins as the dataset prefers.
+        used: What `resolve_parameters` made of the parameters; None if it was not asked yet.
+    """
 
-def _camera(table: Mapping[str, object], where: str) -> Camera:
-    return Camera(_point(table, "position", where), _point(table, "look_at", where))
+    dataset: Dataset
+    params: PipelineParams
+    source: str
+    saved: SavedSession | None = None
+    used: PipelineParams | None = None
 
+    def begin(self, options: ViewOptions) -> ViewState:
+        """Make the first snapshot.
 
-def _point(table: Mapping[str, object], key: str, where: str) -> tuple[float, float, float]:
-    value = table.get(key)
-    if (
-        not isinstance(value, list)
-        or len(numbers := cast("list[object]", value)) != 3
-        or not all(is_number(n) and abs(cast("float", n)) <= MAX_COORDINATE for n in numbers)
-    ):
-        raise InputError(f"{where}: camera.{key} must be three numbers, [x, y, z], got {value!r}")
-    x, y, z = (float(cast("float", number)) for number in numbers)
-    return x, y, z
+        Args:
+            options: Of the view, unless a saved session comes with its own.
+        """
+        state = open_dataset(self.dataset, self.params, options, self.source, self.used)
+        return state if self.saved is None else self.saved.apply(state)

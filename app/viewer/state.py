@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, TypeAlias, get_args
 
 import numpy as np
+from typing_extensions import Doc
 
 from app.viewer.methods import METHODS, MethodName
 from gpgrad_core.errors import InputError
@@ -35,8 +36,6 @@ Role: TypeAlias = Literal["query", "database"]
 LAYERS: tuple[Layer, ...] = get_args(Layer)
 COLOR_MAPS: tuple[ColorMap, ...] = get_args(ColorMap)
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
-UNTRUSTED: tuple[Untrusted, ...] = get_args(Untrusted)
-COMPARE: tuple[Compare, ...] = get_args(Compare)
 COMPARED: tuple[Layer, ...] = ("difference", "agreement")
 """Layers that show both maps against each other, under the registration."""
 FROM_ABOVE: Layout = "gradient from above"
@@ -45,45 +44,127 @@ NEEDS_TWO = "A loop closure needs two submaps. Add a cloud, or open another data
 """What is said where one submap is all there is."""
 
 
+LAYER_NAMES: dict[str, str] = {
+    "elevation": "elevation",
+    "std": "standard deviation",
+    "gradient": "gradient",
+    "slope_x": "dz/dx",
+    "slope_y": "dz/dy",
+    "mask": "mask",
+    "difference": "height difference",
+    "agreement": "agreement",
+}
+"""What people call the layers."""
+
+
+@dataclass(frozen=True)
+class Widget:
+    """How a field of options is offered, where its name and its type do not say that.
+
+    Attributes:
+        label: Of the widget; empty takes the field's name.
+        names: What people call its choices; a choice without another name keeps its own.
+        needs: By the names of other fields, the values that it has a meaning with.
+        folded: Whether it lies in the folded folder of what is rarely needed.
+        offered: Whether it has a widget in the panel of its dataclass.
+    """
+
+    label: str = ""
+    names: Mapping[str, str] = field(default_factory=dict[str, str])
+    needs: Mapping[str, object] = field(default_factory=dict[str, object])
+    folded: bool = False
+    offered: bool = True
+
+
 @dataclass(frozen=True)
 class ViewOptions:
     """What is drawn and how; none of it changes what is computed.
 
-    Attributes:
-        layer: Field of the gradient map that colours the surfaces.
-        color_map: Colours of that field; "automatic" chooses by layer.
-        layout: Each submap by itself, or the query laid onto the database; or the gradient of each
-            submap by itself, seen from above.
-        compare: Of the registered maps, both at once, one of them, or one beside or after the
-            other: left and right of a line, or in turn.
-        swipe: Where that line stands, as a share of the width of both.
-        surfaces: Draw the Gaussian-process surfaces.
-        clouds: Draw the points they were inferred from.
-        untrusted: What becomes of cells that the variance mask rejects.
-        hillshade: Light the elevation and mask layers; the others keep the legend's colours.
-        keypoints: Draw the keypoints.
-        inlier_lines: Join the associations that agree with the registration.
-        outlier_lines: Join those that do not.
-        all_lines: Join all of either kind; else at most forty that are spread over the ground.
-        point_size: Side of a drawn cloud point [m].
-        dark: Light words on a dark page.
+    Each field is a widget of the tab View, in this order.
     """
 
-    layer: Layer = "elevation"
-    color_map: ColorMap = "automatic"
-    layout: Layout = "side by side"
-    compare: Compare = "both"
-    swipe: Annotated[float, Bounds(0.0, 1.0, 0.01, "")] = 0.5
-    surfaces: bool = True
-    clouds: bool = False
-    untrusted: Untrusted = "hidden"
-    hillshade: bool = True
-    keypoints: bool = True
-    inlier_lines: bool = True
-    outlier_lines: bool = False
-    all_lines: bool = False
-    point_size: Annotated[float, Bounds(0.005, 0.2, 0.005, "m")] = 0.03
-    dark: bool = False
+    layout: Annotated[
+        Layout,
+        Doc(
+            "Each submap by itself, or the query laid onto the database as the registration says, "
+            "or the gradient of each from above: there the cursor shows the same place in both."
+        ),
+    ] = "side by side"
+    compare: Annotated[
+        Compare,
+        Doc(
+            "How to compare registered submaps: both at once, one alone, the query left and the "
+            "database right of a line, or one after the other."
+        ),
+        Widget(
+            names={"query": "query only", "database": "database only"},
+            needs={"layout": "registered"},
+        ),
+    ] = "both"
+    swipe: Annotated[
+        float,
+        Bounds(0.0, 1.0, 0.01),
+        Doc("Position of the line: the query is left of it, the database right."),
+        Widget(needs={"layout": "registered", "compare": "swipe"}),
+    ] = 0.5
+    layer: Annotated[
+        Layer,
+        Doc(
+            "What the colours show. The height difference is query minus database after "
+            "registration. Agreement is blue where the heights speak for one terrain, and red "
+            "where they speak against it. Both are grey where only one of them saw the ground."
+        ),
+        Widget(names=LAYER_NAMES),
+    ] = "elevation"
+    color_map: Annotated[
+        ColorMap,
+        Doc("Colour map of the layer. Automatic chooses one that suits it."),
+        Widget("Colours"),
+    ] = "automatic"
+    surfaces: Annotated[bool, Doc("Gaussian-process surfaces, inferred from the points.")] = True
+    clouds: Annotated[
+        bool,
+        Doc("The measured points of the query (blue) and of the database (orange)."),
+        Widget("Point clouds"),
+    ] = False
+    keypoints: Annotated[
+        bool,
+        Doc(
+            "Inliers are green (yellow if the pair is refused), outliers are red, and keypoints "
+            "without an association are grey."
+        ),
+    ] = True
+    inlier_lines: Annotated[bool, Doc("Associations that agree with the registration (green).")] = (
+        True
+    )
+    outlier_lines: Annotated[bool, Doc("Associations that do not agree with it (red).")] = False
+    all_lines: Annotated[
+        bool,
+        Doc(
+            "Draws a line for every association. Otherwise at most forty of each kind are drawn, "
+            "spread over the ground."
+        ),
+    ] = False
+    untrusted: Annotated[
+        Untrusted,
+        Doc("What to do with cells that the variance mask rejects."),
+        Widget("Masked cells", folded=True),
+    ] = "hidden"
+    hillshade: Annotated[
+        bool,
+        Doc(
+            "Lights the elevation from the upper left. Without it the colours are exactly those "
+            "of the legend."
+        ),
+        Widget(folded=True),
+    ] = True
+    point_size: Annotated[
+        float,
+        Bounds(0.005, 0.2, 0.005, "m"),
+        Doc("Size of a point of the point clouds."),
+        Widget(folded=True),
+    ] = 0.03
+    dark: Annotated[bool, Doc("Light text on a dark page."), Widget(folded=True)] = False
 
     def __post_init__(self) -> None:
         """Check the bounds."""

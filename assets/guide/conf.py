@@ -16,6 +16,7 @@ sys.path.insert(0, str(ROOT))
 
 import gpgrad_core  # noqa: E402 - found only now
 from gpgrad_core.datasets import demo_path, load_dataset  # noqa: E402
+from gpgrad_core.datasets.clouds import CLOUD_FORMATS  # noqa: E402
 from gpgrad_core.params.fields import Field, parameters_of, with_unit  # noqa: E402
 from gpgrad_core.pipeline import PipelineParams, register_pair, resolve_parameters  # noqa: E402
 from gpgrad_core.run.memo import Memo  # noqa: E402
@@ -60,9 +61,25 @@ class ParameterTable(Directive):
         for field in parameters_of(params):
             shown = "automatic" if field.default is None else str(field.default)
             rows.append(f"| `{field.path}` | {shown} | {allowed(field)} | {field.doc} |")
-        holder = nodes.container()
-        self.state.nested_parse(StringList(rows, "parameters"), self.content_offset, holder)
-        return holder.children
+        return parsed(self, rows)
+
+
+class CloudFormats(Directive):
+    """A table of the formats of clouds, from the readers themselves."""
+
+    def run(self) -> list[nodes.Node]:
+        """Write a row for each ending."""
+        rows = ["| ending | what is read |", "|---|---|"]
+        rows += [f"| `{ending}` | {kind.holds} |" for ending, kind in CLOUD_FORMATS.items()]
+        return parsed(self, rows)
+
+
+def parsed(directive: Directive, rows: list[str]) -> list[nodes.Node]:
+    """Make what a directive stands for of lines of Markdown."""
+    holder = nodes.container()
+    lines = StringList(rows, directive.name)
+    directive.state.nested_parse(lines, directive.content_offset, holder)
+    return holder.children
 
 
 def allowed(field: Field) -> str:
@@ -108,4 +125,5 @@ def setup(app: Sphinx) -> None:
     """Add what Sphinx does not bring."""
     app.connect("build-finished", write_live_page)
     app.add_directive("parameters", ParameterTable)
+    app.add_directive("cloud-formats", CloudFormats)
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))

@@ -17,32 +17,23 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.datasets.poses import parse_numbers
+from gpgrad_core.datasets.poses import pose_of_matrix
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.text import lines_of, read_text
+from gpgrad_core.reading.text import parse_numbers, split_rows
 from gpgrad_core.se2 import Pose
-from gpgrad_core.types import MAX_COORDINATE
 
 CLOUD, TRUTH = ".xyz", ".gt"
 LARGEST = 10_000
 """Bytes of a ``.gt``; sixteen numbers take 200."""
-TOLERANCE = 0.01
-"""A matrix further from a rotation than this is not a rounded one."""
 
 
 @dataclass(frozen=True)
 class PosedScan:
-    """A scan and the file of its pose.
+    """A scan and the file of its pose."""
 
-    Attributes:
-        name: The scan's name, which is that of its folder.
-        cloud: File of its points.
-        truth: File of its pose.
-    """
-
-    name: str
-    cloud: Path
-    truth: Path
+    name: str  # the scan's name, which is that of its folder
+    cloud: Path  # file of its points
+    truth: Path  # file of its pose
 
     def read_pose(self) -> Pose:
         """Read the pose, ``T_world_scanner``.
@@ -66,16 +57,17 @@ def find_posed_scans(folder: Path) -> list[PosedScan]:
     """
     if not folder.is_dir():
         return []
-    inner = sorted(one for one in folder.iterdir() if one.is_dir())
-    posed = [one for one in inner if is_posed_scan(one)]
-    bare = [one for one in inner if (one / f"{one.name}{CLOUD}").is_file() and one not in posed]
+    inner = sorted(scan for scan in folder.iterdir() if scan.is_dir())
+    posed = [scan for scan in inner if is_posed_scan(scan)]
+    bare = [s for s in inner if (s / f"{s.name}{CLOUD}").is_file() and s not in posed]
     if posed and bare:
         raise InputError(
             f"{bare[0]}: has {bare[0].name}{CLOUD} but no pose {bare[0].name}{TRUTH}; copy the "
             "pose too, or remove the scan"
         )
     return [
-        PosedScan(one.name, one / f"{one.name}{CLOUD}", one / f"{one.name}{TRUTH}") for one in posed
+        PosedScan(scan.name, scan / f"{scan.name}{CLOUD}", scan / f"{scan.name}{TRUTH}")
+        for scan in posed
     ]
 
 
@@ -88,42 +80,13 @@ def read_matrix_pose(path: Path) -> Pose:
             names the line where one is to blame.
     """
     rows: list[list[float]] = []
-    for number, line in enumerate(lines_of(read_text(path, LARGEST)), start=1):
-        if not (words := line.split()):
-            continue
+    for where, words in split_rows(path, LARGEST, comment=None):
         if len(words) != 4 or len(rows) == 4:
-            raise InputError(
-                f"{path}, line {number}: a pose is four rows of four numbers, a 4x4 matrix"
-            )
-        rows.append(parse_numbers(words, f"{path}, line {number}"))
+            raise InputError(f"{where}: a pose is four rows of four numbers, a 4x4 matrix")
+        rows.append(parse_numbers(words, where))
     if len(rows) != 4:
         raise InputError(f"{path}: has {len(rows)} rows; a pose is the four rows of a 4x4 matrix")
     matrix = np.array(rows)
     if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-6):
         raise InputError(f"{path}: the last row of a pose's 4x4 matrix must be 0 0 0 1")
     return pose_of_matrix(matrix[:3], str(path))
-
-
-def pose_of_matrix(matrix: np.ndarray[tuple[int, int], np.dtype[np.float64]], where: str) -> Pose:
-    """Make a pose of the upper three rows of a 4x4 matrix.
-
-    Args:
-        matrix: The rows (3, 4), of finite numbers; lengths in metres.
-        where: What the error message begins with.
-
-    Raises:
-        InputError: If the first three columns are not a rotation, or the position is beyond
-            `MAX_COORDINATE`.
-    """
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - loads slowly
-
-    turn, place = matrix[:, :3], matrix[:, 3]
-    # The largest number is looked at first: squares of huge ones overflow.
-    fits = bool(np.abs(turn).max() <= 2.0)
-    if not fits or np.abs(turn @ turn.T - np.eye(3)).max() > TOLERANCE or np.linalg.det(turn) < 0:
-        raise InputError(f"{where}: the first three columns of the pose's matrix are no rotation")
-    if np.abs(place).max() > MAX_COORDINATE:
-        raise InputError(
-            f"{where}: the position is further from the origin than {MAX_COORDINATE:g} m"
-        )
-    return Pose(place.copy(), Rotation.from_matrix(turn).as_quat(canonical=True))

@@ -18,8 +18,7 @@ from jaxtyping import Float
 from scipy import ndimage
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.simulation_params import SimulationParams
-from gpgrad_core.datasets.streams import stream
+from gpgrad_core.datasets.simulation_params import SimulationParams, stream
 from gpgrad_core.datasets.terrain import RESOLUTION, HeightField, add_rocks
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
@@ -90,9 +89,12 @@ def ground_of(
     size = int(np.ceil(params.extent / RESOLUTION)) + 1
     # The middle of the ground is that of the model.
     along = RESOLUTION * (np.arange(size) - 0.5 * (size - 1))
-    row, column = (0.5 * (n - 1) + along / one for n, one in zip(heights.shape, step, strict=True))
-    low = [max(int(np.floor(one[0])) - 8, 0) for one in (row, column)]
-    high = [int(np.ceil(one[-1])) + 9 for one in (row, column)]
+    row, column = (
+        0.5 * (n - 1) + along / step_along
+        for n, step_along in zip(heights.shape, step, strict=True)
+    )
+    low = [max(int(np.floor(cells[0])) - 8, 0) for cells in (row, column)]
+    high = [int(np.ceil(cells[-1])) + 9 for cells in (row, column)]
     window = heights[low[0] : high[0], low[1] : high[1]].astype(np.float64)
     unknown = int(np.sum(~np.isfinite(window)))
     if unknown:
@@ -167,7 +169,7 @@ def read_elevation_model(path: Path) -> Elevations:
 
 
 def _known(
-    values: NDArray[Any], no_data: object, path: Path
+    values: NDArray[np.generic], no_data: object, path: Path
 ) -> Float[NDArray[np.floating], "rows columns"]:
     heights = values.astype(np.float32 if values.dtype.itemsize <= 2 else np.float64)
     if no_data is not None:
@@ -181,7 +183,7 @@ def _known(
     return heights
 
 
-def _geo_keys(tags: dict[int, Any]) -> dict[int, int]:
+def _geo_keys(tags: dict[int, object]) -> dict[int, int]:
     """List the keys whose values are numbers in the directory itself."""
     keys = np.asarray(tags.get(GEO_KEYS, ()), dtype=np.int64).ravel()
     rows = keys[4 : len(keys) // 4 * 4].reshape(-1, 4)  # key, where its value is, count, value
@@ -198,7 +200,7 @@ def _check_units(held: dict[int, int], path: Path) -> None:
         raise InputError(f"{path}: is not in metres (unit {unit}); project it to metres first")
 
 
-def _cell_size(tags: dict[int, Any], path: Path) -> tuple[float, float]:
+def _cell_size(tags: dict[int, object], path: Path) -> tuple[float, float]:
     """Find width and height of a cell [m]."""
     scale = np.asarray(tags.get(PIXEL_SCALE, ()), np.float64).ravel()
     turned = np.asarray(tags.get(TRANSFORMATION, ()), np.float64).ravel()
@@ -215,7 +217,7 @@ def _cell_size(tags: dict[int, Any], path: Path) -> tuple[float, float]:
 
 
 def _corner(
-    tags: dict[int, Any], keys: dict[int, int], cell: tuple[float, float], rows: int, path: Path
+    tags: dict[int, object], keys: dict[int, int], cell: tuple[float, float], rows: int, path: Path
 ) -> tuple[float, float]:
     """Find easting and northing of the middle of the cell in the south-west [m]."""
     tie = np.asarray(tags.get(TIE_POINT, ()), np.float64).ravel()

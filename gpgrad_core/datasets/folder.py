@@ -3,19 +3,29 @@
 import os
 import re
 import tempfile
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.datasets.about import About, read_about, write_about
-from gpgrad_core.datasets.clouds import READERS, load_cloud_with_notes, wild_note
+from gpgrad_core.datasets.clouds import (
+    CLOUD_ENDINGS,
+    is_cloud,
+    load_cloud_with_notes,
+    wild_note,
+)
+from gpgrad_core.datasets.clouds.ply import write_ply
 from gpgrad_core.datasets.cpet import PosedScan, find_posed_scans
-from gpgrad_core.datasets.headings import poses_at
-from gpgrad_core.datasets.ply import write_ply
-from gpgrad_core.datasets.poses import read_poses, read_positions, write_poses, write_positions
+from gpgrad_core.datasets.dataset_toml import read_dataset_toml, write_dataset_toml
+from gpgrad_core.datasets.poses import (
+    poses_at,
+    read_poses,
+    read_positions,
+    write_poses,
+    write_positions,
+)
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.memo import array_bytes
@@ -29,7 +39,7 @@ CLOUD_FOLDER = "submaps"
 TRUTH_FILE = "poses_gt.txt"
 POSITIONS_FILE = "positions_gt.txt"  # read where there are no true poses
 ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first one that exists is read
-ABOUT_FILE = "dataset.toml"
+INFO_FILE = "dataset.toml"
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
 NO_POINTS = np.empty((0, 3))
 OF_POINTS = ("points", "colors", "noise_std", "ranges")
@@ -43,7 +53,7 @@ SIMULATED = "gpgrad simulate"
 """Stands in the description, or above the poses, of what was simulated."""
 MADE_ENTRIES = (
     *("submaps", "scans", "trajectory"),
-    *(TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES, "times.txt", ABOUT_FILE, JOURNAL),
+    *(TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES, "times.txt", INFO_FILE, JOURNAL),
 )
 """What gpgrad writes into a dataset or a recording."""
 
@@ -83,25 +93,25 @@ class SubmapFile:
 
     Attributes:
         path: The file.
-        known: The submap without its points.
+        outlined: The submap without its points.
         num_points: Number of points.
         sensor: ``T_submap_sensor`` if the file's points are in the frame of the sensor.
     """
 
     path: Path
-    known: Submap
+    outlined: Submap
     num_points: int
     sensor: Pose | None = None
 
     @property
     def id(self) -> str:
         """The submap's name."""
-        return self.known.id
+        return self.outlined.id
 
     @property
     def fingerprint(self) -> str:
         """Hash of the points when the file was first read."""
-        return self.known.fingerprint
+        return self.outlined.fingerprint
 
     def load(self) -> Submap:
         """Read the file.
@@ -112,7 +122,7 @@ class SubmapFile:
         submap, _ = _load(self.path, self.sensor)
         if submap.fingerprint != self.fingerprint:
             raise InputError(f"{self.path}: has changed since the run began; start it again")
-        return _completed(submap, self.known)
+        return _completed(submap, self.outlined)
 
 
 def _load(path: Path, sensor: Pose | None) -> tuple[Submap, tuple[str, ...]]:
@@ -129,14 +139,14 @@ def _load(path: Path, sensor: Pose | None) -> tuple[Submap, tuple[str, ...]]:
     return replace(level, num_dropped=submap.num_dropped, num_wild=num_wild), notes
 
 
-def _completed(submap: Submap, known: Submap) -> Submap:
+def _completed(submap: Submap, outlined: Submap) -> Submap:
     """Add to a cloud what the dataset knows of the submap."""
     return replace(
         submap,
-        id=known.id,
-        pose_true=known.pose_true,
-        pose_odometry=known.pose_odometry,
-        images=known.images,
+        id=outlined.id,
+        pose_true=outlined.pose_true,
+        pose_odometry=outlined.pose_odometry,
+        images=outlined.images,
     )
 
 
@@ -168,10 +178,10 @@ def open_dataset(
     sources: list[SubmapSource] = []
     notes, held = list(outline.dataset.notes), 0
     for k, cloud in enumerate(outline.clouds):
-        submap, of_cloud = outline.load(k)
+        submap, cloud_notes = outline.load(k)
         if check is not None:
             check(submap)
-        notes += of_cloud
+        notes += cloud_notes
         held += array_bytes(submap)
         if held <= most_bytes:
             sources.append(submap)
@@ -210,9 +220,9 @@ def load_dataset(
     notes = list(outline.dataset.notes)
     with closing(_Submaps(most_bytes)) as submaps:
         for k in range(len(outline.clouds)):
-            submap, of_cloud = outline.load(k)
+            submap, cloud_notes = outline.load(k)
             submaps.add(submap)
-            notes += of_cloud
+            notes += cloud_notes
             progress((k + 1) / len(outline.clouds))
         return replace(outline.dataset, submaps=submaps.finish(), notes=tuple(notes))
 
@@ -301,22 +311,22 @@ def _outline_folder(path: Path) -> Outline:
         raise InputError(_no_clouds(path, has_submaps=has_submaps))
     # A folder of loose clouds may hold anything else; in submaps/ another file is reported.
     notes = [f"submaps/{name}: is not a cloud and was ignored" for name in ignored if has_submaps]
-    known = {index: cloud.stem for cloud in clouds if (index := index_of(cloud.stem)) is not None}
-    about = About()
-    if (path / ABOUT_FILE).exists():
-        about = read_about(path / ABOUT_FILE, frozenset(cloud.stem for cloud in clouds))
-    truth = read_poses(path / TRUTH_FILE, known) if (path / TRUTH_FILE).exists() else {}
+    indices = {index: cloud.stem for cloud in clouds if (index := index_of(cloud.stem)) is not None}
+    info = Dataset("", ())
+    if (path / INFO_FILE).exists():
+        info = read_dataset_toml(path / INFO_FILE, frozenset(cloud.stem for cloud in clouds))
+    truth = read_poses(path / TRUTH_FILE, indices) if (path / TRUTH_FILE).exists() else {}
     odometry: dict[int, Pose] = {}
     present = [path / name for name in ODOMETRY_FILES if (path / name).exists()]
     if present:
-        odometry = read_poses(present[0], known)
+        odometry = read_poses(present[0], indices)
         notes += [
             f"{file.name}: was ignored, because there is also {present[0].name}"
             for file in present[1:]
         ]
     positions_only = not truth and (path / POSITIONS_FILE).exists()
     if positions_only:
-        truth = poses_at(read_positions(path / POSITIONS_FILE, known), odometry)
+        truth = poses_at(read_positions(path / POSITIONS_FILE, indices), odometry)
         notes.append(
             f"{POSITIONS_FILE}: has true positions without headings; the headings are those of "
             "odometry, turned onto the positions nearby, and turns are not judged"
@@ -335,16 +345,12 @@ def _outline_folder(path: Path) -> Outline:
                 images=_find_images(path / "images", index),
             )
         submaps.append(submap)
-    dataset = Dataset(
-        name=about.name or path.resolve().name,
+    dataset = replace(
+        info,
+        name=info.name or path.resolve().name,
         submaps=tuple(submaps),
-        description=about.description,
-        preferred=about.preferred,
-        notes=(*about.notes, *notes),
-        licence=about.licence,
-        sensor_noise=about.sensor_noise,
+        notes=(*info.notes, *notes),
         positions_only=positions_only and bool(truth),
-        origin=about.origin,
     )
     return Outline(dataset, tuple(clouds))
 
@@ -353,17 +359,17 @@ def _outline_scans(path: Path, scans: Sequence[PosedScan]) -> Outline:
     """Outline a folder of scans with a pose each: every scan is a submap."""
     submaps: list[Submap] = []
     sensors: list[Pose] = []
-    for one in scans:
-        sensor = one.read_pose()
+    for scan in scans:
+        sensor = scan.read_pose()
         level = level_pose(sensor)
-        submaps.append(replace(_without_points(one.name), pose_true=level))
+        submaps.append(replace(_without_points(scan.name), pose_true=level))
         sensors.append(level.inverse() @ sensor)
     note = (
         f"{path.name}: each scan is a submap, made level by its pose in {scans[0].name}.gt and so "
         "on; these poses are the true ones, and there is no odometry"
     )
     dataset = Dataset(name=path.resolve().name, submaps=tuple(submaps), notes=(note,))
-    return Outline(dataset, tuple(one.cloud for one in scans), tuple(sensors))
+    return Outline(dataset, tuple(scan.cloud for scan in scans), tuple(sensors))
 
 
 def _without_points(name: str) -> Submap:
@@ -377,8 +383,8 @@ def _find_images(folder: Path, index: int) -> tuple[Path, ...]:
     own = [f for f in sorted(folder.iterdir()) if f.is_dir() and index_of(f.name) == index]
     return tuple(
         file
-        for found in own
-        for file in sorted(found.iterdir())
+        for inner in own
+        for file in sorted(inner.iterdir())
         if file.suffix.lower() in IMAGE_ENDINGS and not file.name.startswith(".")
     )
 
@@ -397,7 +403,7 @@ def _find_clouds(folder: Path) -> tuple[list[Path], list[str]]:
     """List the clouds in order, and the names of all other files."""
     # Files whose names start with a dot are the system's, such as .DS_Store and ._000.ply.
     entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
-    clouds = [e for e in entries if e.is_file() and e.suffix.lower() in READERS]
+    clouds = [e for e in entries if e.is_file() and is_cloud(e)]
     ignored = [entry.name for entry in entries if entry not in clouds]
     owners: dict[int | str, Path] = {}
     for cloud in clouds:
@@ -419,7 +425,7 @@ def _find_clouds(folder: Path) -> tuple[list[Path], list[str]]:
 
 
 def _no_clouds(path: Path, *, has_submaps: bool) -> str:
-    message = f"{path / 'submaps' if has_submaps else path}: holds no clouds ({' '.join(READERS)})"
+    message = f"{path / 'submaps' if has_submaps else path}: holds no clouds ({CLOUD_ENDINGS})"
     inner = sorted(e.name for e in path.iterdir() if (e / "submaps").is_dir())
     if inner and not has_submaps:
         message += f"; it holds the datasets {', '.join(inner[:5])}; give one of them"
@@ -446,15 +452,31 @@ def write_dataset(
             if an id cannot be a file name, or if a submap has a pose but no number, by which pose
             files name it.
     """
-    directory = Path(directory)
     _check_ids(dataset)
+    with new_folder(Path(directory), overwrite=overwrite) as unfinished:
+        _write_folder(dataset, unfinished, progress)
+
+
+@contextmanager
+def new_folder(directory: Path, *, overwrite: bool = False) -> Generator[Path]:
+    """Give a temporary folder to write to; it gets its name if the block succeeds.
+
+    Args:
+        directory: Where the dataset or the recording will be.
+        overwrite: Whether it may replace what gpgrad made.
+
+    Raises:
+        InputError: As `check_vacant`; or if it cannot be written.
+    """
     check_vacant(directory, overwrite=overwrite)
     try:
         with whole_folder(directory, replace=overwrite) as unfinished:
             check_vacant(directory, overwrite=overwrite)  # another process may just have ended
-            _write_folder(dataset, unfinished, progress)
+            yield unfinished
     except OSError as error:
-        raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from None
+        if error.strerror is None:  # a process has died
+            raise
+        raise InputError(f"{directory}: cannot be written: {error.strerror}") from None
 
 
 def check_vacant(directory: Path | str, *, overwrite: bool = False) -> None:
@@ -493,7 +515,7 @@ def _check_made_here(directory: Path) -> None:
         )
     if (directory / JOURNAL).is_file():
         return
-    for name in (ABOUT_FILE, *ODOMETRY_FILES):
+    for name in (INFO_FILE, *ODOMETRY_FILES):
         file = directory / name
         if file.is_file() and SIMULATED in file.read_text(encoding="utf-8", errors="replace"):
             return
@@ -529,41 +551,33 @@ def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
     odometry: dict[int, Pose] = {}
     for count, submap in enumerate(dataset.submaps, start=1):
         extras = {"noise_std": submap.noise_std, "range": submap.ranges}
-        known = {name: values for name, values in extras.items() if values is not None}
-        write_ply(folder / CLOUD_FOLDER / f"{submap.id}.ply", submap.points, submap.colors, known)
+        numbers = {name: values for name, values in extras.items() if values is not None}
+        write_ply(folder / CLOUD_FOLDER / f"{submap.id}.ply", submap.points, submap.colors, numbers)
         index = index_of(submap.id)
         if index is not None and submap.pose_true is not None:
             truth[index] = submap.pose_true
         if index is not None and submap.pose_odometry is not None:
             odometry[index] = submap.pose_odometry
         progress(count / len(dataset.submaps))
-    about = About(
-        name=dataset.name,
-        description=dataset.description,
-        licence=dataset.licence,
-        sensor_noise=dataset.sensor_noise,
-        preferred=dataset.preferred,
-        origin=dataset.origin,
-    )
-    if dataset.positions_only:
-        write_positions(folder / POSITIONS_FILE, {k: truth[k].translation for k in truth})
-        truth = {}
-    write_poses_and_about(folder, truth, odometry, about)
+    write_all_but_clouds(folder, dataset, truth, odometry)
 
 
-def write_poses_and_about(
-    folder: Path, truth: dict[int, Pose], odometry: dict[int, Pose], about: About
+def write_all_but_clouds(
+    folder: Path, dataset: Dataset, truth: dict[int, Pose], odometry: dict[int, Pose]
 ) -> None:
-    """Write everything of a dataset but its clouds.
+    """Write the poses of a dataset and what it is.
 
     Args:
         folder: Where to; it must exist.
+        dataset: Its submaps are not asked.
         truth: True poses by the submaps' numbers; there may be none.
         odometry: Poses by odometry, likewise.
-        about: What the dataset is.
     """
-    if truth:
+    if dataset.positions_only:
+        places = {number: pose.translation for number, pose in truth.items()}
+        write_positions(folder / POSITIONS_FILE, places)
+    elif truth:
         write_poses(folder / TRUTH_FILE, truth)
     if odometry:
         write_poses(folder / ODOMETRY_FILES[0], odometry)
-    write_about(folder / ABOUT_FILE, about)
+    write_dataset_toml(folder / INFO_FILE, dataset)

@@ -1,34 +1,36 @@
 """Pose files: TUM rows ``index tx ty tz qx qy qz qw``, ``p_world = R p_submap + t``."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.text import (
-    COMMA_HINT,
-    DECIMAL_COMMA,
-    lines_of,
-    parse_number,
-    read_text,
+    parse_numbers,
+    split_rows,
+    write_lines,
 )
-from gpgrad_core.se2 import Pose
+from gpgrad_core.se2 import SE2, Pose, fit_se2
 from gpgrad_core.types import MAX_COORDINATE
 
-QUATERNION_TOLERANCE = 0.01
-"""A length further from 1 than this is not a rounded one: columns are swapped or missing."""
+AROUND = 3
+"""Submaps on either side by whose positions a heading is found."""
+LEAST_EXTENT = 2.0
+"""Least extent of these positions [m]; from shorter pieces a heading is too uncertain."""
+QUATERNION_TOLERANCE = ROTATION_TOLERANCE = 0.01
+"""A quaternion or a matrix further from a rotation is not a rounded one: its columns are swapped,
+or mean something else."""
 
 
-def read_poses(path: Path, known: Mapping[int, str]) -> dict[int, Pose]:
+def read_poses(path: Path, indices: Collection[int]) -> dict[int, Pose]:
     """Read the poses of submaps.
 
     Args:
         path: The file; ``#`` starts a comment.
-        known: Names of the existing submaps, by index.
+        indices: Those of the existing submaps.
 
     Returns:
         Poses by index; not every submap needs one.
@@ -41,17 +43,17 @@ def read_poses(path: Path, known: Mapping[int, str]) -> dict[int, Pose]:
     return {
         index: make_pose(values, where)
         for index, values, where in _rows(
-            path, known, 7, "a pose needs 8: index tx ty tz qx qy qz qw"
+            path, indices, 7, "a pose needs 8: index tx ty tz qx qy qz qw"
         )
     }
 
 
-def read_positions(path: Path, known: Mapping[int, str]) -> dict[int, Float[Array, "3"]]:
+def read_positions(path: Path, indices: Collection[int]) -> dict[int, Float[Array, "3"]]:
     """Read the positions of submaps, rows ``index x y z`` [m].
 
     Args:
         path: The file; ``#`` starts a comment.
-        known: Names of the existing submaps, by index.
+        indices: Those of the existing submaps.
 
     Returns:
         Positions (3,) by index; not every submap needs one.
@@ -61,54 +63,32 @@ def read_positions(path: Path, known: Mapping[int, str]) -> dict[int, Float[Arra
             does not exist, or an earlier row names the same submap; the message names the line.
     """
     positions: dict[int, Float[Array, 3]] = {}
-    for index, values, where in _rows(path, known, 3, "a position needs 4: index x y z"):
+    for index, values, where in _rows(path, indices, 3, "a position needs 4: index x y z"):
         check_position(values, where)
         positions[index] = np.array(values)
     return positions
 
 
 def _rows(
-    path: Path, known: Mapping[int, str], width: int, needs: str
+    path: Path, indices: Collection[int], width: int, needs: str
 ) -> Iterator[tuple[int, list[float], str]]:
     """Give the index, the further numbers and the place of each row."""
-    named_at: dict[int, int] = {}
-    for number, line in enumerate(lines_of(read_text(path)), start=1):
-        words = line.split("#", 1)[0].split()
-        if not words:
-            continue
-        where = f"{path}, line {number}"
+    named_at: dict[int, str] = {}
+    for where, words in split_rows(path):
         if len(words) != width + 1:
             raise InputError(f"{where}: has {len(words)} columns, but {needs}")
         values = parse_numbers(words, where)
         if not values[0].is_integer():
             raise InputError(f"{where}: the index must be a whole number, got {words[0]}")
         index = int(values[0])
-        if index not in known:
+        if index not in indices:
             raise InputError(f"{where}: names submap {index}, which the dataset does not have")
         if index in named_at:
             raise InputError(
-                f"{where}: names submap {index} a second time, after line {named_at[index]}"
+                f"{where}: names submap {index} a second time, after {named_at[index]}"
             )
-        named_at[index] = number
+        named_at[index] = where.rpartition(", ")[2]
         yield index, values[1:], where
-
-
-def parse_numbers(words: list[str], where: str) -> list[float]:
-    """Parse the columns of a row.
-
-    Raises:
-        InputError: If one is not a number or not finite; the message begins with `where`.
-    """
-    values: list[float] = []
-    for word in words:
-        value = parse_number(word)
-        if value is None:
-            hint = f"; {COMMA_HINT}" if DECIMAL_COMMA.fullmatch(word) else ""
-            raise InputError(f"{where}: holds something that is not a number: {word[:40]!r}{hint}")
-        values.append(value)
-    if not np.isfinite(values).all():
-        raise InputError(f"{where}: holds a value that is not finite")
-    return values
 
 
 def make_pose(values: list[float], where: str) -> Pose:
@@ -138,6 +118,49 @@ def check_position(values: list[float], where: str) -> None:
         raise InputError(
             f"{where}: the position tx ty tz is further from the origin than {MAX_COORDINATE:g} m"
         )
+
+
+def check_matrices(matrices: Float[Array, "n 3 4"], places: Sequence[str]) -> None:
+    """Refuse upper three rows of 4x4 matrices that are no poses.
+
+    Args:
+        matrices: Of finite numbers; lengths in metres.
+        places: Where each of them stands; the message begins with it.
+
+    Raises:
+        InputError: If the first three columns are not a rotation, or the position is beyond
+            `MAX_COORDINATE`.
+    """
+    turns = matrices[:, :, :3]
+    far = np.abs(matrices[:, :, 3]).max(axis=1) > MAX_COORDINATE
+    if far.any():
+        raise InputError(
+            f"{places[int(np.argmax(far))]}: the position is further from the origin than "
+            f"{MAX_COORDINATE:g} m"
+        )
+    # The largest number is looked at first: squares of huge ones overflow.
+    wrong = np.abs(turns).max(axis=(1, 2)) > 2.0
+    usual = np.where(wrong[:, None, None], 0.0, turns)
+    off = np.abs(usual @ usual.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    wrong |= (off > ROTATION_TOLERANCE) | (np.linalg.det(usual) < 0)
+    if wrong.any():
+        raise InputError(
+            f"{places[int(np.argmax(wrong))]}: the first three columns of the pose's matrix are "
+            "no rotation"
+        )
+
+
+def pose_of_matrix(matrix: Float[Array, "3 4"], where: str) -> Pose:
+    """Make a pose of the upper three rows of a 4x4 matrix.
+
+    Raises:
+        InputError: See `check_matrices`.
+    """
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - loads slowly
+
+    check_matrices(matrix[None], [where])
+    quaternion = Rotation.from_matrix(matrix[:, :3]).as_quat(canonical=True)
+    return Pose(matrix[:, 3].copy(), quaternion)
 
 
 def write_positions(path: Path, positions: Mapping[int, Float[Array, "3"]]) -> None:
@@ -175,3 +198,45 @@ def pose_row(key: str, pose: Pose) -> str:
     translation = " ".join(f"{value:.6f}" for value in pose.translation)
     quaternion = " ".join(f"{value:.9f}" for value in pose.quaternion)
     return f"{key} {translation} {quaternion}"
+
+
+def poses_at(
+    positions: Mapping[int, Float[Array, "3"]], odometry: Mapping[int, Pose]
+) -> dict[int, Pose]:
+    """Give true positions, as those of a GNSS antenna, the headings of odometry.
+
+    The headings are turned so that the odometry's positions nearby lie on the true ones. The
+    toolkit of the S3LI dataset (DLR-RM/s3li-toolkit) does the same to give its D-GNSS positions a
+    heading, with three pieces for a traverse; here every submap has its own piece.
+
+    Args:
+        positions: True position of each submap's origin [m], by its index; z points up.
+        odometry: Level poses by odometry, by index.
+
+    Returns:
+        A level pose for each position that odometry knows; none at all if the traverse is shorter
+        than `LEAST_EXTENT`.
+    """
+    both = sorted(set(positions) & set(odometry))
+    true = np.array([positions[k][:2] for k in both]).reshape(-1, 2)
+    driven = np.array([odometry[k].translation[:2] for k in both]).reshape(-1, 2)
+    poses: dict[int, Pose] = {}
+    for place, index in enumerate(both):
+        piece = _piece(true, driven, place)
+        if piece is None:
+            return {}
+        turn = fit_se2(driven[piece], true[piece]).yaw
+        x, y, z = positions[index].tolist()
+        yaw = odometry[index].planar.yaw + turn
+        poses[index] = Pose.from_planar(SE2(x, y, yaw), z)
+    return poses
+
+
+def _piece(true: Float[Array, "n 2"], driven: Float[Array, "n 2"], place: int) -> slice | None:
+    """Choose the stretch around a place that is long enough to give a heading."""
+    for reach in range(AROUND, max(len(true), AROUND + 1)):
+        piece = slice(max(place - reach, 0), place + reach + 1)
+        extents = [np.ptp(points[piece], axis=0).max(initial=0.0) for points in (true, driven)]
+        if min(extents) >= LEAST_EXTENT:
+            return piece
+    return None

@@ -1,6 +1,4 @@
-"""A simulated rover: its route, and the scans of its sensor."""
-
-from dataclasses import dataclass
+"""What the sensor of a simulated rover sees."""
 
 import numpy as np
 from jaxtyping import Float
@@ -8,152 +6,17 @@ from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.lanes import drive_lanes
+from gpgrad_core.datasets.routes import Stop
 from gpgrad_core.datasets.simulation_params import SimulationParams
-from gpgrad_core.datasets.streams import stream
 from gpgrad_core.datasets.terrain import HeightField
-from gpgrad_core.errors import InputError
-from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.se2 import Pose
 
-STEP = 0.05  # between the points of a track [m]
 ANGULAR_STEP = 0.008  # between neighbouring rays [rad]
 RAY_STEP = 0.02  # along a ray, over the ground [m]
 LOWEST, HIGHEST = -1.2, 0.15  # elevation angles that the camera of a level rover sees [rad]
 LOWEST_RING, HIGHEST_RING = -0.5, 0.35  # elevation angles of the LiDAR's rings [rad]
 WHEELBASE = 0.8  # a wheel stands half of this ahead, behind and on either side [m]
-ROUTE_STREAM = 4
 PATCH = 8  # side of a patch in which stereo fails as a whole [rays]
-
-
-@dataclass(frozen=True)
-class Stop:
-    """A pose of the rover, seen from above.
-
-    Attributes:
-        x: Position along x [m].
-        y: Position along y [m].
-        yaw: Heading [rad].
-    """
-
-    x: float
-    y: float
-    yaw: float
-
-
-@dataclass(frozen=True, eq=False)
-class Track:
-    """A drive out and back, as points with the distance `STEP`.
-
-    The rover turns on the spot at the far end, so the heading jumps there.
-
-    Attributes:
-        xy: Positions (n, 2) [m].
-        yaw: Heading of the rover at each position (n,) [rad].
-    """
-
-    xy: Float[Array, "n 2"]
-    yaw: Float[Array, "n"]
-
-    @property
-    def length(self) -> float:
-        """Length of the whole drive [m]."""
-        return STEP * (len(self.xy) - 1)
-
-    def between(self, distance: float) -> Stop:
-        """Interpolate the rover's pose after a distance driven [m]."""
-        after = STEP * np.arange(len(self.xy))
-        x, y = (float(np.interp(distance, after, self.xy[:, axis])) for axis in range(2))
-        return Stop(x, y, float(np.interp(distance, after, np.unwrap(self.yaw))))
-
-    def at(self, distance: float) -> Stop:
-        """Find the point of the track nearest to a distance driven [m]; it stays at the end."""
-        k = min(round(distance / STEP), len(self.xy) - 1)
-        return Stop(float(self.xy[k, 0]), float(self.xy[k, 1]), float(self.yaw[k]))
-
-
-def plan_track(params: SimulationParams) -> Track:
-    """Plan the drive: out along the route, then back beside it, crossing it several times.
-
-    Args:
-        params: The route, the number of submaps and their spacing.
-
-    Raises:
-        InputError: If the drive and everything that the sensor sees do not fit into the extent.
-    """
-    if params.route == "roaming":
-        return _roam(params)
-    num_out = (params.num_submaps + 1) // 2
-    length = num_out * params.spacing
-    distance = np.arange(0.0, length + 0.5 * STEP, STEP)
-    out = _way_out(params.route, distance)
-    swing = params.lateral_offset * np.sin(2.0 * np.pi * distance / max(17.0, length / 2.0))
-    along = np.gradient(out, axis=0)
-    normal = np.column_stack([-along[:, 1], along[:, 0]])
-    normal /= np.hypot(along[:, 0], along[:, 1])[:, None]
-    back = _resample(out[::-1] + swing[:, None] * normal[::-1])
-    margin = params.max_range + 0.5
-    low, high = np.vstack([out, back]).min(axis=0), np.vstack([out, back]).max(axis=0)
-    needed = float(np.max(high - low)) + 2.0 * margin
-    if needed > params.extent:
-        drive = (
-            f"{params.num_submaps} submaps {params.spacing:g} m apart on the route {params.route!r}"
-        )
-        most = bounds_of(SimulationParams)["extent"].high
-        if needed > most:
-            raise InputError(
-                f"{drive} need an extent of {np.ceil(needed):g} m, more than the {most:g} m "
-                "allowed; lower num_submaps, spacing or max_range, or take the route 'roaming'"
-            )
-        raise InputError(
-            f"extent must be {np.ceil(needed):g} m or more for {drive}, got {params.extent:g} m"
-        )
-    shift = 0.5 * params.extent - 0.5 * (low + high)
-    xy = np.vstack([out[:-1], back]) + shift
-    yaw = np.concatenate([_headings(out)[:-1], _headings(back)])
-    return Track(xy, yaw)
-
-
-def _roam(params: SimulationParams) -> Track:
-    """Plan a drive along crossing lanes."""
-    xy = _resample(
-        drive_lanes(
-            params.num_submaps * params.spacing,
-            STEP,
-            params.max_range,
-            params.lateral_offset,
-            stream(params.seed, ROUTE_STREAM),
-        )
-    )
-    return Track(xy, _headings(xy))
-
-
-def _way_out(route: str, distance: Float[Array, "n"]) -> Float[Array, "n 2"]:
-    """Compute the points of the way out, with the distance `STEP`, from its headings."""
-    share = distance / distance[-1]
-    if route == "winding":
-        # It is oblique to the grid of the ground and to the bounding boxes, to favour neither.
-        yaw = 0.6 + 0.5 * np.sin(2.0 * np.pi * distance / 28.0)
-    elif route == "loop":
-        yaw = 2.0 * np.pi * share + 0.35 * np.sin(6.0 * np.pi * share)
-    else:
-        # One ring to the left, then one to the right.
-        yaw = 2.0 * np.pi * np.minimum(2.0 * share, 2.0 - 2.0 * share)
-    steps = STEP * np.column_stack([np.cos(yaw), np.sin(yaw)])
-    return np.vstack([[0.0, 0.0], np.cumsum(steps[:-1], axis=0)])
-
-
-def _resample(xy: Float[Array, "n 2"]) -> Float[Array, "m 2"]:
-    """Resample a line to points with the distance `STEP`."""
-    steps = np.diff(xy, axis=0)
-    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
-    even = np.arange(0.0, travelled[-1], STEP)
-    return np.column_stack([np.interp(even, travelled, xy[:, axis]) for axis in range(2)])
-
-
-def _headings(xy: Float[Array, "n 2"]) -> Float[Array, "n"]:
-    along = np.gradient(xy, axis=0)
-    return np.arctan2(along[:, 1], along[:, 0])
 
 
 def sensor_pose(terrain: HeightField, stop: Stop, params: SimulationParams) -> Pose:

@@ -1,7 +1,7 @@
 """Simulates a dataset with true poses: terrain, rover, submaps and odometry."""
 
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -11,20 +11,23 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.datasets.about import About
+from gpgrad_core.datasets.clouds.ply import write_ply
 from gpgrad_core.datasets.dem import ElevationModel, ground_of
-from gpgrad_core.datasets.endless import EndlessGround
-from gpgrad_core.datasets.folder import CLOUD_FOLDER, check_vacant, write_poses_and_about
-from gpgrad_core.datasets.ply import write_ply
-from gpgrad_core.datasets.rover import STEP, Stop, Track, plan_track, scan
-from gpgrad_core.datasets.simulation_params import SimulationParams
-from gpgrad_core.datasets.streams import stream
+from gpgrad_core.datasets.endless_terrain import EndlessGround
+from gpgrad_core.datasets.folder import (
+    CLOUD_FOLDER,
+    check_vacant,
+    new_folder,
+    write_all_but_clouds,
+)
+from gpgrad_core.datasets.routes import STEP, Stop, Track, plan_track
+from gpgrad_core.datasets.rover import scan
+from gpgrad_core.datasets.simulation_params import SimulationParams, stream
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
 from gpgrad_core.datasets.voxel_means import voxel_means
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.parallel import run_jobs
 from gpgrad_core.run.progress import Progress, part, silent
-from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Submap
 
@@ -66,18 +69,12 @@ def simulate_dataset(
     seen: list[Seen] = []
     for block in blocks_of(params):
         seen += world.look(block, part(progress, *_share_of(block, params)))
-    odometry = odometry_of([one.pose for one in seen], params)
+    odometry = odometry_of([view.pose for view in seen], params)
     submaps = tuple(
-        Submap.from_points(one.points, name, pose_true=one.pose, pose_odometry=believed)
-        for name, one, believed in zip(names_of(params), seen, odometry, strict=True)
+        Submap.from_points(view.points, name, pose_true=view.pose, pose_odometry=believed)
+        for name, view, believed in zip(names_of(params), seen, odometry, strict=True)
     )
-    about = about_simulated(params, terrain)
-    return Dataset(
-        about.name,
-        submaps,
-        description=about.description,
-        sensor_noise=about.sensor_noise,
-    )
+    return replace(describe_simulated(params, terrain), submaps=submaps)
 
 
 def simulate_into(
@@ -106,30 +103,24 @@ def simulate_into(
         InputError: If the route does not fit into the extent, the elevation model cannot be used,
             or the directory is taken or cannot be written.
     """
-    directory = Path(directory)
     check_vacant(directory, overwrite=overwrite)
     check_route(params, terrain)
     plan_track(params)  # refuses a route before the work
     try:
-        with whole_folder(directory, replace=overwrite) as unfinished:
-            check_vacant(directory, overwrite=overwrite)  # another process may just have ended
+        with new_folder(Path(directory), overwrite=overwrite) as unfinished:
             clouds = unfinished / CLOUD_FOLDER
             clouds.mkdir()
             # Other processes would each make the whole of a ground that has an end.
             beside = executor if params.route == "roaming" else None
             work = _Writing(params, clouds, terrain)
-            found = run_jobs(work, blocks_of(params), beside, part(progress, 0.0, 0.98))
-            truth = [pose for poses in found for pose in poses]
-            write_poses_and_about(
+            blocks = run_jobs(work, blocks_of(params), beside, part(progress, 0.0, 0.98))
+            truth = [pose for poses in blocks for pose in poses]
+            write_all_but_clouds(
                 unfinished,
+                describe_simulated(params, terrain),
                 dict(enumerate(truth)),
                 dict(enumerate(odometry_of(truth, params))),
-                about_simulated(params, terrain),
             )
-    except OSError as error:
-        if error.strerror is None:  # a process has died
-            raise
-        raise InputError(f"{directory}: cannot be written: {error.strerror}") from None
     finally:
         _world_of_this_process.cache_clear()
     progress(1.0)
@@ -147,9 +138,9 @@ class _Writing:
         names = names_of(self.params)
         world = _world_of_this_process(self.params, self.terrain)
         poses: list[Pose] = []
-        for k, one in zip(block, world.look(block, progress), strict=True):
-            write_ply(self.folder / f"{names[k]}.ply", one.points)
-            poses.append(one.pose)
+        for k, view in zip(block, world.look(block, progress), strict=True):
+            write_ply(self.folder / f"{names[k]}.ply", view.points)
+            poses.append(view.pose)
         return poses
 
 
@@ -163,17 +154,11 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """The ground, and the drive over it.
+    """The ground, and the drive over it."""
 
-    Attributes:
-        params: What they were made from.
-        track: The drive.
-        ground: The whole ground, or one that is made where it is needed.
-    """
-
-    params: SimulationParams
-    track: Track
-    ground: HeightField | EndlessGround
+    params: SimulationParams  # what they were made from
+    track: Track  # the drive
+    ground: HeightField | EndlessGround  # the whole ground, or one that is made where it is needed
 
     def look(self, block: range, progress: Progress = silent) -> list[Seen]:
         """Make some successive submaps."""
@@ -243,8 +228,8 @@ def odometry_of(truth: list[Pose], params: SimulationParams) -> list[Pose]:
     return drift(truth, params, stream(params.seed, ODOMETRY_STREAM), params.spacing)
 
 
-def about_simulated(params: SimulationParams, terrain: ElevationModel | None = None) -> About:
-    """Describe a simulated dataset."""
+def describe_simulated(params: SimulationParams, terrain: ElevationModel | None = None) -> Dataset:
+    """Describe a simulated dataset, without its submaps."""
     ground = "Synthetic ground with craters, ripples and rocks"
     if terrain is not None:
         ground = (
@@ -254,8 +239,9 @@ def about_simulated(params: SimulationParams, terrain: ElevationModel | None = N
     drove = f"drove out on a {params.route.replace('_', ' ')} route and back"
     if params.route == "roaming":
         drove = "roamed over it"
-    return About(
-        name=f"simulated-{params.seed}",
+    return Dataset(
+        f"simulated-{params.seed}",
+        (),
         description=(f"{ground}; a rover {drove} (gpgrad simulate, seed {params.seed})."),
         sensor_noise=dict(zip(("constant", "quadratic"), params.range_noise, strict=True)),
     )

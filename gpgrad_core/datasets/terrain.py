@@ -24,17 +24,11 @@ rocks."""
 
 @dataclass(frozen=True, eq=False)
 class HeightField:
-    """Heights of the ground on a regular grid.
+    """Heights of the ground on a regular grid."""
 
-    Attributes:
-        elevation: Heights (rows, columns) [m].
-        origin: Position x, y of cell (0, 0) [m].
-        resolution: Side of a cell [m].
-    """
-
-    elevation: Float[Array, "rows columns"]
-    origin: tuple[float, float] = (0.0, 0.0)
-    resolution: float = RESOLUTION
+    elevation: Float[Array, "rows columns"]  # heights (rows, columns) [m]
+    origin: tuple[float, float] = (0.0, 0.0)  # position x, y of cell (0, 0) [m]
+    resolution: float = RESOLUTION  # side of a cell [m]
 
     def height(self, xy: Float[Array, "*shape 2"]) -> Float[Array, "*shape"]:
         """Interpolate the height at positions [m].
@@ -112,15 +106,10 @@ def _add_ripples(elevation: Array, params: SimulationParams, rng: Generator) -> 
 
 @dataclass(frozen=True)
 class Wind:
-    """What shapes the ripples.
+    """What shapes the ripples."""
 
-    Attributes:
-        heading: Direction across the crests [rad].
-        wavelength: Distance from crest to crest [m].
-    """
-
-    heading: float
-    wavelength: float
+    heading: float  # direction across the crests [rad]
+    wavelength: float  # distance from crest to crest [m]
 
     @classmethod
     def draw(cls, rng: Generator) -> "Wind":
@@ -189,21 +178,13 @@ def _add_craters(elevation: Array, params: SimulationParams, track: Array, rng: 
 
 @dataclass(frozen=True, eq=False)
 class Crater:
-    """A crater.
+    """A crater."""
 
-    Attributes:
-        centre: Position x, y (2,) [m].
-        diameter: Diameter of the rim [m].
-        freshness: 1 for a new one; old ones are shallow and worn.
-        wobble: Amplitudes of the rim's waves (n,).
-        turns: Their phases (n,) [rad].
-    """
-
-    centre: Float[Array, "2"]
-    diameter: float
-    freshness: float
-    wobble: Float[Array, "n"]
-    turns: Float[Array, "n"]
+    centre: Float[Array, "2"]  # position x, y (2,) [m]
+    diameter: float  # diameter of the rim [m]
+    freshness: float  # 1 for a new one; old ones are shallow and worn
+    wobble: Float[Array, "n"]  # amplitudes of the rim's waves (n,)
+    turns: Float[Array, "n"]  # their phases (n,) [rad]
 
     @classmethod
     def draw(cls, rng: Generator, diameter: float, side: float) -> "Crater":

@@ -1,5 +1,4 @@
-from .closure_table import write_closure_table
-from .closure_writer import ClosureWriter, write_closures
+from .closure_writer import ClosureWriter, write_closure_table, write_closures
 from .closures import (
     LONGEST_NOTE,
     ClosureReport,
@@ -8,7 +7,6 @@ from .closures import (
     closure_of,
     count_images,
     read_closures,
-    read_decision,
     read_pair,
     record_of,
     report_closures,
@@ -33,7 +31,6 @@ __all__ = [
     "count_images",
     "fitted_rows",
     "read_closures",
-    "read_decision",
     "read_pair",
     "read_shortlist",
     "record_of",

@@ -2,18 +2,20 @@
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, field, fields
+from dataclasses import asdict, astuple, dataclass, field
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Annotated, Any, TypeAlias, get_args
 
 import cv2
 import numpy as np
 from jaxtyping import Float
+from msgspec import Meta, Struct, structs
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
-from gpgrad_core.reading.json_files import Record, is_number, read_json
+from gpgrad_core.reading.json_files import read_json
+from gpgrad_core.reading.records import Count, Finite, NotNegative, as_record, shown
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import (
     MAX_COORDINATE,
@@ -38,11 +40,17 @@ MAX_COVARIANCE = MAX_COORDINATE**2
 """[m²]"""
 
 
-OWN = tuple(one.name for one in fields(Hyperparameters))
-"""Keys of a submap for its own hyperparameters."""
-
 LONGEST_NOTE = 200
 """Letters of a note on a pair."""
+Inliers: TypeAlias = Annotated[int, Meta(ge=0, le=MOST_INLIERS)]
+Coordinate: TypeAlias = Annotated[float, Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
+Covariance: TypeAlias = Annotated[float, Meta(ge=-MAX_COVARIANCE, le=MAX_COVARIANCE)]
+CovarianceRow: TypeAlias = tuple[Covariance, Covariance, Covariance]
+RULES = {
+    "covariance": "three rows of three finite numbers (a covariance must be 3 x 3)",
+    "verdict": f"one of {', '.join(get_args(ImageSays))}",
+}
+"""What values of the file must be, where their types do not say it in words."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,17 @@ class Decision:
 
     accepted: bool | None = None
     note: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the note.
+
+        Raises:
+            InputError: If it is too long, or holds a line end or another control character.
+        """
+        if len(self.note) > LONGEST_NOTE or not self.note.isprintable():
+            raise InputError(
+                f"'note' must be one line of at most {LONGEST_NOTE} letters, got {shown(self.note)}"
+            )
 
     @property
     def reason(self) -> str:
@@ -141,7 +160,7 @@ class ClosureReport:
     dataset: str
     method: str
     seed: int
-    params: Mapping[str, Any]
+    params: Mapping[str, object]
     versions: Mapping[str, str]
     seconds: Mapping[str, float]
     submaps: Mapping[str, int]
@@ -206,8 +225,104 @@ def report_closures(
     )
 
 
+class _Motion(Struct):
+    x: Coordinate
+    y: Coordinate
+    yaw: Annotated[float, Meta(ge=-MAX_YAW, le=MAX_YAW)]
+
+
+class _Agreement(Struct):
+    difference: NotNegative
+    possible: NotNegative
+    relief: NotNegative
+
+
+class _Images(Struct):
+    verdict: ImageSays
+    reason: str
+    num_associations: Inliers
+    num_inliers: Inliers
+
+
+class _Pair(Struct):
+    """A pair as the file has it; `PairRecord` explains the keys."""
+
+    query: str
+    database: str
+    num_inliers: Inliers
+    score: Finite
+    dissimilarity: NotNegative | None
+    overlap_area: NotNegative
+    accepted: bool
+    reason: str
+    T_database_query: _Motion | None
+    z_offset: Finite | None = None
+    covariance: tuple[CovarianceRow, CovarianceRow, CovarianceRow] | None = None
+    z_std: NotNegative | None = None
+    scale: NotNegative | None = None
+    agreement: _Agreement | None = None
+    decision: Decision | None = None
+    images: _Images | None = None
+    mean_dissimilarity: NotNegative | None = None
+
+    def record(self, where: str) -> PairRecord:
+        """Make the record in memory.
+
+        Raises:
+            InputError: If values contradict each other; the message begins with `where`.
+        """
+        if self.query == self.database:
+            raise InputError(
+                f"{where}: 'database' must be another submap than the query, got {self.query!r}"
+            )
+        motion, agreement, images = self.T_database_query, self.agreement, self.images
+        values: dict[str, Any] = structs.asdict(self)
+        values |= {
+            "dissimilarity": math.inf if self.dissimilarity is None else self.dissimilarity,
+            "T_database_query": motion and SE2(*structs.astuple(motion)),
+            "covariance": self.covariance and _symmetric(np.array(self.covariance), where),
+            "agreement": agreement and Agreement(*structs.astuple(agreement)),
+            "images": images and ImageVerdict(*structs.astuple(images)),
+        }
+        pair = PairRecord(**values)
+        if pair.is_confirmed and motion is None:
+            raise InputError(
+                f"{where}: 'decision' accepts the pair, but it has no motion, T_database_query"
+            )
+        return pair
+
+
+class _Submap(Struct):
+    id: str
+    num_points: Count
+    length_scale: NotNegative | None = None
+    signal_std: NotNegative | None = None
+    noise_std: NotNegative | None = None
+
+    @property
+    def hyperparameters(self) -> Hyperparameters | None:
+        """The submap's own, if the file has them."""
+        if self.length_scale is None or self.signal_std is None or self.noise_std is None:
+            return None
+        return Hyperparameters(self.length_scale, self.signal_std, self.noise_std)
+
+
+class _Report(Struct):
+    """The file as a whole; `ClosureReport` explains the keys."""
+
+    dataset: str
+    method: str
+    seed: Count
+    params: dict[str, object]
+    versions: dict[str, str]
+    seconds: dict[str, NotNegative]
+    submaps: list[_Submap]
+    pairs: list[_Pair]
+    num_pairs_skipped: Annotated[int, Meta(ge=0, le=MOST_PAIRS)] | None = None
+
+
 def read_closures(path: Path | str) -> ClosureReport:
-    """Read a file that `closure_writer.write_closures` wrote.
+    """Read a file that `write_closures` wrote.
 
     Args:
         path: The file; any tool may have written it in the same format.
@@ -220,61 +335,70 @@ def read_closures(path: Path | str) -> ClosureReport:
             message names the file, the pair and the key.
         OSError: If the file cannot be read.
     """
-    path = Path(path)
-    content = Record.of(read_json(path), f"{path}: not a file of loop closures")
-    dataset, method, seed = content.text("dataset"), content.text("method"), content.count("seed")
-    submaps = [(one.text("id"), one.count("num_points")) for one in content.records("submaps")]
-    known = dict(submaps)
-    if len(known) < len(submaps):
-        raise InputError(f"{content.where}: 'submaps' names a submap twice")
+    where = f"{path}: not a file of loop closures"
+    content = as_record(read_json(Path(path)), _Report, where, RULES)
+    submaps = {submap.id: submap.num_points for submap in content.submaps}
+    if len(submaps) < len(content.submaps):
+        raise InputError(f"{where}: 'submaps' names a submap twice")
+    own = {submap.id: submap.hyperparameters for submap in content.submaps}
     return ClosureReport(
-        dataset=dataset,
-        method=method,
-        seed=seed,
-        params=content.record("params").values,
-        versions=_texts(content.record("versions")),
-        seconds=_seconds(content.record("seconds")),
-        submaps=known,
-        pairs=_read_pairs(content.records("pairs"), known),
-        num_pairs_skipped=0  # other tools may not count them
-        if content.values.get("num_pairs_skipped") is None
-        else content.count("num_pairs_skipped", MOST_PAIRS),
-        hyperparameters={
-            one.text("id"): Hyperparameters(*(one.number(name, 0.0) for name in OWN))
-            for one in content.records("submaps")
-            if all(name in one.values for name in OWN)
-        },
+        dataset=content.dataset,
+        method=content.method,
+        seed=content.seed,
+        params=content.params,
+        versions=content.versions,
+        seconds=content.seconds,
+        submaps=submaps,
+        pairs=_check_pairs(content.pairs, submaps, where),
+        num_pairs_skipped=content.num_pairs_skipped or 0,  # other tools may not count them
+        hyperparameters={id: numbers for id, numbers in own.items() if numbers is not None},
     )
 
 
-def _texts(record: Record) -> dict[str, str]:
-    return {key: record.text(key) for key in record.values}
-
-
-def _seconds(record: Record) -> dict[str, float]:
-    return {key: record.number(key, 0.0) for key in record.values}
-
-
-def _read_pairs(records: Sequence[Record], known: Collection[str]) -> tuple[PairRecord, ...]:
-    """Read the pairs, each of two submaps of the file, and each once."""
+def _check_pairs(
+    rows: Sequence[_Pair], submaps: Collection[str], where: str
+) -> tuple[PairRecord, ...]:
+    """Check that each pair is of two submaps of the file, and that each is there once."""
     pairs: list[PairRecord] = []
     seen: set[frozenset[str]] = set()
-    for record in records:
-        pair = read_pair(record)
+    for k, row in enumerate(rows):
+        place = f"{where}, pairs[{k}]"
+        pair = row.record(place)
         for name in (pair.query, pair.database):
-            if known and name not in known:  # other tools may list no submaps
-                raise InputError(f"{record.where}: names submap {name!r}, which 'submaps' has not")
+            if submaps and name not in submaps:  # other tools may list no submaps
+                raise InputError(f"{place}: names submap {name!r}, which 'submaps' has not")
         both = frozenset((pair.query, pair.database))
-        if len(both) == 1:
-            raise InputError(f"{record.where}: pairs submap {pair.query!r} with itself")
         if both in seen:
             raise InputError(
-                f"{record.where}: has the pair of {pair.query!r} and {pair.database!r} a second "
-                "time"
+                f"{place}: has the pair of {pair.query!r} and {pair.database!r} a second time"
             )
         seen.add(both)
         pairs.append(pair)
     return tuple(pairs)
+
+
+def read_pair(values: object, where: str) -> PairRecord:
+    """Read a pair from the table that `table_of` wrote.
+
+    Args:
+        values: The table.
+        where: The file and the place in it, for the beginning of the error message.
+
+    Raises:
+        InputError: If a value is missing or is none that it can be.
+    """
+    return as_record(values, _Pair, where, RULES).record(where)
+
+
+def _symmetric(matrix: Float[Array, "3 3"], where: str) -> tuple[tuple[float, ...], ...]:
+    """Check a covariance that any tool may have written; with a bad one no graph can be solved."""
+    # Sums in single precision leave the two halves of a matrix equal to six digits only.
+    if np.abs(matrix - matrix.T).max() > 1e-5 * np.abs(matrix).max():
+        raise InputError(f"{where}: a covariance must be symmetric")
+    symmetric = 0.5 * (matrix + matrix.T)
+    if not np.linalg.eigvalsh(symmetric)[0] > 0:
+        raise InputError(f"{where}: a covariance must be positive definite")
+    return tuple(tuple(row) for row in symmetric.tolist())
 
 
 def restore_closures(report: ClosureReport) -> tuple[LoopClosure, ...]:
@@ -348,77 +472,14 @@ def record_of(closure: LoopClosure, decision: Decision | None = None) -> PairRec
     )
 
 
-def table_of(pair: PairRecord) -> dict[str, Any]:
+def table_of(pair: PairRecord) -> dict[str, object]:
     """Write a record as the table that the file has of it; `read_pair` reads it back."""
     finite = pair.dissimilarity if math.isfinite(pair.dissimilarity) else None
-    table = asdict(pair) | {"dissimilarity": finite}
+    table: dict[str, object] = {**asdict(pair), "dissimilarity": finite}
     for name in ("decision", "images", "mean_dissimilarity"):
         if table[name] is None:
             del table[name]
     return table
-
-
-def read_pair(pair: Record) -> PairRecord:
-    """Read a record, value by value.
-
-    Raises:
-        InputError: If a value is missing or is none that it can be.
-    """
-    found = PairRecord(
-        query=pair.text("query"),
-        database=pair.text("database"),
-        num_inliers=pair.count("num_inliers", MOST_INLIERS),
-        score=pair.number("score"),
-        dissimilarity=math.inf
-        if pair.get("dissimilarity") is None
-        else pair.number("dissimilarity", 0.0),
-        overlap_area=pair.number("overlap_area", 0.0),
-        accepted=pair.flag("accepted"),
-        reason=pair.text("reason"),
-        T_database_query=None
-        if pair.get("T_database_query") is None
-        else _read_motion(pair.record("T_database_query")),
-        z_offset=pair.optional_number("z_offset"),
-        covariance=_read_covariance(pair),
-        z_std=pair.optional_number("z_std", 0.0),
-        scale=pair.optional_number("scale", 0.0),
-        agreement=None
-        if pair.values.get("agreement") is None
-        else _read_agreement(pair.record("agreement")),
-        decision=None
-        if pair.values.get("decision") is None
-        else read_decision(pair.record("decision")),
-        images=None if pair.values.get("images") is None else _read_images(pair.record("images")),
-        mean_dissimilarity=pair.optional_number("mean_dissimilarity", 0.0),
-    )
-    if found.query == found.database:
-        raise pair.wrong("database", "another submap than the query")
-    if found.is_confirmed and found.T_database_query is None:
-        raise InputError(
-            f"{pair.where}: 'decision' accepts the pair, but it has no motion, T_database_query"
-        )
-    return found
-
-
-def read_decision(decision: Record) -> Decision:
-    """Read what a person decided.
-
-    Raises:
-        InputError: If a value is none that it can be.
-    """
-    accepted = None if decision.values.get("accepted") is None else decision.flag("accepted")
-    note = "" if decision.values.get("note") is None else decision.text("note")
-    if len(note) > LONGEST_NOTE or not note.isprintable():
-        raise decision.wrong("note", f"one line of at most {LONGEST_NOTE} letters")
-    return Decision(accepted, note)
-
-
-def _read_images(images: Record) -> ImageVerdict:
-    verdict = images.text("verdict")
-    if verdict not in get_args(ImageSays):
-        raise images.wrong("verdict", f"one of {', '.join(get_args(ImageSays))}")
-    counts = (images.count(name, MOST_INLIERS) for name in ("num_associations", "num_inliers"))
-    return ImageVerdict(cast("ImageSays", verdict), images.text("reason"), *counts)
 
 
 def count_images(verdicts: Iterable[ImageVerdict | None]) -> str:
@@ -427,19 +488,10 @@ def count_images(verdicts: Iterable[ImageVerdict | None]) -> str:
     >>> count_images([ImageVerdict("silent", "too dark", 0, 0), None])
     'images: 0 confirmed, 0 contradicted, 1 silent'
     """
-    found = [one.verdict for one in verdicts if one is not None]
-    if not found:
+    words = [verdict.verdict for verdict in verdicts if verdict is not None]
+    if not words:
         return ""
-    return "images: " + ", ".join(f"{found.count(word):,} {word}" for word in get_args(ImageSays))
-
-
-def _read_motion(motion: Record) -> SE2:
-    x, y = (motion.number(key, -MAX_COORDINATE, MAX_COORDINATE) for key in "xy")
-    return SE2(x, y, motion.number("yaw", -MAX_YAW, MAX_YAW))
-
-
-def _read_agreement(agreement: Record) -> Agreement:
-    return Agreement(*(agreement.number(one.name, 0.0) for one in fields(Agreement)))
+    return "images: " + ", ".join(f"{words.count(word):,} {word}" for word in get_args(ImageSays))
 
 
 def _usable(covariance: Float[Array, "3 3"] | None) -> Float[Array, "3 3"] | None:
@@ -448,39 +500,6 @@ def _usable(covariance: Float[Array, "3 3"] | None) -> Float[Array, "3 3"] | Non
         return None
     symmetric = 0.5 * (covariance + covariance.T)
     return symmetric if np.linalg.eigvalsh(symmetric)[0] > 0 else None
-
-
-def _read_covariance(pair: Record) -> tuple[tuple[float, ...], ...] | None:
-    """Check a covariance that any tool may have written; with a bad one no graph can be solved."""
-    key = "covariance"
-    rows = cast("list[list[float]] | None", pair.values.get(key))
-    if rows is None:
-        return None
-    if not _is_square(rows):
-        raise pair.wrong(key, "three rows of three finite numbers (a covariance must be 3 x 3)")
-    matrix = np.array(rows, dtype=np.float64)
-    # Sums in single precision leave the two halves of a matrix equal to six digits only.
-    if np.abs(matrix - matrix.T).max() > 1e-5 * np.abs(matrix).max():
-        raise InputError(f"{pair.where}: a covariance must be symmetric")
-    matrix = 0.5 * (matrix + matrix.T)
-    if not np.linalg.eigvalsh(matrix)[0] > 0:
-        raise InputError(f"{pair.where}: a covariance must be positive definite")
-    return tuple(tuple(row) for row in matrix.tolist())
-
-
-def _is_square(rows: object) -> bool:
-    """Say whether a value of a JSON file is three rows of three numbers that can be squared."""
-    if not isinstance(rows, list) or len(cast("list[object]", rows)) != 3:
-        return False
-    return all(
-        isinstance(row, list)
-        and len(cast("list[object]", row)) == 3
-        and all(
-            is_number(value) and abs(cast("float", value)) <= MAX_COVARIANCE
-            for value in cast("list[object]", row)
-        )
-        for row in cast("list[object]", rows)
-    )
 
 
 def _rounded(value: float) -> float:

@@ -7,9 +7,9 @@ from collections.abc import Generator, Iterable
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from gpgrad_core.datasets.clouds import READERS
+from gpgrad_core.datasets.clouds import is_cloud
 from gpgrad_core.datasets.folder import (
-    ABOUT_FILE,
+    INFO_FILE,
     ODOMETRY_FILES,
     POSITIONS_FILE,
     TRUTH_FILE,
@@ -17,7 +17,7 @@ from gpgrad_core.datasets.folder import (
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.whole import ProcessLock
 
-OWN_FILES = (ABOUT_FILE, TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES)
+OWN_FILES = (INFO_FILE, TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES)
 OWN_FOLDERS = ("submaps", "images")
 """What a dataset is read from, in its folder."""
 
@@ -66,13 +66,13 @@ def check_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -
     """
     read = [path for path in inputs if path is not None]
     for output in (path for path in outputs if path is not None):
-        for one in read:
-            if _same(output, one):
+        for source in read:
+            if _same(output, source):
                 raise InputError(f"{output}: is read as an input; name another output")
-            if one.resolve().is_relative_to(output.resolve()):
-                raise InputError(f"{output}: holds the input {one}; name another output")
-            if one.is_dir() and _belongs(output, one):
-                raise InputError(f"{output}: belongs to the input {one}; name another output")
+            if source.resolve().is_relative_to(output.resolve()):
+                raise InputError(f"{output}: holds the input {source}; name another output")
+            if source.is_dir() and _belongs(output, source):
+                raise InputError(f"{output}: belongs to the input {source}; name another output")
 
 
 def _same(first: Path, second: Path) -> bool:
@@ -92,7 +92,7 @@ def _belongs(output: Path, folder: Path) -> bool:
     if any(_same(place, folder / name) for name in OWN_FILES):
         return True
     inner = next((folder / name for name in OWN_FOLDERS if (folder / name).is_dir()), folder)
-    if place.suffix.lower() in READERS and inner == folder and place.parent == folder:
+    if is_cloud(place) and inner == folder and place.parent == folder:
         return True
     # A link elsewhere may lead to a cloud of the dataset, or a cloud may be a link to the output.
     return place.exists() and any(_same(place, cloud) for cloud in inner.iterdir())

@@ -4,10 +4,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.dem import Elevations
 from gpgrad_core.datasets.folder import index_of
 from gpgrad_core.locating import Location, Window, width_of
@@ -58,23 +59,23 @@ def write_located(
         unfinished.write_text(text + "\n", encoding="utf-8", newline="\n")
 
 
-def _row(place: Location) -> dict[str, Any]:
-    found = record_of(place.verdict)
+def _row(place: Location) -> dict[str, object]:
+    pair = record_of(place.verdict)
     pose = place.pose
     return {
-        "submap": found.query,
-        "accepted": found.accepted,
-        "reason": found.reason,
-        "score": found.score,
+        "submap": pair.query,
+        "accepted": pair.accepted,
+        "reason": pair.reason,
+        "score": pair.score,
         "runner_up": place.runner_up,
         "T_map_submap": None
         if pose is None
         else dict(zip("xyz", pose.translation.tolist(), strict=True)) | {"yaw": pose.planar.yaw},
-        "covariance": found.covariance,
-        "z_std": found.z_std,
-        "num_inliers": found.num_inliers,
-        "overlap_area": found.overlap_area,
-        "scale": found.scale,
+        "covariance": pair.covariance,
+        "z_std": pair.z_std,
+        "num_inliers": pair.num_inliers,
+        "overlap_area": pair.overlap_area,
+        "scale": pair.scale,
     }
 
 
@@ -99,15 +100,19 @@ def shown_on_model(
         params: Parameters of the submaps and of the windows.
     """
     placed = [
-        Submap.from_points(one.points, one.id, pose_odometry=place.pose, colors=one.colors,
-                           noise_std=one.noise_std, ranges=one.ranges)
-        for one, place in zip(submaps, places, strict=True)
+        Submap.from_points(submap.points, submap.id, pose_odometry=place.pose, colors=submap.colors,
+                           noise_std=submap.noise_std, ranges=submap.ranges)
+        for submap, place in zip(submaps, places, strict=True)
         if place.verdict.accepted
     ]  # fmt: skip
     around = max(map(width_of, submaps))
-    where = [one.pose_odometry.translation[:2] for one in placed if one.pose_odometry is not None]
+    where = [
+        submap.pose_odometry.translation[:2]
+        for submap in placed
+        if submap.pose_odometry is not None
+    ]
     ground = _around(model, np.array(where), around) if where else None
-    numbers = [n for n in (index_of(one.id) for one in placed) if n is not None]
+    numbers = [n for n in (index_of(submap.id) for submap in placed) if n is not None]
     if ground is not None:
         title = f"map_{max(numbers, default=0) + 1:03d}"
         middle = ground.middle
@@ -116,9 +121,9 @@ def shown_on_model(
                 ground.load().points, title, pose_odometry=Pose.from_planar(SE2(*middle))
             )
         )
-    of_query, of_model = params[0].map, params[1].map
-    chosen = {"scale": of_query.scale, "resolution": of_query.resolution} | {
-        key: max(getattr(of_query, key), getattr(of_model, key))
+    query_map, model_map = params[0].map, params[1].map
+    chosen = {"scale": query_map.scale, "resolution": query_map.resolution} | {
+        key: max(getattr(query_map, key), getattr(model_map, key))
         for key in ("length_scale", "noise_std")
     }
     preferred: dict[str, object] = {"map": chosen}
@@ -133,12 +138,14 @@ def shown_on_model(
     )
 
 
-def _around(model: Elevations, where: Any, margin: float) -> Window:
+def _around(model: Elevations, where: Float[Array, "n 2"], margin: float) -> Window:
     """Cut out the model around places (n, 2) [m], every n-th height if there are too many."""
     size = np.array(model.heights.shape[::-1])
     low = np.floor((where.min(axis=0) - margin - model.corner) / model.cell)
     high = np.ceil((where.max(axis=0) + margin - model.corner) / model.cell) + 1
-    (left, down), (right, up) = (np.clip(one, 0, size).astype(int) for one in (low, high))
+    (left, down), (right, up) = (
+        np.clip(corner_cell, 0, size).astype(int) for corner_cell in (low, high)
+    )
     heights = model.heights[down:up, left:right]
     every = max(1, int(np.ceil(np.sqrt(heights.size / MOST_SHOWN))))
     heights = heights[::every, ::every]

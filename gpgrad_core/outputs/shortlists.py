@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.datasets.npy import Load, opened_npz
+from gpgrad_core.datasets.clouds.npy import Load, opened_npz
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.shortlist import Shortlist, ShortlistState, Vocabulary
@@ -45,14 +45,14 @@ def write_shortlist(path: Path | str, shortlist: Shortlist) -> None:
     """
     state = shortlist.state
     none = np.zeros((0, 0), np.float32)
-    known = state.vocabulary or Vocabulary(none[0:0].ravel(), none, none)
+    vocabulary = state.vocabulary or Vocabulary(none[0:0].ravel(), none, none)
     arrays = {
         "version": np.array(VERSION),
         "seed": np.array(state.seed),
         "ids": np.frombuffer("\n".join(state.ids).encode(), np.uint8),
-        "mean": known.mean,
-        "axes": known.axes,
-        "words": known.words,
+        "mean": vocabulary.mean,
+        "axes": vocabulary.axes,
+        "words": vocabulary.words,
         "global_vectors": state.global_vectors,
         "num_descriptors": state.num_descriptors,
         "descriptors": state.descriptors,
@@ -74,8 +74,8 @@ def read_shortlist(path: Path | str) -> Shortlist:
     """
     path = Path(path)
     with opened_npz(path) as held:
-        found = {name: _array(path, held, name) for name in ARRAYS}
-    return Shortlist.restored(_state(path, found))
+        arrays = {name: _array(path, held, name) for name in ARRAYS}
+    return Shortlist.restored(_state(path, arrays))
 
 
 def resume_shortlist(
@@ -127,45 +127,45 @@ def _array(path: Path, held: dict[str, Load], name: str) -> NDArray[Any]:
     return array
 
 
-def _state(path: Path, found: dict[str, NDArray[Any]]) -> ShortlistState:
+def _state(path: Path, arrays: dict[str, NDArray[Any]]) -> ShortlistState:
     """Check that the arrays fit each other."""
 
     def check(name: str, right: bool | np.bool_) -> None:
         if not right:
             raise InputError(f"{path}: array {name!r} does not fit the others")
 
-    if int(found["version"]) != VERSION:
-        raise InputError(f"{path}: is of version {int(found['version'])}, not {VERSION}")
+    if int(arrays["version"]) != VERSION:
+        raise InputError(f"{path}: is of version {int(arrays['version'])}, not {VERSION}")
     try:
-        text = found["ids"].tobytes().decode()
+        text = arrays["ids"].tobytes().decode()
     except UnicodeDecodeError:
         raise InputError(f"{path}: array 'ids' is no text") from None
-    counts, voters = found["num_descriptors"], found["num_voters"]
+    counts, voters = arrays["num_descriptors"], arrays["num_voters"]
     ids = tuple(text.split("\n")) if len(counts) else ()
     check("ids", len(set(ids)) == len(counts))
-    check("num_descriptors", (counts >= 0).all() and counts.sum() == len(found["descriptors"]))
+    check("num_descriptors", (counts >= 0).all() and counts.sum() == len(arrays["descriptors"]))
     check("num_voters", voters.shape == counts.shape and (voters >= 0).all())
     check("num_voters", (voters <= counts).all())
-    check("positions", found["positions"].shape == (voters.sum(), 2))
-    check("tolerances", found["tolerances"].shape == counts.shape)
-    check("tolerances", (found["tolerances"] >= 0).all())
-    words, axes, vocabulary = found["words"], found["axes"], None
-    width = found["descriptors"].shape[1]
+    check("positions", arrays["positions"].shape == (voters.sum(), 2))
+    check("tolerances", arrays["tolerances"].shape == counts.shape)
+    check("tolerances", (arrays["tolerances"] >= 0).all())
+    words, axes, vocabulary = arrays["words"], arrays["axes"], None
+    width = arrays["descriptors"].shape[1]
     if len(words):
-        check("mean", len(found["mean"]) == len(axes) > 0)
+        check("mean", len(arrays["mean"]) == len(axes) > 0)
         check("axes", axes.shape[1] == words.shape[1])
         check("descriptors", width == words.shape[1])
         check("num_voters", (voters == counts).all())
-        vocabulary = Vocabulary(found["mean"], axes, words)
-    check("global_vectors", found["global_vectors"].shape == (len(counts), words.size))
+        vocabulary = Vocabulary(arrays["mean"], axes, words)
+    check("global_vectors", arrays["global_vectors"].shape == (len(counts), words.size))
     return ShortlistState(
-        int(found["seed"]),
+        int(arrays["seed"]),
         ids,
         vocabulary,
-        found["global_vectors"],
+        arrays["global_vectors"],
         counts,
-        found["descriptors"],
+        arrays["descriptors"],
         voters,
-        found["positions"],
-        found["tolerances"],
+        arrays["positions"],
+        arrays["tolerances"],
     )

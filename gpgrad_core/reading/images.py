@@ -1,11 +1,17 @@
-"""Camera images, decoded in a process of their own."""
+"""Camera images, decoded in a process of their own, and grey PNG images of a known size.
 
+The form of a PNG is that of its specification (W3C, third edition): section 5 has the chunks and
+their checksums, 11.2.1 the header, 7.3 and 9 the filtered rows. Of an image whose size is known,
+nothing larger is ever unpacked.
+"""
+
+import struct
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import UInt8, UInt16
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
@@ -18,6 +24,9 @@ TOGETHER = 4
 """Files that one process decodes; starting one takes as long as some images."""
 
 PNG = b"\x89PNG\r\n\x1a\n"
+HEADER = struct.Struct(">IIBBBBB")  # width, height, bits, colour type, three methods
+FILTERS = 5
+"""Kinds of filters that a row of a PNG may begin with."""
 TRAILER = 65_536
 """Bytes of its own that a camera may put after a JPEG."""
 
@@ -50,21 +59,38 @@ def read_images(files: Sequence[Path]) -> Iterator[Image]:
 def _damage(content: bytes) -> str:
     """Say what is wrong with a PNG or JPEG as a whole; OpenCV fills what is missing with grey."""
     if content.startswith(b"\xff\xd8"):
-        return (
-            "" if b"\xff\xd9" in content[-TRAILER:] else "it is cut short: its end mark is missing"
-        )
+        return "" if b"\xff\xd9" in content[-TRAILER:] else "is cut short: its end mark is missing"
     if not content.startswith(PNG):
         return ""  # another format, if any
-    position = len(PNG)
-    while position + 12 <= len(content):
+    try:
+        _png_chunks(content)
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def _png_chunks(content: bytes) -> list[tuple[bytes, bytes]]:
+    """Split a PNG into its chunks: kind and content.
+
+    Raises:
+        ValueError: If it does not end with its last chunk, or a checksum is wrong; the message says
+            so in a few words.
+    """
+    chunks: list[tuple[bytes, bytes]] = []
+    position, kind = len(PNG), b""
+    while kind != b"IEND":
+        if position + 12 > len(content):
+            raise ValueError("is cut short")
         length = int.from_bytes(content[position : position + 4], "big")
         body = content[position + 4 : position + 8 + length]
         position += 12 + length
         if content[position - 4 : position] != zlib.crc32(body).to_bytes(4, "big"):
-            return "a checksum in it is wrong"
-        if body == b"IEND":
-            return "" if position == len(content) else "it holds more than one image"
-    return "it is cut short"
+            raise ValueError("is cut short, or a checksum in it is wrong")
+        kind = body[:4]
+        chunks.append((kind, body[4:]))
+    if position != len(content):
+        raise ValueError("holds more than one image")
+    return chunks
 
 
 def _decoded(files: Sequence[Path]) -> Iterator[Image]:
@@ -74,7 +100,7 @@ def _decoded(files: Sequence[Path]) -> Iterator[Image]:
         raise InputError(f"{error.filename}: cannot be read: {error.strerror or error}") from None
     for file, content in zip(files, contents, strict=True):
         if reason := _damage(content):
-            raise InputError(f"{file}: is not an image that can be read: {reason}")
+            raise InputError(f"{file}: is not an image that can be read: it {reason}")
     packed = b"".join(LENGTH.pack(len(content)) + content for content in contents)
     try:
         decoded = decode_apart("images", packed, len(files) * (MAX_PIXELS + IMAGE_HEAD.size))
@@ -95,3 +121,66 @@ def _decoded(files: Sequence[Path]) -> Iterator[Image]:
         values = np.frombuffer(decoded, np.uint8, rows * columns, position)
         position += rows * columns
         yield values.reshape(rows, columns)
+
+
+def read_grey_png(
+    path: Path, rows: int, columns: int
+) -> UInt16[NDArray[np.uint16], "rows columns"]:
+    """Read a grey image of a size that is known.
+
+    Args:
+        path: The file.
+        rows: Height that the image must have.
+        columns: Width that it must have.
+
+    Raises:
+        InputError: If it cannot be read, is no such image, or is damaged anywhere.
+    """
+    import cv2  # noqa: PLC0415 - loads slowly, and few recordings have such images
+
+    most = 4 * rows * columns + 65_536
+    try:
+        with path.open("rb") as file:
+            content = file.read(most + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if len(content) > most:
+        raise InputError(f"{path}: is larger than an image of {rows} x {columns} pixels can be")
+    bits = _check_grey(content, rows, columns, path)
+    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None or image.shape != (rows, columns) or image.dtype.itemsize * 8 != bits:
+        raise InputError(f"{path}: is not an image that can be read")
+    return image.astype(np.uint16)
+
+
+def _check_grey(content: bytes, rows: int, columns: int, path: Path) -> int:
+    """Check the whole file; give the bits of a pixel."""
+    if not content.startswith(PNG):
+        raise InputError(f"{path}: is not a PNG image")
+    try:
+        chunks = _png_chunks(content)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+    bits = _bits(*chunks[0], rows, columns, path)
+    row = 1 + columns * bits // 8
+    packed = b"".join(body for kind, body in chunks if kind == b"IDAT")
+    unpacker = zlib.decompressobj()
+    try:
+        unpacked = unpacker.decompress(packed, rows * row + 1)
+    except zlib.error as error:
+        raise InputError(f"{path}: cannot be unpacked: {error}") from None
+    if len(unpacked) != rows * row or max(unpacked[::row]) >= FILTERS:
+        raise InputError(f"{path}: does not hold {rows} rows of {columns} pixels")
+    return bits
+
+
+def _bits(kind: bytes, header: bytes, rows: int, columns: int, path: Path) -> int:
+    if kind != b"IHDR" or len(header) != HEADER.size:
+        raise InputError(f"{path}: does not begin with the header of a PNG image")
+    width, height, bits, *rest = HEADER.unpack(header)
+    if (height, width) != (rows, columns) or bits not in (8, 16) or rest != [0, 0, 0, 0]:
+        raise InputError(
+            f"{path}: must be a grey image of {rows} rows and {columns} columns with 8 or 16 bits, "
+            f"not interlaced; it has {height} rows, {width} columns and {bits} bits"
+        )
+    return int(bits)

@@ -1,6 +1,8 @@
 """Text and the numbers in it."""
 
+import math
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
@@ -69,6 +71,37 @@ def lines_of(text: str) -> list[str]:
     return lines
 
 
+def split_rows(
+    path: Path, most_bytes: int | None = None, *, comment: str | None = "#"
+) -> list[tuple[str, list[str]]]:
+    """Split each row of a text file into words; rows without words are left out.
+
+    Args:
+        path: The file.
+        most_bytes: The largest size; None allows any.
+        comment: What begins a comment, which lasts until the end of the line; None allows none.
+
+    Returns:
+        The words of each row, after its place for error messages: the file and the line.
+
+    Raises:
+        InputError: If there is no such file, or as `read_text`.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    rows: list[tuple[str, list[str]]] = []
+    for number, line in enumerate(lines_of(read_text(path, most_bytes)), start=1):
+        words = (line if comment is None else line.split(comment, 1)[0]).split()
+        if words:
+            rows.append((f"{path}, line {number}", words))
+    return rows
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """Write a text file, one line each; the line ends are the same on every system."""
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+
 def parse_number(word: str) -> float | None:
     """Read a number; None if the word is not one.
 
@@ -76,6 +109,24 @@ def parse_number(word: str) -> float | None:
     (1000.0, None)
     """
     return float(word) if NUMBER.fullmatch(word) else None
+
+
+def parse_numbers(words: list[str], where: str) -> list[float]:
+    """Parse the columns of a row.
+
+    Raises:
+        InputError: If one is not a number or not finite; the message begins with `where`.
+    """
+    values: list[float] = []
+    for word in words:
+        value = parse_number(word)
+        if value is None:
+            hint = f"; {COMMA_HINT}" if DECIMAL_COMMA.fullmatch(word) else ""
+            raise InputError(f"{where}: holds something that is not a number: {word[:40]!r}{hint}")
+        values.append(value)
+    if not all(map(math.isfinite, values)):
+        raise InputError(f"{where}: holds a value that is not finite")
+    return values
 
 
 def parse_count(word: str) -> int | None:

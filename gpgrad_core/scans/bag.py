@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,32 +13,33 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.poses import make_pose
 from gpgrad_core.errors import InputError
+from gpgrad_core.georeference import check_place
 from gpgrad_core.libraries import load_library
-from gpgrad_core.reading.places import is_place
 from gpgrad_core.run.progress import Cancelled
-from gpgrad_core.scans.keeping import Condition, Tally
+from gpgrad_core.scans.conditions import Condition, Tally
 from gpgrad_core.scans.params import BuildParams
-from gpgrad_core.scans.point_cloud2 import points_of
 from gpgrad_core.scans.pose_files import (
     PoseFile,
     positions_of,
     read_mount,
-    read_pose_file,
+    read_timed_poses,
     read_truth_file,
 )
 from gpgrad_core.scans.recording import (
     Reader,
     Recording,
     RecordingSources,
+    check_posed,
+    condition_notes,
     identify,
-    keeping,
-    place,
     spelled,
     truth_at,
 )
+from gpgrad_core.scans.ros_messages import FrameRows, FrameTree, Message, plain, points_of, seconds
 from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
-from gpgrad_core.scans.transforms import FrameRows, FrameTree, plain, seconds
 
+BagReader: TypeAlias = Any
+"""Of rosbags, which makes its types while it runs."""
 CLOUDS = ("sensor_msgs/msg/PointCloud2",)
 ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -100,7 +101,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         notes += (f"{number:,} {have} no time: the time of recording is used",)
     mount, mount_notes = placing.mount()
     both = body.known & mount.known
-    notes += mount_notes + place(stamps, Located(body.poses, both), span, str(path), params)
+    notes += mount_notes + check_posed(stamps, Located(body.poses, both), span, str(path), params)
     kept = np.flatnonzero(both)
     truth, truth_name = contents.truth(), f"{path}, {gnss_topic}"
     if sources.truth is not None:
@@ -125,7 +126,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         covariance=None if body.covariance is None else body.covariance[kept],
         truth=true_poses,
         positions_only=truth is not None and truth.positions_only,
-        notes=(*notes, *truth_notes, *keeping(sources)),
+        notes=(*notes, *truth_notes, *condition_notes(sources)),
         origin=None if truth is None else truth.origin,
         tally=tally,
     )
@@ -155,7 +156,7 @@ class _Contents:
 
 
 def _gnss_topic(
-    reader: Any, sources: RecordingSources, path: Path
+    reader: BagReader, sources: RecordingSources, path: Path
 ) -> tuple[str | None, tuple[str, ...]]:
     """Choose the topic of satellite positions, if they are to be the truth; also give a note."""
     if sources.truth is not None:
@@ -170,7 +171,7 @@ def _gnss_topic(
 
 
 def _gather(
-    reader: Any, cloud_topic: str, pose_topic: str | None, gnss_topic: str | None, path: Path
+    reader: BagReader, cloud_topic: str, pose_topic: str | None, gnss_topic: str | None, path: Path
 ) -> _Contents:
     contents = _Contents(pose_topic=pose_topic)
     transforms = _topics(reader, TRANSFORMS)
@@ -196,7 +197,7 @@ def _gather(
     return contents
 
 
-def _stamp(contents: _Contents, message: Any, logged: int) -> float:
+def _stamp(contents: _Contents, message: Message, logged: int) -> float:
     """Give the time of a message [s], or the time of recording if the message has none."""
     stamp = seconds(message.header)
     if stamp > 0:
@@ -205,19 +206,17 @@ def _stamp(contents: _Contents, message: Any, logged: int) -> float:
     return 1e-9 * logged
 
 
-def _add_place(contents: _Contents, message: Any, logged: int, where: str) -> None:
+def _add_place(contents: _Contents, message: Message, logged: int, where: str) -> None:
     """Take a NavSatFix; one without a fix says nothing (its status is below 0)."""
     place = [float(message.latitude), float(message.longitude), float(message.altitude)]
     if int(message.status.status) < 0 or not np.isfinite(place).all():
         return
-    if not is_place(*place):
-        numbers = " ".join(f"{number:g}" for number in place)
-        raise InputError(f"{where}: {numbers} are no latitude, longitude, height")
+    check_place(place, where)
     contents.place_stamps.append(seconds(message.header) or 1e-9 * logged)
     contents.places.append(place)
 
 
-def _add_pose(contents: _Contents, message: Any, kind: str, stamp: float, where: str) -> None:
+def _add_pose(contents: _Contents, message: Message, kind: str, stamp: float, where: str) -> None:
     pose = message.pose.pose if kind in (ODOMETRY, WITH_COVARIANCE) else message.pose
     position, turn = pose.position, pose.orientation
     values = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
@@ -252,22 +251,16 @@ class _Placing:
     def _trajectory(self) -> Trajectory:
         """Read the poses of the file that was given, or else of the bag's messages."""
         if self.sources.poses is not None:
-            found = read_pose_file(self.sources.poses)
-            if found.numbered:
-                raise InputError(
-                    f"{self.sources.poses}: KITTI poses have no times, which a bag's scans need; "
-                    "give TUM poses"
-                )
-            return found.trajectory
+            return read_timed_poses(self.sources.poses)
         if not self.contents.rows:
             raise InputError(f"{self.path}: its topic {self.contents.pose_topic} has no messages")
         table = np.array(self.contents.rows)
-        known = np.array(self.contents.covariances)
+        covariances = np.array(self.contents.covariances)
         return Trajectory.in_order(
             table[:, 0],
             Poses(table[:, 1:4], Rotation.from_quat(table[:, 4:])),
             # In ROS, a covariance of zeros means that it is not known.
-            known if len(known) and np.any(known) else None,
+            covariances if len(covariances) and np.any(covariances) else None,
         )
 
     def _body_by_transforms(self) -> tuple[Located, str, tuple[str, ...]]:
@@ -340,12 +333,8 @@ def _reader(
 
 
 @contextlib.contextmanager
-def _reading(path: Path) -> Generator[Any]:
-    """Open a bag's reader; every error of the bag becomes an InputError of one line.
-
-    Raises:
-        InputError: If the extra is not installed, or the bag is broken.
-    """
+def _reading(path: Path) -> Generator[BagReader]:
+    """Open a bag's reader; every error of the bag becomes an InputError of one line."""
     try:
         highlevel: Any = load_library("rosbags.highlevel", "gpgrad[ros]")
         typesys: Any = load_library("rosbags.typesys", "gpgrad[ros]")
@@ -363,33 +352,33 @@ def _reading(path: Path) -> Generator[Any]:
         raise InputError(f"{path}: is not a complete bag: {said}") from None
 
 
-def _topics(reader: Any, kinds: Sequence[str]) -> dict[str, int]:
+def _topics(reader: BagReader, kinds: Sequence[str]) -> dict[str, int]:
     """Find the topics of some message types, with the number of their messages."""
-    found = {name: info for name, info in reader.topics.items() if info.msgtype in kinds}
-    return {name: int(info.msgcount) for name, info in found.items()}
+    topics = {name: info for name, info in reader.topics.items() if info.msgtype in kinds}
+    return {name: int(info.msgcount) for name, info in topics.items()}
 
 
-def _asks_for_transforms(reader: Any, topic: str | None) -> bool:
+def _asks_for_transforms(reader: BagReader, topic: str | None) -> bool:
     return topic is not None and topic in _topics(reader, TRANSFORMS)
 
 
 def _choose(
-    reader: Any, kinds: Sequence[str], wanted: str | None, what: str, flag: str, path: Path
+    reader: BagReader, kinds: Sequence[str], wanted: str | None, what: str, flag: str, path: Path
 ) -> str:
-    found = _topics(reader, kinds)
-    listed = ", ".join(f"{name} ({count:,})" for name, count in sorted(found.items()))
+    topics = _topics(reader, kinds)
+    listed = ", ".join(f"{name} ({count:,})" for name, count in sorted(topics.items()))
     if wanted is not None:
-        if wanted not in found:
+        if wanted not in topics:
             raise InputError(
                 f"{path}: {flag} {wanted}: is not a topic of {what} there; it has "
                 f"{listed or 'none'}"
             )
         return wanted
-    if len(found) != 1:
+    if len(topics) != 1:
         names = ", ".join(kind.split("/")[-1] for kind in kinds)
-        has = f"has {len(found)} topics of {what}, {listed}: choose one with {flag}"
-        raise InputError(f"{path}: {has if found else f'has no topic of {what} ({names})'}")
-    return next(iter(found))
+        has = f"has {len(topics)} topics of {what}, {listed}: choose one with {flag}"
+        raise InputError(f"{path}: {has if topics else f'has no topic of {what} ({names})'}")
+    return next(iter(topics))
 
 
 def _listed(parents: dict[str, str]) -> str:

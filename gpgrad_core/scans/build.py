@@ -10,24 +10,16 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.about import About, write_about
+from gpgrad_core.datasets.clouds.ply import write_ply
 from gpgrad_core.datasets.cpet import find_posed_scans
-from gpgrad_core.datasets.folder import (
-    ABOUT_FILE,
-    ODOMETRY_FILES,
-    POSITIONS_FILE,
-    TRUTH_FILE,
-    check_vacant,
-)
-from gpgrad_core.datasets.ply import write_ply
-from gpgrad_core.datasets.poses import pose_row, write_poses, write_positions
-from gpgrad_core.datasets.tables import write_lines
+from gpgrad_core.datasets.folder import check_vacant, write_all_but_clouds
+from gpgrad_core.datasets.poses import pose_row
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.text import write_lines
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.scans.bag import is_bag, open_bag
-from gpgrad_core.scans.cpet import open_posed_scans
+from gpgrad_core.scans.cloud_folder import is_scan_folder, open_folder, open_posed_scans
 from gpgrad_core.scans.cutting import cut
-from gpgrad_core.scans.folder import is_scan_folder, open_folder
 from gpgrad_core.scans.gravity import (
     estimate_up,
     ground_normal,
@@ -42,7 +34,7 @@ from gpgrad_core.scans.recording import Reader, Recording, RecordingSources
 from gpgrad_core.scans.trajectory import Located, Poses
 from gpgrad_core.scans.voxels import Voxels, VoxelSums, reach
 from gpgrad_core.se2 import Pose, level_pose
-from gpgrad_core.types import Submap
+from gpgrad_core.types import Dataset, Submap
 from gpgrad_core.version import VERSION
 
 LOOKED_AT = 24
@@ -168,14 +160,14 @@ def build_dataset(
         ],
     }
     if sources.keep:
-        header["keep"] = [str(one) for one in sources.keep]
+        header["keep"] = [str(condition) for condition in sources.keep]
     with open_journal(directory, header, restart=restart, overwrite=overwrite) as begun:
         resumed = len(begun.entries)
         whole = _add_submaps(begun, recording, pieces, params, progress)
-        written = [entry for entry in whole.entries if "hash" in entry]
+        written = [entry for entry in whole.entries if entry.hash is not None]
         if not written:
             whole.abandon()
-            measured = sum(entry["measured"] for entry in whole.entries)
+            measured = sum(entry.measured for entry in whole.entries)
             raise InputError(
                 f"{scans}: no submap has {params.min_points} points or more: "
                 f"the {len(recording):,} scans have {measured:,} points together"
@@ -185,7 +177,7 @@ def build_dataset(
     progress(1.0)
     return BuildReport(
         num_submaps=len(written),
-        num_scans=sum(entry["scans"][1] - entry["scans"][0] for entry in written),
+        num_scans=sum(entry.scans[1] - entry.scans[0] for entry in written),
         num_resumed=resumed,
         notes=(*recording.notes, *notes, *_left_out(whole.entries, params)),
     )
@@ -200,14 +192,14 @@ def _levelled(recording: Recording, params: BuildParams) -> tuple[Recording, tup
     notes: tuple[str, ...] = ()
     if params.gravity == "cloud":
         normals = _ground_normals(recording, params)
-        found = estimate_up(normals, recording.name)
-        off = np.arccos(np.clip(found.up @ named, -1.0, 1.0))
+        estimate = estimate_up(normals, recording.name)
+        off = np.arccos(np.clip(estimate.up @ named, -1.0, 1.0))
         notes = (
             f"the direction up, by the ground of {len(normals)} scans, is {np.degrees(off):.1f} "
             "degrees off that of the poses; half of the scans are within "
-            f"{np.degrees(found.spread):.1f} degrees",
+            f"{np.degrees(estimate.spread):.1f} degrees",
         )
-        turn = turned_upright(found.up)
+        turn = turned_upright(estimate.up)
     covariance, truth = recording.covariance, recording.truth
     if covariance is not None:
         matrix = turn.as_matrix()
@@ -311,10 +303,20 @@ def _add_submap(
             "count": voxels.counts,
         }
         write_ply(cloud, voxels.points, extras=extras)
-    entry: Entry = {"id": submap_id, "scans": [scans.start, scans.stop]}
-    if tally.read > read:
-        entry |= {"before_keep": tally.read - read, "kept": tally.kept - met}
-    return journal.added(entry | {"points": len(voxels.keys)} | dict(counts), cloud)
+    asked = tally.read > read
+    entry = Entry(
+        id=submap_id,
+        scans=(scans.start, scans.stop),
+        before_keep=tally.read - read if asked else None,
+        kept=tally.kept - met if asked else None,
+        points=len(voxels.keys),
+        measured=counts["measured"],
+        not_finite=counts["not_finite"],
+        too_close=counts["too_close"],
+        too_far=counts["too_far"],
+        empty_scans=counts["empty_scans"],
+    )
+    return journal.added(entry, cloud)
 
 
 def _is_terrain(voxels: Voxels) -> bool:
@@ -335,7 +337,7 @@ def _write_rest(
     trajectories = journal.folder / TRAJECTORIES
     trajectories.mkdir(exist_ok=True)
     for number, (scans, entry) in enumerate(zip(pieces, journal.entries, strict=True)):
-        if "hash" not in entry:
+        if entry.hash is None:
             continue
         first = slice(scans.start, scans.start + 1)
         level = Poses.of(level_pose(recording.body.one(scans.start)))
@@ -348,24 +350,20 @@ def _write_rest(
         for k in scans:
             stamp = f"{k}" if recording.stamps is None else f"{recording.stamps[k]:.6f}"
             rows.append(pose_row(stamp, (level.inverse() @ recording.sensor(k)).one(0)))
-        write_lines(trajectories / f"{entry['id']}.txt", rows)
-    write_poses(journal.folder / ODOMETRY_FILES[0], odometry)
-    if truth and recording.positions_only:
-        # The antenna's place stands for that of the body: its mount is not known.
-        places = {k: pose.translation for k, pose in truth.items()}
-        write_positions(journal.folder / POSITIONS_FILE, places)
-    elif truth:
-        write_poses(journal.folder / TRUTH_FILE, truth)
-    about = About(
-        name=journal.directory.name,
+        write_lines(trajectories / f"{entry.id}.txt", rows)
+    # The antenna's place stands for that of the body: its mount is not known.
+    dataset = Dataset(
+        journal.directory.name,
+        (),
         description=(
             f"{len(odometry)} submap{'s' * (len(odometry) != 1)} of {len(recording):,} scans of "
             f"{recording.name}, cut "
             f"{_limits(params)} (gpgrad build)."
         ),
+        positions_only=recording.positions_only and bool(truth),
         origin=recording.origin,
     )
-    write_about(journal.folder / ABOUT_FILE, about)
+    write_all_but_clouds(journal.folder, dataset, truth, odometry)
 
 
 def _limits(params: BuildParams) -> str:
@@ -380,8 +378,9 @@ def _limits(params: BuildParams) -> str:
 
 def _left_out(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
     """Report what was left out."""
-    total = {key: sum(entry[key] for entry in entries) for key in COUNTED}
-    before, kept = (sum(entry.get(key, 0) for entry in entries) for key in ("before_keep", "kept"))
+    total = {key: sum(getattr(entry, key) for entry in entries) for key in COUNTED}
+    before = sum(entry.before_keep or 0 for entry in entries)
+    kept = sum(entry.kept or 0 for entry in entries)
     if before:
         yield f"{kept:,} of {before:,} points ({kept / before:.1%}) meet --keep and are kept"
     reasons = {
@@ -401,10 +400,10 @@ def _left_out(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
         have = "scan has" if number == 1 else "scans have"
         yield f"{number:,} {have} no usable point"
     for entry in entries:
-        if "hash" not in entry:
-            first, stop = entry["scans"]
+        if entry.hash is None:
+            first, stop = entry.scans
             yield (
-                f"submap {entry['id']} of {stop - first:,} scans was left out: its "
-                f"{entry['points']:,} points are fewer than {params.min_points:,}, or lie on one "
+                f"submap {entry.id} of {stop - first:,} scans was left out: its "
+                f"{entry.points:,} points are fewer than {params.min_points:,}, or lie on one "
                 "line"
             )

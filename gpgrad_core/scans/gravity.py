@@ -64,15 +64,10 @@ def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
 
 @dataclass(frozen=True, eq=False)
 class UpEstimate:
-    """The direction up, estimated from ground planes.
+    """The direction up, estimated from ground planes."""
 
-    Attributes:
-        up: Unit vector that points up (3,).
-        spread: Median angle between it and the planes' normals [rad].
-    """
-
-    up: Float[Array, "3"]
-    spread: float
+    up: Float[Array, "3"]  # unit vector that points up (3,)
+    spread: float  # median angle between it and the planes' normals [rad]
 
 
 def estimate_up(normals: list[Array], where: str) -> UpEstimate:

@@ -14,32 +14,57 @@ import shutil
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
+
+from msgspec import Struct, structs, to_builtins
 
 from gpgrad_core.datasets.folder import JOURNAL, check_vacant
-from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.json_files import parse_json
-from gpgrad_core.reading.text import lines_of, read_text
+from gpgrad_core.reading.records import as_record
+from gpgrad_core.reading.text import lines_of, read_text, write_lines
 from gpgrad_core.run.whole import alone, empty, put_in_place, recover
 
-Entry = dict[str, Any]
 UNFINISHED_CLOUDS, CLOUDS = "unfinished", "submaps"
+
+
+class Entry(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A line of the journal: what became of the scans of a submap.
+
+    Attributes:
+        id: The submap's name.
+        scans: Its first scan, and the one after its last.
+        before_keep: Number of points before conditions were asked, if there are any.
+        kept: Number of points that met them.
+        points: Number of points of the submap.
+        measured: Number of points of its scans.
+        not_finite: Number of those that were not finite.
+        too_close: Number of those that were too close to the sensor.
+        too_far: Number of those that were too far from it.
+        empty_scans: Number of scans without a usable point.
+        hash: Hash of the submap's cloud; None if it was left out.
+    """
+
+    id: str
+    scans: tuple[int, int]
+    before_keep: int | None = None
+    kept: int | None = None
+    points: int
+    measured: int
+    not_finite: int
+    too_close: int
+    too_far: int
+    empty_scans: int
+    hash: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Journal:
-    """An unfinished dataset.
+    """An unfinished dataset."""
 
-    Attributes:
-        directory: Where the finished dataset will be.
-        folder: Where the unfinished dataset is.
-        entries: One entry per finished submap.
-    """
-
-    directory: Path
-    folder: Path
-    entries: tuple[Entry, ...]
+    directory: Path  # where the finished dataset will be
+    folder: Path  # where the unfinished dataset is
+    entries: tuple[Entry, ...]  # one entry per finished submap
 
     @property
     def clouds(self) -> Path:
@@ -55,9 +80,9 @@ class Journal:
         """
         if cloud is not None:
             _to_disk(cloud)
-            entry = entry | {"hash": _hash(cloud)}
+            entry = structs.replace(entry, hash=_hash(cloud))
         with (self.folder / JOURNAL).open("a", encoding="utf-8", newline="\n") as file:
-            file.write(json.dumps(entry) + "\n")
+            file.write(_line(entry) + "\n")
             file.flush()
             os.fsync(file.fileno())
         return Journal(self.directory, self.folder, (*self.entries, entry))
@@ -81,7 +106,7 @@ class Journal:
 @contextlib.contextmanager
 def open_journal(
     directory: Path,
-    header: Mapping[str, Any],
+    header: Mapping[str, object],
     *,
     restart: bool = False,
     overwrite: bool = False,
@@ -118,14 +143,14 @@ def open_journal(
         raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
 
 
-def _begun(directory: Path, folder: Path, header: Mapping[str, Any]) -> Journal:
+def _begun(directory: Path, folder: Path, header: Mapping[str, object]) -> Journal:
     (folder / UNFINISHED_CLOUDS).mkdir(parents=True)
     write_lines(folder / JOURNAL, [json.dumps(header)])
     _to_disk(folder / JOURNAL)
     return Journal(directory, folder, ())
 
 
-def _taken_up(directory: Path, folder: Path, header: Mapping[str, Any]) -> Journal:
+def _taken_up(directory: Path, folder: Path, header: Mapping[str, object]) -> Journal:
     path = folder / JOURNAL
     lines = lines_of(read_text(path)) if path.is_file() else []
     if not lines:
@@ -147,49 +172,58 @@ def _taken_up(directory: Path, folder: Path, header: Mapping[str, Any]) -> Journ
     clouds.mkdir(exist_ok=True)
     entries: list[Entry] = []
     for line in lines[1:]:
-        entry = _parsed(line)
+        entry = _read_entry(line)
         if entry is None or not _is_whole(entry, clouds):
             break
         entries.append(entry)
-    kept = [lines[0], *(json.dumps(entry) for entry in entries)]
+    kept = [lines[0], *map(_line, entries)]
     unfinished = path.with_suffix(".new")
     write_lines(unfinished, kept)
     _to_disk(unfinished)
     unfinished.replace(path)
-    known = {f"{entry['id']}.ply" for entry in entries}
+    made = {f"{entry.id}.ply" for entry in entries}
     for cloud in clouds.iterdir():
-        if cloud.name not in known:
+        if cloud.name not in made:
             cloud.unlink()
     return Journal(directory, folder, tuple(entries))
 
 
-def _parsed(line: str) -> Entry | None:
+def _line(entry: Entry) -> str:
+    return json.dumps(to_builtins(entry))
+
+
+def _parsed(line: str) -> object:
     try:
-        entry = parse_json(line, JOURNAL)
+        return parse_json(line, JOURNAL)
     except InputError:
         return None  # the run was killed while it wrote this line
-    return cast("Entry", entry) if isinstance(entry, dict) else None
+
+
+def _read_entry(line: str) -> Entry | None:
+    try:
+        return as_record(_parsed(line), Entry, JOURNAL)
+    except InputError:
+        return None
 
 
 def _is_whole(entry: Entry, clouds: Path) -> bool:
-    if not isinstance(entry.get("id"), str) or Path(entry["id"]).name != entry["id"]:
+    if Path(entry.id).name != entry.id:
         return False
-    if "hash" not in entry:
-        return True
-    cloud = clouds / f"{entry['id']}.ply"
-    return cloud.is_file() and _hash(cloud) == entry["hash"]
+    cloud = clouds / f"{entry.id}.ply"
+    return entry.hash is None or (cloud.is_file() and _hash(cloud) == entry.hash)
 
 
-def _difference(begun: Entry | None, header: Mapping[str, Any]) -> str:
+def _difference(begun: object, header: Mapping[str, object]) -> str:
     """Name the first thing in which two headers differ."""
-    if begun is None:
+    if not isinstance(begun, dict):
         return "something else"
+    table = cast("dict[str, object]", begun)
     for key, value in header.items():
-        before, now = begun.get(key), json.loads(json.dumps(value))
+        before, now = table.get(key), json.loads(json.dumps(value))
         if before == now:
             continue
         if isinstance(before, dict) and isinstance(now, dict):
-            pairs = cast("dict[str, Any]", before), cast("dict[str, Any]", now)
+            pairs = cast("dict[str, object]", before), cast("dict[str, object]", now)
             name = next((n for n in pairs[1] if pairs[0].get(n) != pairs[1][n]), key)
             return f"{name} = {pairs[0].get(name)}, not {pairs[1].get(name)}"
         return f"another {key}"

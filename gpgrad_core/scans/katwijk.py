@@ -27,21 +27,20 @@ from jaxtyping import Float, UInt16
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.poses import parse_numbers
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.places import is_place
-from gpgrad_core.reading.png16 import read_grey_png
-from gpgrad_core.reading.text import lines_of, read_text
-from gpgrad_core.scans.keeping import Condition, Tally, kept_points
+from gpgrad_core.georeference import check_place
+from gpgrad_core.reading.images import read_grey_png
+from gpgrad_core.reading.text import parse_numbers, split_rows
+from gpgrad_core.scans.conditions import Condition, Tally, kept_points
 from gpgrad_core.scans.params import BuildParams
-from gpgrad_core.scans.pose_files import PoseFile, positions_of, read_mount, read_pose_file
+from gpgrad_core.scans.pose_files import PoseFile, positions_of, read_mount, read_timed_poses
 from gpgrad_core.scans.recording import (
     Reader,
     Recording,
     RecordingSources,
+    check_posed,
+    condition_notes,
     identify,
-    keeping,
-    place,
     spelled,
     truth_at,
 )
@@ -61,7 +60,7 @@ LEAST_WAY = 1.0
 def is_katwijk(path: Path) -> bool:
     """Tell whether a folder is a part of a traverse of Katwijk."""
     folder = path / FOLDER
-    return folder.is_dir() and any(NAME.fullmatch(one.name) for one in folder.iterdir())
+    return folder.is_dir() and any(NAME.fullmatch(entry.name) for entry in folder.iterdir())
 
 
 def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
@@ -77,11 +76,11 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
         InputError: If an image of a triple is missing, the positions are missing or wrong, or the
             sources name what such a recording does not have.
     """
-    for flag, file in {"--truth": sources.truth, "--times": sources.times}.items():
-        if file is not None:
-            raise InputError(f"{flag} {file}: a recording of Katwijk has its own times and truth")
+    sources.refuse("a recording of Katwijk has its own times and truth", "truth", "times")
     scans = sorted(
-        (found[1], one) for one in (path / FOLDER).iterdir() if (found := NAME.fullmatch(one.name))
+        (name[1], entry)
+        for entry in (path / FOLDER).iterdir()
+        if (name := NAME.fullmatch(entry.name))
     )
     for _, file in scans:
         for kind in KINDS:
@@ -89,27 +88,25 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
                 raise InputError(f"{_image(file, kind)}: no such file; {file.name} needs it")
     stamps = np.array([_time(stamp, str(file)) for stamp, file in scans])
     positions = next((path / name for name in POSITIONS if (path / name).is_file()), None)
+    measured = None if positions is None else read_places(positions)
     notes: tuple[str, ...] = ()
+    truth = None
     if sources.poses is not None:
-        found_poses = read_pose_file(sources.poses)
-        if found_poses.numbered:
-            raise InputError(f"{sources.poses}: KITTI poses have no times; give TUM poses")
-        trajectory = found_poses.trajectory
-    elif positions is None:
+        trajectory = read_timed_poses(sources.poses)
+        truth = None if measured is None else measured.trajectory
+    elif positions is None or measured is None:
         raise InputError(f"{path}: has no {POSITIONS[0]}; say where the poses are: --poses FILE")
     else:
-        trajectory = _along_track(read_places(positions).trajectory, positions)
+        trajectory = _along_track(measured.trajectory, positions)
         notes = (
             f"{positions.name}: its positions are used with the heading of the track; pitch and "
             "roll are taken as 0",
         )
     located = trajectory.at(stamps, params)
-    notes += place(stamps, located, f"from {spelled(trajectory.stamps)}", str(path), params)
-    known = np.flatnonzero(located.known)
-    measured = None if positions is None else read_places(positions)
-    truth = measured.trajectory if measured is not None and sources.poses is not None else None
-    true_poses, truth_notes = truth_at(truth, stamps[known], str(positions), params)
-    kept = [scans[k][1] for k in known]
+    notes += check_posed(stamps, located, f"from {spelled(trajectory.stamps)}", str(path), params)
+    posed = np.flatnonzero(located.known)
+    true_poses, truth_notes = truth_at(truth, stamps[posed], str(positions), params)
+    kept = [scans[k][1] for k in posed]
     mount = Poses.identity() if sources.mount is None else read_mount(sources.mount).pose
     if sources.mount is None:
         notes += (
@@ -121,14 +118,14 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
     return Recording(
         name=path.resolve().name,
         identity=identify([*images, *texts]),
-        stamps=stamps[known],
-        body=located.poses[known],
+        stamps=stamps[posed],
+        body=located.poses[posed],
         mount=mount,
         read=_reader(kept, sources.keep, tally),
         labels=tuple(file.name for file in kept),
         truth=true_poses,
         positions_only=truth is not None,
-        notes=(*notes, *truth_notes, *keeping(sources)),
+        notes=(*notes, *truth_notes, *condition_notes(sources)),
         tally=tally,
         origin=None if measured is None else measured.origin,
     )
@@ -139,11 +136,7 @@ def _image(file: Path, kind: str) -> Path:
 
 
 def _time(text: str, where: str) -> float:
-    """Read a time of the dataset [s since 1970].
-
-    Raises:
-        InputError: If it is none.
-    """
+    """Read a time of the dataset [s since 1970]."""
     try:
         return datetime.strptime(f"{text} +0000", "%Y_%m_%d_%H_%M_%S_%f %z").timestamp()
     except ValueError:
@@ -162,11 +155,7 @@ def read_places(path: Path) -> PoseFile:
     """
     stamps: list[float] = []
     places: list[list[float]] = []
-    for number, line in enumerate(lines_of(read_text(path)), start=1):
-        words = line.split()
-        if not words:
-            continue
-        where = f"{path}, line {number}"
+    for where, words in split_rows(path, comment=None):
         if len(words) < 5:
             raise InputError(
                 f"{where}: has {len(words)} columns; a position has 5 or more: time, kind, "
@@ -174,8 +163,7 @@ def read_places(path: Path) -> PoseFile:
             )
         stamps.append(_time(words[0], where))
         places.append(parse_numbers(words[2:5], where))
-        if not is_place(*places[-1]):
-            raise InputError(f"{where}: {' '.join(words[2:5])} are no latitude, longitude, height")
+        check_place(places[-1], where)
     if len(stamps) < 2:
         raise InputError(f"{path}: holds {len(stamps)} positions; a track needs two or more")
     return positions_of(np.array(stamps), np.array(places))

@@ -24,22 +24,24 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets.poses import check_position, make_pose, parse_numbers
+from gpgrad_core.datasets.poses import check_position, make_pose
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
-from gpgrad_core.reading.text import lines_of, read_text
+from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.scans.recording import Reader, Recording, RecordingSources, identify
 from gpgrad_core.scans.trajectory import Poses
 from gpgrad_core.se2 import Pose
 
+Content: TypeAlias = Any
+"""What the library pdr reads of a product."""
 IS_XYZ = re.compile(rb'DERIVED_IMAGE_TYPE\s*=\s*"?XYZ')
 LARGEST_LABEL, LARGEST_TABLE = 1_000_000, 100_000_000
 """Bytes of a label, and of a table of places."""
@@ -55,8 +57,8 @@ def find_products(path: Path) -> list[Path]:
     """Find the labels of XYZ products in a folder, sorted by name; there may be none."""
     if not path.is_dir():
         return []
-    labels = (one for one in path.iterdir() if one.suffix.lower() == ".lbl" and one.is_file())
-    return sorted(label for label in labels if _is_xyz(label))
+    labels = sorted(path.iterdir())
+    return [k for k in labels if k.suffix.lower() == ".lbl" and k.is_file() and _is_xyz(k)]
 
 
 def _is_xyz(label: Path) -> bool:
@@ -67,23 +69,14 @@ def _is_xyz(label: Path) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Product:
-    """What the label of an XYZ product says.
+    """What the label of an XYZ product says."""
 
-    Attributes:
-        label: The label's file.
-        clock: The spacecraft's clock [s].
-        place: Numbers of site, drive and pose in the rover's motion counter.
-        in_site: Whether the points are in the frame of the site; else in the rover's.
-        rover: ``T_site_rover``.
-        missing: x, y and z of a pixel that shows nothing.
-    """
-
-    label: Path
-    clock: float
-    place: tuple[int, int, int]
-    in_site: bool
-    rover: Pose
-    missing: tuple[float, ...]
+    label: Path  # the label's file
+    clock: float  # the spacecraft's clock [s]
+    place: tuple[int, int, int]  # numbers of site, drive and pose in the rover's motion counter
+    in_site: bool  # whether the points are in the frame of the site; else in the rover's
+    rover: Pose  # ``T_site_rover``
+    missing: tuple[float, ...]  # x, y and z of a pixel that shows nothing
 
 
 def open_products(path: Path, labels: Sequence[Path], sources: RecordingSources) -> Recording:
@@ -98,52 +91,41 @@ def open_products(path: Path, labels: Sequence[Path], sources: RecordingSources)
         InputError: If pdr is not installed, a label lacks what is needed, a place is not in the
             table, or products of several sites come without a table.
     """
-    given = {"--truth": sources.truth, "--times": sources.times, "--mount": sources.mount}
-    for flag, file in given.items():
-        if file is not None:
-            raise InputError(f"{flag} {file}: XYZ products have their own times and frames")
-    if sources.keep:
-        raise InputError(f"--keep {sources.keep[0]}: XYZ products have x, y and z only")
-    products = sorted((_read_label(label) for label in labels), key=lambda one: one.clock)
+    sources.refuse("XYZ products have their own times and frames", "truth", "times", "mount")
+    sources.refuse("XYZ products have x, y and z only", "keep")
+    products = sorted((_read_label(label) for label in labels), key=lambda product: product.clock)
     beside = (path / name for name in TABLES)
-    table = sources.poses or next((one for one in beside if one.is_file()), None)
+    table = sources.poses or next((file for file in beside if file.is_file()), None)
     if table is not None:
         places = read_places_table(table)
-        poses = [_placed(one, places, table) for one in products]
+        poses = [_placed(product, places, table) for product in products]
         frame = f"the rover's places are those of {table.name}"
     else:
-        sites = sorted({one.place[0] for one in products})
+        sites = sorted({product.place[0] for product in products})
         if len(sites) > 1:
             raise InputError(
                 f"{path}: its products are of the sites {', '.join(map(str, sites[:5]))}; copy "
                 f"{TABLES[0]} of PLACES into the folder, or name it: --poses FILE"
             )
-        poses = [one.rover for one in products]
+        poses = [product.rover for product in products]
         frame = f"the rover's places are those of the labels, in the frame of site {sites[0]}"
-    body = Poses(
-        np.array([pose.translation for pose in poses]),
-        Rotation.from_quat([pose.quaternion for pose in poses]),
-    )
-    files = [file for one in products for file in (one.label, *_images(one.label))]
+    files = [file for product in products for file in (product.label, *_images(product.label))]
     return Recording(
         name=path.resolve().name,
         identity=identify([*files, *([table] if table else [])]),
-        stamps=np.array([one.clock for one in products]),
-        body=body,
+        stamps=np.array([product.clock for product in products]),
+        body=Poses.of(*poses),
         mount=Poses.identity(),
         read=_reader(products),
-        labels=tuple(one.label.name for one in products),
+        labels=tuple(product.label.name for product in products),
         up="-z",
         notes=(f"{frame}; its z axis points down and is turned up",),
     )
 
 
 def _images(label: Path) -> list[Path]:
-    return [
-        one
-        for one in label.parent.iterdir()
-        if one.stem == label.stem and one.suffix.lower() == ".img"
-    ]
+    beside = label.parent.iterdir()
+    return [k for k in beside if k.stem == label.stem and k.suffix.lower() == ".img"]
 
 
 def _placed(product: Product, places: Mapping[tuple[int, ...], Pose], table: Path) -> Pose:
@@ -208,11 +190,7 @@ def _add_place(places: dict[tuple[int, ...], Pose], cells: Mapping[str, str], wh
 
 
 def _read_label(label: Path) -> Product:
-    """Read what is needed of a label.
-
-    Raises:
-        InputError: If it is broken, or lacks something; the message names the label and the key.
-    """
+    """Read what is needed of a label."""
     data = _opened(label)
     shape = [_whole(data, key, label) for key in ("BANDS", "LINES", "LINE_SAMPLES")]
     if shape[0] != 3 or not 0 < shape[1] * shape[2] <= MOST_PIXELS:
@@ -228,7 +206,8 @@ def _read_label(label: Path) -> Product:
             f"{label}: its points are in the frame {frame:.40}; {', '.join((*SITE, *ROVER))} are "
             "read"
         )
-    group = next((one for one in ROVER_GROUPS if data.metablock(one) is not None), ROVER_GROUPS[0])
+    known_groups = (name for name in ROVER_GROUPS if data.metablock(name) is not None)
+    group = next(known_groups, ROVER_GROUPS[0])
     rover = _group(data, group, label)
     offset = _numbers(rover.get("ORIGIN_OFFSET_VECTOR"), 3, "ORIGIN_OFFSET_VECTOR", label)
     w, x, y, z = _numbers(
@@ -242,18 +221,18 @@ def _read_label(label: Path) -> Product:
     clock = re.sub(r"^\d+/", "", str(data.metaget("SPACECRAFT_CLOCK_START_COUNT")).strip('"'))
     where = f"{label}, SPACECRAFT_CLOCK_START_COUNT"
     missing = data.metaget("MISSING_CONSTANT")
-    known = missing if isinstance(missing, list | tuple) else [missing] * 3
+    nothing = missing if isinstance(missing, list | tuple) else [missing] * 3
     return Product(
         label,
         parse_numbers([clock], where)[0],
         (int(numbers[0]), int(numbers[1]), int(numbers[2])),
         frame in SITE,
         make_pose([*offset, x, y, z, w], f"{label}, {group}"),
-        tuple(float(one) for one in known if isinstance(one, int | float)),
+        tuple(float(number) for number in nothing if isinstance(number, int | float)),
     )
 
 
-def _opened(label: Path) -> Any:
+def _opened(label: Path) -> Content:
     """Open a product by its label; every error of the library becomes an InputError."""
     if label.stat().st_size > LARGEST_LABEL:
         raise InputError(f"{label}: is larger than {LARGEST_LABEL:,} bytes, the most for a label")
@@ -270,14 +249,14 @@ def _opened(label: Path) -> Any:
         raise InputError(f"{label}: is not a product that pdr can read: {said:.200}") from None
 
 
-def _group(data: Any, name: str, label: Path) -> Mapping[str, Any]:
+def _group(data: Content, name: str, label: Path) -> Mapping[str, object]:
     block = data.metablock(name)
     if not isinstance(block, Mapping):
         raise InputError(f"{label}: has no group {name}")
     return block
 
 
-def _whole(data: Any, key: str, label: Path) -> int:
+def _whole(data: Content, key: str, label: Path) -> int:
     value = data.metaget(key)
     if not isinstance(value, int):
         raise InputError(f"{label}: has no whole number {key}")
@@ -287,7 +266,7 @@ def _whole(data: Any, key: str, label: Path) -> int:
 def _numbers(values: object, count: int, key: str, label: Path) -> list[float]:
     if not isinstance(values, list | tuple) or len(values) != count:
         raise InputError(f"{label}: {key} must have {count} numbers")
-    return parse_numbers([str(one) for one in values], f"{label}, {key}")
+    return parse_numbers([str(number) for number in values], f"{label}, {key}")
 
 
 def _reader(products: Sequence[Product]) -> Reader:

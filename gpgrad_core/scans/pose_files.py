@@ -9,11 +9,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.datasets.poses import check_position, make_pose, parse_numbers
+from gpgrad_core.datasets.poses import check_matrices, check_position, make_pose
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.places import is_place
-from gpgrad_core.reading.text import lines_of, read_text
-from gpgrad_core.scans.geodesy import east_north_up
+from gpgrad_core.georeference import check_place, east_north_up
+from gpgrad_core.reading.text import lines_of, parse_numbers, read_text, split_rows
 from gpgrad_core.scans.trajectory import Poses, Trajectory
 from gpgrad_core.types import MAX_COORDINATE
 
@@ -26,9 +25,6 @@ GPS_BEGAN, WEEK = 315_964_800.0, 604_800.0
 """Beginning of GPS time, 6 January 1980, in seconds since 1970, and seconds of a week."""
 LEAP_SECONDS = 18.0
 """GPS time is so much ahead of UTC, since 2017 [s]."""
-ROTATION_TOLERANCE = 0.01
-"""A matrix further from a rotation than this is not a rounded one: its columns have another
-meaning."""
 MOUNT_KEYS = ("Tr:", "Tr_velo_to_cam:", "Tr_velo_cam:")
 """KITTI's names for the pose of the LiDAR in the frame of the camera; its poses are those of the
 camera."""
@@ -64,9 +60,8 @@ def read_pose_file(path: Path) -> PoseFile:
         InputError: If a row has none of these forms, or is not a pose; the message names the line.
     """
     rows: list[list[float]] = []
-    numbers: list[int] = []
-    for number, words in _rows(path):
-        where = f"{path}, line {number}"
+    places: list[str] = []
+    for where, words in split_rows(path):
         if len(words) not in (TUM, TUM_WITH_COVARIANCE, KITTI):
             raise InputError(
                 f"{where}: has {len(words)} columns; a TUM pose has 8, timestamp tx ty tz qx qy qz "
@@ -77,22 +72,34 @@ def read_pose_file(path: Path) -> PoseFile:
                 f"{where}: has {len(words)} columns, the rows before it have {len(rows[0])}"
             )
         rows.append(parse_numbers(words, where))
-        numbers.append(number)
+        places.append(where)
     if not rows:
         raise InputError(f"{path}: holds no poses")
     table = np.array(rows)
     if len(rows[0]) == KITTI:
         stamps = np.arange(len(rows), dtype=np.float64)
-        return PoseFile(Trajectory(stamps, _matrices(table, numbers, path)), numbered=True)
-    _check_times(table[:, 0], numbers, path)
-    poses = [make_pose(row[1:8], f"{path}, line {k}") for row, k in zip(rows, numbers, strict=True)]
+        return PoseFile(Trajectory(stamps, _poses_of_matrices(table, places)), numbered=True)
+    _check_times(table[:, 0], places)
+    poses = [make_pose(row[1:8], where) for row, where in zip(rows, places, strict=True)]
     stack = Poses(table[:, 1:4], Rotation.from_quat([pose.quaternion for pose in poses]))
     covariance = None
     if len(rows[0]) == TUM_WITH_COVARIANCE:
         whole = table[:, 8:].reshape(-1, 6, 6)
-        _check_covariances(whole, numbers, path)
+        _check_covariances(whole, places)
         covariance = np.ascontiguousarray(whole[:, :3, :3])
     return PoseFile(Trajectory.in_order(table[:, 0], stack, covariance), numbered=False)
+
+
+def read_timed_poses(path: Path) -> Trajectory:
+    """Read TUM rows, as `read_pose_file` does.
+
+    Raises:
+        InputError: See `read_pose_file`; or if the rows are KITTI's.
+    """
+    poses = read_pose_file(path)
+    if poses.numbered:
+        raise InputError(f"{path}: KITTI poses have no times, which the scans need; give TUM poses")
+    return poses.trajectory
 
 
 def read_truth_file(path: Path) -> PoseFile:
@@ -112,18 +119,17 @@ def read_truth_file(path: Path) -> PoseFile:
     """
     if path.suffix.lower() == ".pos":
         return positions_of(*_read_solution(path))
-    first = next(iter(_rows(path)), None)
-    if first is None or len(first[1]) != POSITION:
+    words_of_rows = split_rows(path)
+    if not words_of_rows or len(words_of_rows[0][1]) != POSITION:
         return read_pose_file(path)
     rows: list[list[float]] = []
-    for number, words in _rows(path):
-        where = f"{path}, line {number}"
+    for where, words in words_of_rows:
         if len(words) != POSITION:
             raise InputError(f"{where}: has {len(words)} columns, the rows before it have 4")
         rows.append(parse_numbers(words, where))
         check_position(rows[-1][1:], where)
     table = np.array(rows)
-    _check_times(table[:, 0], [k for k, _ in _rows(path)], path)
+    _check_times(table[:, 0], [where for where, _ in words_of_rows])
     return _as_truth(table[:, 0], table[:, 1:])
 
 
@@ -146,31 +152,22 @@ def _as_truth(stamps: Float[Array, "n"], positions: Float[Array, "n 3"]) -> Pose
 
 def _read_solution(path: Path) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
     """Read the times [s], and latitude, longitude and height, of a solution of RTKLIB."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    in_utc = False
     stamps: list[float] = []
     places: list[list[float]] = []
-    for number, line in enumerate(lines_of(read_text(path)), start=1):
-        words = line.split()
-        if line.startswith("%"):
-            in_utc = in_utc or words[1:2] == ["UTC"] or words[:1] == ["%UTC"]
-            continue
-        if not words:
-            continue
-        where = f"{path}, line {number}"
+    for where, words in split_rows(path, comment="%"):
         if len(words) < SOLUTION:
             raise InputError(
                 f"{where}: has {len(words)} columns; a solution of RTKLIB has the time in two, "
                 "then latitude, longitude [degrees] and height [m]"
             )
-        stamps.append(_solution_time(words[:2], where) - (0.0 if in_utc else LEAP_SECONDS))
+        stamps.append(_solution_time(words[:2], where))
         places.append(parse_numbers(words[2:5], where))
-        if not is_place(*places[-1]):
-            raise InputError(f"{where}: {' '.join(words[2:5])} are no latitude, longitude, height")
+        check_place(places[-1], where)
     if not stamps:
         raise InputError(f"{path}: holds no positions")
-    return np.array(stamps), np.array(places)
+    heads = [line[1:].split() for line in lines_of(read_text(path)) if line.startswith("%")]
+    in_utc = any(words[:1] == ["UTC"] for words in heads)
+    return np.array(stamps) - (0.0 if in_utc else LEAP_SECONDS), np.array(places)
 
 
 def _solution_time(words: list[str], where: str) -> float:
@@ -188,12 +185,8 @@ def _solution_time(words: list[str], where: str) -> float:
         raise InputError(f"{where}: {words[0]} {words[1]} is no date and time") from None
 
 
-def _check_covariances(covariance: Float[Array, "n 6 6"], numbers: list[int], path: Path) -> None:
-    """Refuse what is no covariance of a pose.
-
-    Raises:
-        InputError: If one is not symmetric, or has a variance below 0 or beyond all sense.
-    """
+def _check_covariances(covariance: Float[Array, "n 6 6"], places: list[str]) -> None:
+    """Refuse what is no covariance of a pose."""
     size = np.abs(covariance).max(axis=(1, 2))
     skew = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2))
     # Sums in single precision leave the two halves of a matrix equal to six digits only.
@@ -204,27 +197,16 @@ def _check_covariances(covariance: Float[Array, "n 6 6"], numbers: list[int], pa
     )
     if len(wrong):
         raise InputError(
-            f"{path}, line {numbers[wrong[0]]}: the covariance must be symmetric, with variances "
+            f"{places[wrong[0]]}: the covariance must be symmetric, with variances "
             f"from 0 to {MAX_COORDINATE**2:g}"
         )
 
 
-def _matrices(table: Float[Array, "n 12"], numbers: list[int], path: Path) -> Poses:
+def _poses_of_matrices(table: Float[Array, "n 12"], places: list[str]) -> Poses:
     matrices = table.reshape(-1, 3, 4)
-    turns, far = matrices[:, :, :3], np.abs(matrices[:, :, 3]).max(axis=1) > MAX_COORDINATE
-    if far.any():
-        raise InputError(
-            f"{path}, line {numbers[int(np.argmax(far))]}: the position is further from the origin "
-            f"than {MAX_COORDINATE:g} m"
-        )
-    off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    wrong = np.flatnonzero(~(off <= ROTATION_TOLERANCE) | (np.linalg.det(turns) < 0))
-    if len(wrong):
-        raise InputError(
-            f"{path}, line {numbers[wrong[0]]}: the first three columns of the 3x4 matrix are not "
-            "a rotation"
-        )
-    return Poses(np.ascontiguousarray(matrices[:, :, 3]), Rotation.from_matrix(turns))
+    check_matrices(matrices, places)
+    turns = Rotation.from_matrix(matrices[:, :, :3])
+    return Poses(np.ascontiguousarray(matrices[:, :, 3]), turns)
 
 
 def read_times(path: Path) -> Float[Array, "n"]:
@@ -234,34 +216,26 @@ def read_times(path: Path) -> Float[Array, "n"]:
         InputError: If a row does not begin with a number, or there are no rows; the message names
             the line.
     """
-    rows = _rows(path)
-    times = [parse_numbers(words[:1], f"{path}, line {k}")[0] for k, words in rows]
-    if not times:
+    rows = split_rows(path)
+    if not rows:
         raise InputError(f"{path}: holds no times")
-    stamps = np.array(times)
-    _check_times(stamps, [k for k, _ in rows], path)
+    stamps = np.array([parse_numbers(words[:1], where)[0] for where, words in rows])
+    _check_times(stamps, [where for where, _ in rows])
     return stamps
 
 
-def _check_times(stamps: Float[Array, "n"], numbers: list[int], path: Path) -> None:
+def _check_times(stamps: Float[Array, "n"], places: list[str]) -> None:
     far = np.flatnonzero(np.abs(stamps) > MAX_TIME)
     if len(far):
-        raise InputError(
-            f"{path}, line {numbers[far[0]]}: the time {stamps[far[0]]:g} is beyond {MAX_TIME:g}"
-        )
+        raise InputError(f"{places[far[0]]}: the time {stamps[far[0]]:g} is beyond {MAX_TIME:g}")
 
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """The pose of a sensor on the robot's body.
+    """The pose of a sensor on the robot's body."""
 
-    Attributes:
-        pose: One pose, ``T_body_sensor``.
-        on_camera: Whether the body is KITTI's camera, whose y axis points down.
-    """
-
-    pose: Poses
-    on_camera: bool = False
+    pose: Poses  # one pose, ``T_body_sensor``
+    on_camera: bool = False  # whether the body is KITTI's camera, whose y axis points down
 
 
 def read_mount(path: Path) -> Mount:
@@ -274,8 +248,8 @@ def read_mount(path: Path) -> Mount:
     Raises:
         InputError: If the file is none of these.
     """
-    rows = list(_rows(path))
-    named = [(number, words[1:]) for number, words in rows if words[0] in MOUNT_KEYS]
+    rows = split_rows(path)
+    named = [(where, words[1:]) for where, words in rows if words[0] in MOUNT_KEYS]
     on_camera = len(named) == 1
     chosen = named if on_camera else rows
     if len(chosen) != 1 or len(chosen[0][1]) not in (7, KITTI):
@@ -283,18 +257,8 @@ def read_mount(path: Path) -> Mount:
             f"{path}: a mount is one row, tx ty tz qx qy qz qw or the 12 numbers of a 3x4 matrix, "
             f"or a calibration of KITTI's with a row {MOUNT_KEYS[0]}"
         )
-    number, words = chosen[0]
-    values = parse_numbers(words, f"{path}, line {number}")
+    where, words = chosen[0]
+    values = parse_numbers(words, where)
     if len(values) == KITTI:
-        return Mount(_matrices(np.array([values]), [number], path), on_camera)
-    return Mount(Poses.of(make_pose(values, f"{path}, line {number}")), on_camera)
-
-
-def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """Split each row into words; rows without words are left out. Each comes with its number."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    split = (
-        (k, line.split("#", 1)[0].split()) for k, line in enumerate(lines_of(read_text(path)), 1)
-    )
-    return [(number, words) for number, words in split if words]
+        return Mount(_poses_of_matrices(np.array([values]), [where]), on_camera)
+    return Mount(Poses.of(make_pose(values, where)), on_camera)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.scans.keeping import Condition, Tally
+from gpgrad_core.scans.conditions import Condition, Tally
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.trajectory import Located, Poses, Trajectory
 
@@ -43,6 +43,18 @@ class RecordingSources:
     gnss_topic: str | None = None
     world_frame: str | None = None
     keep: tuple[Condition, ...] = ()
+
+    def refuse(self, reason: str, *names: str) -> None:
+        """Refuse some of the sources, which a kind of recording cannot have.
+
+        Raises:
+            InputError: If one of them is given; the message has its flag and the reason.
+        """
+        for name in names:
+            given = getattr(self, name)
+            if given:
+                shown = given[0] if isinstance(given, tuple) else given
+                raise InputError(f"--{name} {shown}: {reason}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +101,8 @@ class Recording:
 
     def sensor(self, index: int) -> Poses:
         """Pose of the sensor at a scan, ``T_world_sensor``."""
-        one = slice(index, index + 1)
-        return self.body[one] @ (self.mount if len(self.mount) == 1 else self.mount[one])
+        row = slice(index, index + 1)
+        return self.body[row] @ (self.mount if len(self.mount) == 1 else self.mount[row])
 
 
 def identify(files: Iterable[Path]) -> str:
@@ -102,7 +114,7 @@ def identify(files: Iterable[Path]) -> str:
     return digest.hexdigest()
 
 
-def place(
+def check_posed(
     stamps: Float[Array, "n"], located: Located, trajectory: str, where: str, params: BuildParams
 ) -> tuple[str, ...]:
     """Check which scans have a pose.
@@ -136,9 +148,9 @@ def place(
     )
 
 
-def keeping(sources: RecordingSources) -> tuple[str, ...]:
+def condition_notes(sources: RecordingSources) -> tuple[str, ...]:
     """Say which points are left out by conditions, if there are any."""
-    said = " and ".join(str(one) for one in sources.keep)
+    said = " and ".join(str(condition) for condition in sources.keep)
     return (f"only points with {said} are kept",) if said else ()
 
 
@@ -162,7 +174,7 @@ def truth_at(
     if truth is None:
         return None, ()
     located = truth.at(stamps, params)
-    place(stamps, located, f"from {spelled(truth.stamps)}", where, params)
+    check_posed(stamps, located, f"from {spelled(truth.stamps)}", where, params)
     missing = int(np.sum(~located.known))
     note = f"{missing:,} of {len(stamps):,} scans have no true pose"
     return located, (note,) if missing else ()

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gpgrad_core.datasets.clouds.ply import write_ply
 from gpgrad_core.datasets.dem import ElevationModel, ground_of
-from gpgrad_core.datasets.folder import SIMULATED, check_vacant
-from gpgrad_core.datasets.ply import write_ply
+from gpgrad_core.datasets.folder import SIMULATED, check_vacant, new_folder
 from gpgrad_core.datasets.poses import pose_row
-from gpgrad_core.datasets.rover import STEP, Track, plan_track, scan, sensor_pose
+from gpgrad_core.datasets.routes import STEP, Track, plan_track
+from gpgrad_core.datasets.rover import scan, sensor_pose
 from gpgrad_core.datasets.simulate import (
     ATTITUDE_STD,
     ODOMETRY_STREAM,
@@ -17,13 +18,11 @@ from gpgrad_core.datasets.simulate import (
     drift,
     true_pose,
 )
-from gpgrad_core.datasets.simulation_params import SimulationParams
-from gpgrad_core.datasets.streams import stream
-from gpgrad_core.datasets.tables import write_lines
+from gpgrad_core.datasets.simulation_params import SimulationParams, stream
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.text import write_lines
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import Pose
 
 SCAN_STREAM = 3
@@ -75,31 +74,27 @@ def simulate_recording(
     if params.route == "roaming":
         raise InputError("the route roaming makes submaps, not scans; choose another route")
     track = _with_turns(plan_track(params))
-    try:
-        with whole_folder(directory, replace=overwrite) as unfinished:
-            check_vacant(directory, overwrite=overwrite)  # another process may just have ended
-            ground = (
-                make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM))
-                if terrain is None
-                else ground_of(terrain, params, track.xy)
-            )
-            spacing = track.length / (num_scans - 1)
-            _write_poses(unfinished, num_scans, spacing, track, ground, params)
-            stamps = [f"{START + k * PERIOD:.6f}" for k in range(num_scans)]
-            write_lines(unfinished / "times.txt", stamps)
-            (unfinished / "scans").mkdir()
-            for k, stamp in enumerate(stamps):
-                rng = stream(params.seed, SCAN_STREAM, k)
-                stop = track.between(k * spacing)
-                points = scan(ground, stop, params, rng)
-                if points_a_scan is not None and len(points) > points_a_scan:
-                    points = points[np.sort(rng.choice(len(points), points_a_scan, replace=False))]
-                sensor = sensor_pose(ground, stop, params)
-                local = (points - sensor.translation) @ sensor.rotation
-                write_ply(unfinished / "scans" / f"{stamp}.ply", local)
-                progress((k + 1) / num_scans)
-    except OSError as error:
-        raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from None
+    with new_folder(directory, overwrite=overwrite) as unfinished:
+        ground = (
+            make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM))
+            if terrain is None
+            else ground_of(terrain, params, track.xy)
+        )
+        spacing = track.length / (num_scans - 1)
+        _write_poses(unfinished, num_scans, spacing, track, ground, params)
+        stamps = [f"{START + k * PERIOD:.6f}" for k in range(num_scans)]
+        write_lines(unfinished / "times.txt", stamps)
+        (unfinished / "scans").mkdir()
+        for k, stamp in enumerate(stamps):
+            rng = stream(params.seed, SCAN_STREAM, k)
+            stop = track.between(k * spacing)
+            points = scan(ground, stop, params, rng)
+            if points_a_scan is not None and len(points) > points_a_scan:
+                points = points[np.sort(rng.choice(len(points), points_a_scan, replace=False))]
+            sensor = sensor_pose(ground, stop, params)
+            local = (points - sensor.translation) @ sensor.rotation
+            write_ply(unfinished / "scans" / f"{stamp}.ply", local)
+            progress((k + 1) / num_scans)
 
 
 def _with_turns(track: Track) -> Track:
@@ -134,7 +129,7 @@ def _write_poses(
     believed = drift(ground, params, rng, step)
     truth = [sensor_pose(terrain, stop, params) for stop in stops]
     head = "# timestamp tx ty tz qx qy qz qw   (p_world = R p_sensor + t)"
-    of_truth, of_odometry = [f"# {SIMULATED}", head], [f"# {SIMULATED}", head]
+    true_rows, odometry_rows = [f"# {SIMULATED}", head], [f"# {SIMULATED}", head]
     for distance, level, wrong, true in zip(distances, ground, believed, truth, strict=True):
         # Drift moves and turns the rover as a whole; an inertial unit measures its tilt.
         moved = Rotation.from_quat(wrong.quaternion) * Rotation.from_quat(level.quaternion).inv()
@@ -143,7 +138,7 @@ def _write_poses(
         position = wrong.translation + moved.apply(true.translation - level.translation)
         pose = Pose(position, rotation.as_quat(canonical=True))
         stamp = f"{START + PERIOD * distance / spacing:.6f}"
-        of_truth.append(pose_row(stamp, true))
-        of_odometry.append(pose_row(stamp, pose))
-    for name, rows in (("poses_gt.txt", of_truth), ("poses.txt", of_odometry)):
+        true_rows.append(pose_row(stamp, true))
+        odometry_rows.append(pose_row(stamp, pose))
+    for name, rows in (("poses_gt.txt", true_rows), ("poses.txt", odometry_rows)):
         write_lines(directory / name, rows)

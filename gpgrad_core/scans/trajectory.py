@@ -16,15 +16,10 @@ Stack: TypeAlias = Float[Array, "n 3"]
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Rigid motions ``T_a_b``, one per row; ``T_a_b @ T_b_c`` is ``T_a_c``.
+    """Rigid motions ``T_a_b``, one per row; ``T_a_b @ T_b_c`` is ``T_a_c``."""
 
-    Attributes:
-        translation: Offsets (n, 3) [m].
-        rotation: As many rotations.
-    """
-
-    translation: Stack
-    rotation: Rotation
+    translation: Stack  # offsets (n, 3) [m]
+    rotation: Rotation  # as many rotations
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -51,9 +46,12 @@ class Poses:
         return Pose(self.translation[index], self.rotation[index].as_quat(canonical=True))
 
     @classmethod
-    def of(cls, pose: Pose) -> "Poses":
-        """Make a stack of one pose."""
-        return cls(pose.translation[None], Rotation.from_quat(pose.quaternion[None]))
+    def of(cls, *poses: Pose) -> "Poses":
+        """Make a stack of poses."""
+        return cls(
+            np.array([pose.translation for pose in poses]),
+            Rotation.from_quat([pose.quaternion for pose in poses]),
+        )
 
     @classmethod
     def identity(cls) -> "Poses":
@@ -103,10 +101,10 @@ class Trajectory:
         before = np.maximum(after - 1, 0)
         earlier = np.abs(wanted - self.stamps[before]) <= np.abs(self.stamps[after] - wanted)
         nearest = np.where(earlier, before, after)
-        known = np.abs(self.stamps[nearest] - wanted) <= params.max_time_difference
+        near = np.abs(self.stamps[nearest] - wanted) <= params.max_time_difference
         covariance = None if self.covariance is None else self.covariance[nearest]
         if params.pose_matching == "nearest" or last == 0:
-            return Located(self.poses[nearest], known, covariance)
+            return Located(self.poses[nearest], near, covariance)
         # Beyond either end, the last known pose is used.
         inside = np.clip(wanted, self.stamps[0], self.stamps[-1])
         step = self.stamps[after] - self.stamps[before]
@@ -114,7 +112,7 @@ class Trajectory:
         ends = self.poses.translation
         translation = ends[before] + share[:, None] * (ends[after] - ends[before])
         rotation = Slerp(self.stamps, self.poses.rotation)(inside)
-        return Located(Poses(translation, rotation), known, covariance)
+        return Located(Poses(translation, rotation), near, covariance)
 
 
 @dataclass(frozen=True, eq=False)

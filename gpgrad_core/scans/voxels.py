@@ -101,8 +101,8 @@ class Voxels:
         squares, freedom = np.maximum(squares, 0.0), number - 1
         usual = _usual(squares, freedom, np.add.reduceat(self.sums[:, 5], first) / number)
         variance = (squares + PRIOR_WEIGHT * usual) / (freedom + PRIOR_WEIGHT)
-        of_a_voxel = number / np.diff([*first, len(z)])
-        share = self.counts / of_a_voxel[column]
+        usual_count = number / np.diff([*first, len(z)])
+        share = self.counts / usual_count[column]
         return np.maximum(np.sqrt(variance[column] / share), LEAST_NOISE)
 
 
@@ -112,9 +112,9 @@ def reach(size: float) -> float:
 
 
 def _summed(size: float, keys: NDArray[np.int64], values: Array) -> Voxels:
-    known, owner = np.unique(keys, return_inverse=True)
-    sums = [np.bincount(owner, column, minlength=len(known)) for column in values.T]
-    return Voxels(size, known, np.column_stack(sums).astype(np.float64, copy=False))
+    distinct, owner = np.unique(keys, return_inverse=True)
+    sums = [np.bincount(owner, column, minlength=len(distinct)) for column in values.T]
+    return Voxels(size, distinct, np.column_stack(sums).astype(np.float64, copy=False))
 
 
 def _usual(
@@ -123,10 +123,10 @@ def _usual(
     """Compute the average variance of the columns at the same range [m²]."""
     overall = squares.sum() / max(freedom.sum(), 1.0)
     edges = np.quantile(squared_range, np.linspace(0, 1, RANGE_BINS + 1)[1:-1])
-    of_column = np.searchsorted(edges, squared_range)
-    summed = np.bincount(of_column, squares, minlength=RANGE_BINS)
-    number = np.bincount(of_column, freedom, minlength=RANGE_BINS)
-    return ((summed + PRIOR_WEIGHT * overall) / (number + PRIOR_WEIGHT))[of_column]
+    range_bin = np.searchsorted(edges, squared_range)
+    summed = np.bincount(range_bin, squares, minlength=RANGE_BINS)
+    number = np.bincount(range_bin, freedom, minlength=RANGE_BINS)
+    return ((summed + PRIOR_WEIGHT * overall) / (number + PRIOR_WEIGHT))[range_bin]
 
 
 class VoxelSums:

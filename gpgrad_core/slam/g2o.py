@@ -9,11 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.datasets.folder import index_of
-from gpgrad_core.datasets.poses import make_pose, parse_numbers
-from gpgrad_core.datasets.tables import write_lines
+from gpgrad_core.datasets.poses import make_pose
 from gpgrad_core.errors import InputError
 from gpgrad_core.outputs.files import replacing
-from gpgrad_core.reading.text import lines_of, parse_count, read_text
+from gpgrad_core.reading.text import lines_of, parse_count, parse_numbers, read_text, write_lines
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, EdgeKind, GraphParams, PoseGraph
 from gpgrad_core.types import Array

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gpgrad_core.datasets.ply import write_ply_pieces
+from gpgrad_core.datasets.clouds.ply import write_ply_pieces
 from gpgrad_core.datasets.poses import write_poses
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.report import check_directory

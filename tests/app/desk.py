@@ -2,31 +2,26 @@
 
 import viser
 
-from app.viewer.capacity import Capacity
 from app.viewer.feature import Desk, Feature
-from app.viewer.opened import Opened
 from app.viewer.permissions import READ_ALL, Permissions
-from app.viewer.session_file import SavedSession
+from app.viewer.runner import Capacity
+from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
 from gpgrad_core.run.memo import Memo
 
 
 class Recorder(Feature):
-    """Records every state, and what was opened or restored."""
+    """Records every state, and what was opened."""
 
     def __init__(self) -> None:
         self.states: list[ViewState] = []
         self.datasets: list[Opened] = []
-        self.restored: list[SavedSession] = []
 
     def follow(self, state: ViewState) -> None:
         self.states.append(state)
 
     def opened(self, opened: Opened) -> None:
         self.datasets.append(opened)
-
-    def restore(self, saved: SavedSession) -> None:
-        self.restored.append(saved)
 
 
 def make_desk(

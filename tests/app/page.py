@@ -5,7 +5,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,18 +19,41 @@ from websockets.typing import Origin, Subprotocol
 
 
 class FakePage(viser.ClientHandle):
-    """A page that records the files sent to it, and draws a red picture."""
+    """A page that records what it is sent, and draws a red picture.
+
+    Attributes:
+        files: Content by the name of each file.
+        scripts: What it was to run.
+        notes: Titles of the notifications.
+    """
 
     def __init__(self, *, draws: bool = True) -> None:
+        self.client_id = 1
         self.files: dict[str, bytes] = {}
+        self.scripts: list[str] = []
+        self.notes: list[str] = []
         self.draws = draws
         camera: Any = SimpleNamespace(
             image_height=30,
             image_width=40,
+            aspect=40 / 30,
             position=np.array([1.0, -2.0, 3.5]),
             look_at=np.zeros(3),
+            on_update=lambda act: act,
         )
         self.camera = camera
+        self._websock_connection: Any = SimpleNamespace(
+            queue_message=lambda message: self.scripts.append(getattr(message, "source", ""))
+        )
+
+    def atomic(self) -> Any:
+        return nullcontext()
+
+    def flush(self) -> None:
+        pass
+
+    def add_notification(self, title: str, *_: Any, **__: Any) -> Any:
+        self.notes.append(title)
 
     def send_file_download(self, filename: str, content: bytes, *_: Any, **how: Any) -> None:
         assert how["save_immediately"]
@@ -105,6 +128,24 @@ class ProtocolPage:
         widget = self.find(label)
         widget["value"] = value
         self.send({"type": "GuiUpdateMessage", "uuid": widget["uuid"], "updates": {"value": value}})
+
+    def click_scene(self, origin: tuple[float, ...], direction: tuple[float, ...]) -> None:
+        """Click where a line of sight leads."""
+        self.send(
+            {
+                "type": "ScenePointerMessage",
+                "event_type": "click",
+                "ray_origin": origin,
+                "ray_direction": direction,
+                "screen_pos": ((0.5, 0.5),),
+                "modifier": None,
+            }
+        )
+
+    def move_gizmo(self, name: str, position: tuple[float, ...], wxyz: tuple[float, ...]) -> None:
+        """Drag the handles of a node to a place."""
+        kind = "TransformControlsUpdateMessage"
+        self.send({"type": kind, "name": name, "wxyz": wxyz, "position": position})
 
     def upload(self, label: str, name: str, content: bytes) -> None:
         """Send a file in one part."""

@@ -106,7 +106,7 @@ class ViewerPage:
         # The pixel ratio is fixed, because the client lowers it while frames are slow.
         self.page.goto(f"{url}/?fixedDpr=1")
         self.page.get_by_test_id("verdict").wait_for(timeout=1000 * PATIENCE)
-        self._dismiss_notice()
+        self.dismiss_notice()
         self.wait(lambda: not self.is_blank(), "a picture")
         self.settle()
 
@@ -266,7 +266,8 @@ class ViewerPage:
         script = "id => document.querySelector(`[data-testid=\"${id}\"]`)?.innerText ?? ''"
         return str(self.page.evaluate(script, test_id))
 
-    def _dismiss_notice(self) -> None:
+    def dismiss_notice(self) -> None:
+        """Close viser's own notice."""
         # The client warns that there is no graphics card, and the warning hides the picture.
         notice = self.page.locator(".mantine-Notification-root")
         self.page.wait_for_timeout(500)

@@ -35,7 +35,7 @@ def test_nothing_serious_is_found(
     if dark:
         page.page.goto(f"{page.viewer.url}/?fixedDpr=1&darkMode")  # type: ignore[attr-defined]
         page.page.get_by_test_id("verdict").wait_for()
-        page._dismiss_notice()  # viser's own, which has a button without a name
+        page.dismiss_notice()  # viser's own, which has a button without a name
     page.page.set_viewport_size({"width": size[0], "height": size[1]})
     findings: dict[str, dict[str, list[str]]] = {}
     for mode in MODES if size == SIZES[0] else MODES[:1]:

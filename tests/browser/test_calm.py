@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from app.viewer.best_pair.search import BestPair
+from app.viewer.best_pair.search import BestPairNote
 from app.viewer.params.tab import MAIN_PARAMETERS
 from app.viewer.server import Viewer
 from app.viewer.widgets.bridge import Data
@@ -167,8 +167,7 @@ def test_it_switches_to_a_closure_says_so_and_leads_back(browser: object) -> Non
         heard: list[Data] = []
         session = viewer.sessions[0]
         session.desk.bridge.hear("touched", lambda _, data: heard.append(data))
-        (best,) = (one for one in session.desk.features if isinstance(one, BestPair))
-        best._note.say("Looking …", watch=41)
+        BestPairNote(session.desk.host).say("Looking …", watch=41)
         note.wait_for(timeout=30_000)
         page.mouse.move(640, 500)
         page.mouse.wheel(0, 60)

@@ -44,6 +44,9 @@ def test_what_a_person_types_is_taken_or_refused_in_words(open_viewer: Open) -> 
         page.wait(lambda value=value: box.input_value() == f"{value:g}", "the box")
         assert not page.say("not-taken")
     page.wait(lambda: page.value(NAME) == 5.0, "the thumb")  # the box has shown it all along
+    page.wait(
+        lambda: "Up to date" in page.status(), "the picture, whose status is the next to come"
+    )
     for text, end, said in (
         ("1e9", "Enter", "from 0.01 to 100 m, got 1e9"),
         ("abc", "Tab", "must be a number such as 0.8, got 'abc'"),

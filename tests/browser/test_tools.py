@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from app.viewer.host import pages
+
 if TYPE_CHECKING:
     from tests.browser.chromium import ViewerPage
 
@@ -54,7 +56,7 @@ def test_sliders_have_names_and_their_arrows_leave_the_camera(open_viewer: Open)
     names = [thumbs.nth(k).get_attribute("aria-label") for k in range(thumbs.count())]
     assert all(names)
     assert "Length-scale [m]" in names
-    (client,) = page.viewer._server.get_clients().values()  # type: ignore[attr-defined]
+    (client,) = pages(page.viewer.sessions[0].desk.host).values()  # type: ignore[attr-defined]
     before, value = client.camera.position.copy(), page.value("Minimum score")
     page.thumb("Minimum score").focus()
     for _ in range(4):
@@ -86,6 +88,21 @@ def test_a_report_opens_from_disk(open_viewer: Open, browser: Any, tmp_path: Pat
     assert width == 1320
     assert {url.split(":")[0] for url in requests} <= {"file", "data"}
     other.close()
+
+
+def test_the_command_and_the_link_are_copied(open_viewer: Open) -> None:
+    page = open_viewer()
+    page.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.tab("Save")
+    for button, words in (("Copy command", "gpgrad detect"), ("Copy link", page.page.url[:20])):
+        page.page.get_by_role("button", name=button).click()
+        page.page.get_by_role("button", name="Copied").first.wait_for()
+        page.wait(
+            lambda words=words: page.page.evaluate("navigator.clipboard.readText()").startswith(
+                words
+            ),
+            words,
+        )
 
 
 def test_a_server_that_was_gone_gets_the_parameters_back(browser: Any) -> None:
@@ -156,7 +173,7 @@ def test_the_flat_picture_is_drawn_for_who_has_it_in_view(open_viewer: Open) -> 
     page = open_viewer()
     page.settle()
     (session,) = page.viewer.sessions  # type: ignore[attr-defined]
-    image = session.inspect._matches._image
+    image = session.inspect.matches.image
     assert not image.visible
     page.tab("Inspect")
     page.wait(lambda: image.visible, "the picture")

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
     ("file", "line", "broken"),
     [
         ("features/surf.py", "import gpgrad_core.matching", "core layers"),
-        ("datasets/pcd.py", "import gpgrad_core.features.surf", "core layers"),
+        ("datasets/clouds/pcd.py", "import gpgrad_core.features.surf", "core layers"),
         ("scans/voxels.py", "import gpgrad_core.scans.build", "scans layers"),
         ("types.py", "import viser", "the core knows neither the app nor its libraries"),
     ],

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.georeference import make_georeference, read_origin
-from gpgrad_core.scans.geodesy import east_north_up
+from gpgrad_core.georeference import east_north_up, make_georeference, read_origin
 
 pyproj = pytest.importorskip("pyproj")
 ETNA = (37.75, 14.99, 2900.0)

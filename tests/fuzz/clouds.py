@@ -11,6 +11,7 @@ import numpy as np
 from tests.fuzz.mutation import (
     NUM_POINTS,
     Case,
+    Mutator,
     at_random,
     cut,
     flipped,
@@ -123,7 +124,7 @@ def ply(rng: random.Random) -> Case:
             return at_random(rng, written(what, damaged=False).content)
 
 
-def _literal(data: bytes) -> bytes:
+def literal_lzf(data: bytes) -> bytes:
     """Compress by LZF's rules, without finding anything that repeats."""
     runs = [data[k : k + 32] for k in range(0, len(data), 32)]
     return b"".join(bytes([len(run) - 1]) + run for run in runs)
@@ -140,7 +141,7 @@ def pcd(rng: random.Random) -> Case:
     }  # fmt: skip
     rows = [" ".join(map(repr, row)) for row in table.astype(np.float64).tolist()]
     plain = np.ascontiguousarray(table.T).tobytes()
-    packed = _literal(plain)
+    packed = literal_lzf(plain)
     least = len(rows[-1]) + 1 if layout == "ascii" else 1
     sizes = [len(packed), len(plain)]
 
@@ -215,7 +216,7 @@ FIELDS_OF_LAS = {
 
 
 @cache
-def _las(seed: int, *, compressed: bool, version: str) -> bytes:
+def las_file(seed: int, *, compressed: bool, version: str) -> bytes:
     import laspy  # noqa: PLC0415 (only where LAS is fuzzed)
 
     rng = random.Random(seed)
@@ -231,7 +232,7 @@ def _las(seed: int, *, compressed: bool, version: str) -> bytes:
 
 def _las_case(rng: random.Random, *, compressed: bool) -> Case:
     version = rng.choice(("1.2", "1.4"))
-    content = _las(rng.randrange(5), compressed=compressed, version=version)
+    content = las_file(rng.randrange(5), compressed=compressed, version=version)
     count = struct.Struct("<Q" if version == "1.4" else "<I"), 247 if version == "1.4" else 107
     what = rng.choice(("count", "cut", "surplus", "field", "scale", "random", "random"))
     data = bytearray(content)
@@ -271,13 +272,13 @@ def laz(rng: random.Random) -> Case:
     return _las_case(rng, compressed=True)
 
 
-def _npy_bytes(array: np.ndarray) -> bytes:
+def npy_bytes(array: np.ndarray) -> bytes:
     file = io.BytesIO()
     np.save(file, array)
     return file.getvalue()
 
 
-def _npy_with(header: str, body: bytes, version: int = 1) -> bytes:
+def npy_with(header: str, body: bytes, version: int = 1) -> bytes:
     text = header.encode("latin-1", "replace") + b"\n"
     return b"\x93NUMPY" + struct.pack("<BBH", version, 0, len(text) & 0xFFFF) + text + body
 
@@ -297,16 +298,16 @@ def npy(rng: random.Random) -> Case:
             "(12.0, 3)",
                    f"({'9' * 5000}, 3)", f"({wrong_count(rng, NUM_POINTS)}, 3)", "(12, 3", "12, 3",
                    f"({'1, ' * 99})", "(12L, 3)", "(0, 3)")  # fmt: skip
-            return Case(_npy_with(HEADER.format("'<f8'", False, rng.choice(odd)), body), what, True)
+            return Case(npy_with(HEADER.format("'<f8'", False, rng.choice(odd)), body), what, True)
         case "type":
             odd = ("'<f4'", "'|O'", "'O'", "'<U6'", "'<c16'", "'<f3'", "'x'", "f8", "'<M8[s]'",
             "''",
                    "[('x', '<f8')]", "'<f8,<f8'", "'V24'", "'|b1'",
                    "'" + "f" * 3000 + "'")  # fmt: skip
-            return Case(_npy_with(HEADER.format(rng.choice(odd), False, shape), body), what, True)
+            return Case(npy_with(HEADER.format(rng.choice(odd), False, shape), body), what, True)
         case "order":
             odd = ("true", "0", "None", "'C'", "[]")
-            return Case(_npy_with(HEADER.format("'<f8'", rng.choice(odd), shape), body), what, True)
+            return Case(npy_with(HEADER.format("'<f8'", rng.choice(odd), shape), body), what, True)
         case "header":
             text = HEADER.format("'<f8'", False, shape)
             broken = rng.choice(
@@ -315,22 +316,22 @@ def npy(rng: random.Random) -> Case:
                  text + "}", text.replace("shape", "form"), "{'a': __import__('os').abort()}",
                  text.replace(", }", ", 'x': 1}"), text.replace("{", "{'shape': (1, 3), "))
             )  # fmt: skip
-            return Case(_npy_with(broken, body), what, damaged=True)
+            return Case(npy_with(broken, body), what, damaged=True)
         case "version":
             version = rng.choice((0, 2, 3, 4, 255))
-            return Case(_npy_with(HEADER.format("'<f8'", False, shape), body, version), what, True)
+            return Case(npy_with(HEADER.format("'<f8'", False, shape), body, version), what, True)
         case "cut" | "surplus":
-            return (cut if what == "cut" else surplus)(rng, _npy_bytes(_table(rng, "f8")))
+            return (cut if what == "cut" else surplus)(rng, npy_bytes(_table(rng, "f8")))
         case "far":
             array = _table(rng, "f8")
             array[2, 1] = rng.choice((1e30, -2e9, 1e300))
-            return Case(_npy_bytes(array), what, damaged=True)
+            return Case(npy_bytes(array), what, damaged=True)
         case _:
-            return at_random(rng, _npy_bytes(_table(rng, "f8")))
+            return at_random(rng, npy_bytes(_table(rng, "f8")))
 
 
 def npz(rng: random.Random) -> Case:
-    arrays = {"points.npy": _npy_bytes(_table(rng, "f8"))}
+    arrays = {"points.npy": npy_bytes(_table(rng, "f8"))}
     method = rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
     what = rng.choice(
         ("noise", "inner", "twice", "zeros", "data", "directory", "cut", "random", "method")
@@ -352,11 +353,11 @@ def npz(rng: random.Random) -> Case:
             name = rng.choice(("noise_std", "range"))
             # A range may be zero.
             allowed = [one for one in odd if name != "range" or one.dtype.kind != "f" or one.any()]
-            arrays[f"{name}.npy"] = _npy_bytes(rng.choice(allowed))
+            arrays[f"{name}.npy"] = npy_bytes(rng.choice(allowed))
             return Case(bytes(packed()), what, damaged=True)
         case "inner":
             inner = npy(rng)
-            return Case(_zipped({"points.npy": inner.content}, method), what, inner.damaged)
+            return Case(zipped({"points.npy": inner.content}, method), what, inner.damaged)
         case "twice":
             data = packed()
             return Case(data.replace(b"points.npy", b"points.np") + b"x", what, damaged=False)
@@ -388,11 +389,11 @@ def npz(rng: random.Random) -> Case:
 
 @cache
 def _zipped_zeros() -> bytes:
-    zeros = _npy_bytes(np.zeros((700_000, 3)))
-    return _zipped({"points.npy": zeros}, zipfile.ZIP_DEFLATED)
+    zeros = npy_bytes(np.zeros((700_000, 3)))
+    return zipped({"points.npy": zeros}, zipfile.ZIP_DEFLATED)
 
 
-def _zipped(files: dict[str, bytes], method: int) -> bytes:
+def zipped(files: dict[str, bytes], method: int) -> bytes:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", method) as archive:
         for name, content in files.items():
@@ -439,3 +440,17 @@ def kitti(rng: random.Random) -> Case:
     if what == "far":
         return Case(struct.pack("<4f", 1e30, 0, 0, 0) + body[16:], what, damaged=True)
     return at_random(rng, body)
+
+
+MUTATORS: dict[str, Mutator] = {
+    ".bin": kitti,
+    ".csv": table,
+    ".las": las,
+    ".laz": laz,
+    ".npy": npy,
+    ".npz": npz,
+    ".pcd": pcd,
+    ".ply": ply,
+    ".xyz": table,
+}
+"""By the ending of the files. Of other formats an example is damaged anywhere."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.fuzz.clouds import HEADER, _las, _literal, _npy_bytes, _npy_with, _zipped
+from tests.fuzz.clouds import HEADER, las_file, literal_lzf, npy_bytes, npy_with, zipped
 from tests.fuzz.texts import PAIR, REPORT, UPPER
 
 
@@ -60,20 +60,20 @@ def _pair(said: str, **changed: object) -> Failure:
 
 
 def _las_with(*, compressed: bool, place: int, kind: str, value: int) -> bytes:
-    data = bytearray(_las(0, compressed=compressed, version="1.2"))
+    data = bytearray(las_file(0, compressed=compressed, version="1.2"))
     struct.pack_into(kind, data, place, value)
     return bytes(data)
 
 
 def _zip_of_version(version: int) -> bytes:
-    data = bytearray(_zipped({"points.npy": _npy_bytes(ROWS)}, zipfile.ZIP_STORED))
+    data = bytearray(zipped({"points.npy": npy_bytes(ROWS)}, zipfile.ZIP_STORED))
     start = data.index(b"PK\x01\x02")
     data[4:6] = data[start + 6 : start + 8] = struct.pack("<H", version)
     return bytes(data)
 
 
 def _zip_that_begins_too_early() -> bytes:
-    data = bytearray(_zipped({"points.npy": _npy_bytes(ROWS)}, zipfile.ZIP_STORED))
+    data = bytearray(zipped({"points.npy": npy_bytes(ROWS)}, zipfile.ZIP_STORED))
     end = data.index(b"PK\x05\x06")
     data[end + 16 : end + 20] = struct.pack("<I", 2**31)  # where the directory would be
     return bytes(data)
@@ -96,8 +96,8 @@ def _zeros(number: int) -> bytes:
 def _named(name: str) -> bytes:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("000.npy", _npy_bytes(ROWS))
-        archive.writestr(name, _npy_bytes(ROWS))
+        archive.writestr("000.npy", npy_bytes(ROWS))
+        archive.writestr(name, npy_bytes(ROWS))
     return file.getvalue()
 
 
@@ -111,7 +111,9 @@ CORPUS: dict[str, Failure] = {
     "toml_of_a_megabyte": Failure("params", b"#" * 1_000_001, "larger than 1,000,000 bytes"),
     "session_path_with_a_zero_byte": Failure("session", b'dataset = "a\\u0000"', "zero byte"),
     # LAS and LAZ.
-    "las_cut_short": Failure("las", _las(0, compressed=False, version="1.2")[:-60], "is cut short"),
+    "las_cut_short": Failure(
+        "las", las_file(0, compressed=False, version="1.2")[:-60], "is cut short"
+    ),
     "las_of_fewer_points_than_it_holds": Failure(
         "las", _las_with(compressed=False, place=107, kind="<I", value=9), "more returns than"
     ),
@@ -148,16 +150,16 @@ CORPUS: dict[str, Failure] = {
     ),
     "closures_a_key_twice": Failure("closures", b'{"seed": 1, "seed": 2}', "'seed' twice"),
     # Foreign exceptions.
-    "npy_header_cut": Failure("npy", _npy_with("{'descr': '<f8', 'sha", b""), "does not give"),
-    "npy_header_of_brackets": Failure("npy", _npy_with("(" * 9000, b""), "does not give"),
+    "npy_header_cut": Failure("npy", npy_with("{'descr': '<f8', 'sha", b""), "does not give"),
+    "npy_header_of_brackets": Failure("npy", npy_with("(" * 9000, b""), "does not give"),
     "npy_shape_of_5000_digits": Failure(
-        "npy", _npy_with(HEADER.format("'<f8'", False, f"({'9' * 5000}, 3)"), b""), "does not give"
+        "npy", npy_with(HEADER.format("'<f8'", False, f"({'9' * 5000}, 3)"), b""), "does not give"
     ),
     "npy_shape_of_18_digits": Failure(
-        "npy", _npy_with(HEADER.format("'<f8'", False, f"({'9' * 18}, 3)"), b""), "but 0 follow"
+        "npy", npy_with(HEADER.format("'<f8'", False, f"({'9' * 18}, 3)"), b""), "but 0 follow"
     ),
     "npy_of_python_objects": Failure(
-        "npy", _npy_with(HEADER.format("'|O'", False, "(4, 3)"), b"x"), "never loaded"
+        "npy", npy_with(HEADER.format("'|O'", False, "(4, 3)"), b"x"), "never loaded"
     ),
     "zip_of_an_unknown_version": Failure("npz", _zip_of_version(99), "is not a complete NPZ file"),
     "zip_that_begins_too_early": Failure("npz", _zip_that_begins_too_early(), "not a complete NPZ"),
@@ -197,7 +199,7 @@ CORPUS: dict[str, Failure] = {
     "pcd_ascii_more_rows_than_its_count": _pcd_points("more than", "3", TEXT.encode(), "ascii"),
     "pcd_compressed_more_than_its_count": _pcd(
         "more than its header says",
-        struct.pack("<II", 50, 48) + _literal(ROWS.tobytes()) + b"x",
+        struct.pack("<II", 50, 48) + literal_lzf(ROWS.tobytes()) + b"x",
         "binary_compressed",
     ),
     "pcd_points_unlike_width_times_height": _pcd(
@@ -205,7 +207,7 @@ CORPUS: dict[str, Failure] = {
     ),
     "npy_of_a_smaller_shape_than_its_data": Failure(
         "npy",
-        _npy_with(HEADER.format("'<f4'", False, "(3, 3)"), ROWS.tobytes()),
+        npy_with(HEADER.format("'<f4'", False, "(3, 3)"), ROWS.tobytes()),
         "promises float32 (3, 3), 36 bytes, but 48 follow",
     ),
     "csv_of_decimal_commas": Failure("csv", b"3,158,8,503\n4,2,5,1\n4,1,5,3\n", "decimal points"),

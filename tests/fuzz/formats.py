@@ -12,8 +12,10 @@ from typing import Literal
 from app.viewer.data.unpacking import unpack
 from app.viewer.session_file import read_session
 from gpgrad_core.datasets import load_cloud, load_dataset
-from gpgrad_core.datasets.about import read_about
+from gpgrad_core.datasets.clouds import CLOUD_FORMATS
+from gpgrad_core.datasets.clouds.format import CloudFormat
 from gpgrad_core.datasets.cpet import read_matrix_pose
+from gpgrad_core.datasets.dataset_toml import read_dataset_toml
 from gpgrad_core.datasets.dem import read_elevation_model
 from gpgrad_core.datasets.poses import read_poses
 from gpgrad_core.errors import InputError
@@ -21,8 +23,7 @@ from gpgrad_core.evaluation import read_problems
 from gpgrad_core.outputs import read_closures, restore_closures
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.reading.images import read_images
-from gpgrad_core.reading.png16 import read_grey_png
+from gpgrad_core.reading.images import read_grey_png, read_images
 from gpgrad_core.scans import open_recording
 from gpgrad_core.scans.katwijk import read_places
 from gpgrad_core.scans.pds import read_places_table
@@ -35,7 +36,7 @@ from gpgrad_core.scans.pose_files import (
 from gpgrad_core.slam import read_graph
 from gpgrad_core.types import Dataset
 from tests.fuzz import clouds, packed, texts
-from tests.fuzz.mutation import Case, Mutator
+from tests.fuzz.mutation import Case, Mutator, at_random
 
 MOST_UNPACKED = 8_000_000
 SECONDS = 10.0
@@ -65,8 +66,8 @@ class Format:
 
 
 def _read_about(path: Path) -> object:
-    about = read_about(path, frozenset({"000", "001"}))
-    dataset = Dataset("hills", (), preferred=about.preferred)
+    info = read_dataset_toml(path, frozenset({"000", "001"}))
+    dataset = Dataset("hills", (), preferred=info.preferred)
     return preferred_parameters(dataset, PipelineParams())
 
 
@@ -84,22 +85,25 @@ def _read_bag(path: Path) -> object:
     return list(recording.read(0, len(recording)))
 
 
+def _cloud(cloud_format: CloudFormat) -> Format:
+    """Damage clouds as their format's own mutator does, or else an example anywhere."""
+
+    def anywhere(rng: random.Random) -> Case:
+        return at_random(rng, cloud_format.example)
+
+    ending = cloud_format.ending
+    share = 0.5 if ending == ".laz" else 1.0
+    return Format(ending, clouds.MUTATORS.get(ending, anywhere), load_cloud, share)
+
+
 FORMATS: dict[str, Format] = {
-    "ply": Format(".ply", clouds.ply, load_cloud),
-    "pcd": Format(".pcd", clouds.pcd, load_cloud),
-    "npy": Format(".npy", clouds.npy, load_cloud),
-    "npz": Format(".npz", clouds.npz, load_cloud),
-    "xyz": Format(".xyz", clouds.table, load_cloud),
-    "csv": Format(".csv", clouds.table, load_cloud),
-    "las": Format(".las", clouds.las, load_cloud),
-    "laz": Format(".laz", clouds.laz, load_cloud, share=0.5),
-    "bin": Format(".bin", clouds.kitti, load_cloud),
+    **{ending[1:]: _cloud(cloud_format) for ending, cloud_format in CLOUD_FORMATS.items()},
     "poses": Format(
         ".txt", texts.poses, lambda path: read_poses(path, dict.fromkeys(range(3), ""))
     ),
     "trajectory": Format(".txt", texts.trajectory, read_pose_file),
     "times": Format(".txt", texts.times, read_times),
-    "positions": Format(".txt", texts.places, read_truth_file),
+    "positions": Format(".txt", texts.positions, read_truth_file),
     "solution": Format(".pos", texts.solution, read_truth_file),
     "katwijk": Format(".txt", texts.katwijk, read_places),
     "places": Format(".csv", texts.places_table, read_places_table),

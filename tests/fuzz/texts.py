@@ -13,6 +13,11 @@ NOT_NUMBERS = tuple(word for word in WORDS if word not in ("", *SOUND_NUMBERS))
 """Words that may not, in any place where a number stands: positions end at 1e9 m."""
 
 
+def _file(rows: list[list[str]], what: str, *, damaged: bool = True, separator: str = " ") -> Case:
+    content = "\n".join(separator.join(row) for row in rows).encode()
+    return Case(content, what, damaged)
+
+
 def _lines_case(rng: random.Random, rows: list[list[str]], *, whole: bool = True) -> Case:
     """Damage one row of a file of rows of numbers.
 
@@ -25,20 +30,64 @@ def _lines_case(rng: random.Random, rows: list[list[str]], *, whole: bool = True
     row = rng.choice(rows)
     match what:
         case "word":
-            word = rng.choice([one for one in NOT_NUMBERS if "#" not in one])
-            row[rng.randrange(len(row))] = word
+            row[rng.randrange(len(row))] = rng.choice(_no_numbers("#"))
         case "short" if whole:
             del row[rng.randrange(len(row))]
         case "long" if whole:
             row.insert(rng.randrange(len(row) + 1), "0.5")
         case "bytes":
-            text = "\n".join(" ".join(row) for row in rows).encode()
+            text = _file(rows, what).content
             place = rng.randrange(len(text))
             odd = rng.choice((b"\0", b"\xff", b"\x80\x80", b"\xed\xa0\x80"))
             return Case(text[:place] + odd + text[place:], what, damaged=True)
         case _:
-            return at_random(rng, "\n".join(" ".join(row) for row in rows).encode())
-    return Case("\n".join(" ".join(row) for row in rows).encode(), what, damaged=True)
+            return at_random(rng, _file(rows, what).content)
+    return _file(rows, what)
+
+
+def _no_numbers(marks: str) -> list[str]:
+    """Words that are no numbers, without those that hold a mark."""
+    return [word for word in NOT_NUMBERS if not any(mark in word for mark in marks)]
+
+
+def _columns_case(
+    rng: random.Random,
+    rows: list[list[str]],
+    columns: tuple[int, ...],
+    *,
+    places: tuple[int, ...] = (),
+    shortest: int = 0,
+    marks: str = "#",
+    separator: str = " ",
+) -> Case:
+    """Damage one row of a file whose columns have different meanings.
+
+    Args:
+        rng: Draws.
+        rows: The words of the rows.
+        columns: Those that hold numbers.
+        places: Those that hold a latitude, a longitude or a height.
+        shortest: A row loses a word from this column on.
+        marks: What no odd word may hold, because it means something in the format.
+        separator: What stands between words.
+    """
+    what = rng.choice(
+        ("word", "range", "short", "random") if places else ("word", "short", "random")
+    )
+    row = rng.choice(rows[1:] if separator == "," or not places else rows)
+    match what:
+        case "word":
+            row[rng.choice(columns)] = rng.choice(_no_numbers(marks))
+        case "range":
+            row[rng.choice(places)] = rng.choice(("-4e7", "1e7", "5e200"))
+        case "short":
+            if places:
+                del row[rng.randrange(shortest, 5) :]
+            else:
+                del row[rng.randrange(len(row))]
+        case _:
+            return at_random(rng, _file(rows, what, separator=separator).content)
+    return _file(rows, what, separator=separator)
 
 
 def poses(rng: random.Random) -> Case:
@@ -47,10 +96,10 @@ def poses(rng: random.Random) -> Case:
     match rng.choice(("rows", "rows", "quaternion", "index")):
         case "quaternion":
             rows[1][rng.choice((4, 5, 6, 7))] = rng.choice(("0.5", "7", "-2"))
-            return Case("\n".join(" ".join(row) for row in rows).encode(), "quaternion", True)
+            return _file(rows, "quaternion")
         case "index":
             rows[1][0] = rng.choice(("0", "3", "1.5", "-1", "1e300", "2"))
-            return Case("\n".join(" ".join(row) for row in rows).encode(), "index", True)
+            return _file(rows, "index")
         case _:
             return _lines_case(rng, rows)
 
@@ -64,7 +113,7 @@ def trajectory(rng: random.Random) -> Case:
     rows = [[*f"{k} 0 0 0 0 0 0 1".split(), *identity] for k in range(3)]
     if rng.random() < 0.2:
         rows[2][8 + rng.choice((1, 2, 6, 0))] = "-3"
-        return Case("\n".join(" ".join(row) for row in rows).encode(), "covariance", True)
+        return _file(rows, "covariance")
     return _lines_case(rng, rows)
 
 
@@ -80,65 +129,32 @@ def mount(rng: random.Random) -> Case:
     return _lines_case(rng, rows)
 
 
-def places(rng: random.Random) -> Case:
+def positions(rng: random.Random) -> Case:
     """Rows of a truth of positions: time, x, y and z."""
     rows = [f"{k}.5 {k} -2.25 0".split() for k in range(3)]
-    what = rng.choice(("word", "short", "random"))
-    row = rows[rng.randrange(1, 3)]
-    if what == "word":
-        row[rng.randrange(1, 4)] = rng.choice([one for one in NOT_NUMBERS if "#" not in one])
-    elif what == "short":
-        del row[rng.randrange(4)]
-    text = "\n".join(" ".join(row) for row in rows).encode()
-    return at_random(rng, text) if what == "random" else Case(text, what, damaged=True)
+    return _columns_case(rng, rows, (1, 2, 3))
 
 
 def solution(rng: random.Random) -> Case:
     """A .pos of RTKLIB."""
     rows = [f"2021/07/08 10:00:0{k}.500 37.72 14.99 2012.3 1 12".split() for k in range(3)]
-    what = rng.choice(("word", "range", "short", "random"))
-    row = rng.choice(rows)
-    if what == "word":
-        odd = [one for one in NOT_NUMBERS if one and not one.startswith("%")]
-        row[rng.randrange(5)] = rng.choice(odd)
-    elif what == "range":
-        row[rng.choice((2, 3, 4))] = rng.choice(("-4e7", "1e7", "5e200"))
-    elif what == "short":
-        del row[rng.randrange(1, 5) :]
-    text = "\n".join(" ".join(row) for row in rows).encode()
-    return at_random(rng, text) if what == "random" else Case(text, what, damaged=True)
+    return _columns_case(rng, rows, (0, 1, 2, 3, 4), places=(2, 3, 4), shortest=1, marks="%")
 
 
 def katwijk(rng: random.Random) -> Case:
     """Rows of gps-latlong.txt."""
     rows = [f"2015_11_26_12_53_3{k}_149 4 52.21 4.42 5.5 0.01".split() for k in range(3)]
-    what = rng.choice(("word", "range", "short", "random"))
-    row = rng.choice(rows)
-    if what == "word":
-        row[rng.choice((0, 2, 3, 4))] = rng.choice([one for one in NOT_NUMBERS if one])
-    elif what == "range":
-        row[rng.choice((2, 3, 4))] = rng.choice(("-4e7", "1e7", "5e200"))
-    elif what == "short":
-        del row[rng.randrange(1, 5) :]
-    text = "\n".join(" ".join(row) for row in rows).encode()
-    return at_random(rng, text) if what == "random" else Case(text, what, damaged=True)
+    return _columns_case(rng, rows, (0, 2, 3, 4), places=(2, 3, 4), shortest=1, marks="")
 
 
 def places_table(rng: random.Random) -> Case:
     """A table of PLACES."""
     names = ["frame", "site", "drive", "northing", "easting", "elevation", "yaw", "pitch", "roll"]
     rows = [names, *([*f"ROVER 1 {k} 5000 -300 12 30 1 -2".split()] for k in range(2))]
-    what = rng.choice(("word", "column", "short", "random"))
-    row = rows[rng.randrange(1, 3)]
-    if what == "word":
-        odd = [one for one in NOT_NUMBERS if "," not in one and '"' not in one]
-        row[rng.randrange(1, 9)] = rng.choice(odd)
-    elif what == "column":
+    if rng.random() < 0.25:
         names[rng.randrange(1, 9)] = rng.choice(("x", "", "yaws"))
-    elif what == "short":
-        del row[rng.randrange(9)]
-    text = "\n".join(",".join(row) for row in rows).encode()
-    return at_random(rng, text) if what == "random" else Case(text, what, damaged=True)
+        return _file(rows, "column", separator=",")
+    return _columns_case(rng, rows, tuple(range(1, 9)), marks=',"', separator=",")
 
 
 def matrix(rng: random.Random) -> Case:
@@ -147,7 +163,7 @@ def matrix(rng: random.Random) -> Case:
     if rng.random() < 0.3:
         place = rng.choice(((0, 0), (1, 1), (1, 2), (3, 3), (3, 0)))
         rows[place[0]][place[1]] = rng.choice(("-1.5", "2", "1e200", "0.4"))
-        return Case("\n".join(" ".join(row) for row in rows).encode(), "no motion", True)
+        return _file(rows, "no motion")
     return _lines_case(rng, rows)
 
 
@@ -158,17 +174,10 @@ def problems(rng: random.Random) -> Case:
     rows = [names, ["7", "a_000.pcd", "a_001.pcd", "0.25", *motion]]
     if rng.random() < 0.2:
         return _lines_case(rng, rows[:1])
-    what = rng.choice(("word", "motion", "short", "random"))
-    match what:
-        case "word":
-            rows[1][rng.randrange(3, 16)] = rng.choice([one for one in NOT_NUMBERS if one])
-        case "motion":
-            rows[1][rng.choice((4, 5, 9, 10, 13))] = rng.choice(("3", "-7", "1e200"))
-        case "short":
-            del rows[1][rng.randrange(16)]
-        case _:
-            return at_random(rng, "\n".join(" ".join(row) for row in rows).encode())
-    return Case("\n".join(" ".join(row) for row in rows).encode(), what, damaged=True)
+    if rng.random() < 0.25:
+        rows[1][rng.choice((4, 5, 9, 10, 13))] = rng.choice(("3", "-7", "1e200"))
+        return _file(rows, "motion")
+    return _columns_case(rng, rows, tuple(range(3, 16)), marks="")
 
 
 UPPER = ["1" if row == column else "0" for row in range(6) for column in range(row, 6)]
@@ -191,7 +200,7 @@ def g2o(rng: random.Random) -> Case:
             rows[rng.randrange(5)][0] = rng.choice(("VERTEX_SE2", "EDGE", "vertex", "0", "#\0"))
         case _:
             return _lines_case(rng, rows)
-    return Case("\n".join(" ".join(row) for row in rows).encode(), what, damaged=True)
+    return _file(rows, what)
 
 
 def _toml_nasty(rng: random.Random) -> Case:
@@ -227,20 +236,8 @@ def _toml(rng: random.Random, text: str, values: dict[str, tuple[str, ...]]) -> 
 
 
 NO_TEXT = ("1", "true", "[]", "{}", "1979-05-27", "nan", "'''", "[[1], 2]")
-NO_NUMBER = (
-    "'1'",
-    "true",
-    "[]",
-    "{}",
-    "1979-05-27",
-    "nan",
-    "inf",
-    "1e400",
-    "9" * 60,
-    "-1",
-    "9" * 5000,
-    "--1",
-)
+NO_NUMBER = ("'1'", "true", "[]", "{}", "1979-05-27", "nan", "inf", "1e400", "9" * 60, "-1",
+             "9" * 5000, "--1")  # fmt: skip
 
 
 def about(rng: random.Random) -> Case:
@@ -273,15 +270,7 @@ def session(rng: random.Random) -> Case:
         'dataset = "/tmp/hills"\nquery = "001"\ndatabase = "000"\n[camera]\nposition = [0, 1, 2]\n'
         "look_at = [0, 0, 0]\n[params.map]\nlength_scale = 0.3\n[view]\n"
     )
-    no_point = (
-        "[]",
-        "[1, 2]",
-        "[true, 1, 2]",
-        "[nan, 1, 2]",
-        "[1e300, 1, 2]",
-        "'x'",
-        "[[1], [2], [3]]",
-    )
+    no_point = ("[]", "[1, 2]", "[true, 1, 2]", "[nan, 1, 2]", "[1e300, 1, 2]", "'x'", "[[1], 2]")
     values = {
         "dataset": (*NO_TEXT, '"a\\u0000b"', "'" + "a" * 5000 + "'"), "query": NO_TEXT,
         "database": NO_TEXT,

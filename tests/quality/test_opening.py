@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import viser
 
-from app.viewer.capacity import Capacity
 from app.viewer.feature import Feature
-from app.viewer.opened import Opened
+from app.viewer.runner import Capacity
 from app.viewer.session import Session
+from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.params.files import preferred_parameters

@@ -15,10 +15,10 @@ import pytest
 import viser
 
 from app.viewer import state as states
-from app.viewer.capacity import Capacity
-from app.viewer.opened import Opened
 from app.viewer.pair.scene import PairScene
+from app.viewer.runner import Capacity
 from app.viewer.session import Session
+from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
 from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.run.memo import Memo
@@ -98,13 +98,13 @@ def test_the_flat_picture_comes_after_the_scene_and_only_the_last(
     session = Session(server, Opened(STATE.dataset, STATE.params, ""), Memo(), Capacity())
     assert session.wait_idle(60)
     drawn: list[int] = []
-    original = session.inspect._matches.show_picture
+    original = session.inspect.matches.show_picture
 
     def show_picture(*args: Any) -> None:
         drawn.append(session.state.match)
         original(*args)
 
-    monkeypatch.setattr(session.inspect._matches, "show_picture", show_picture)
+    monkeypatch.setattr(session.inspect.matches, "show_picture", show_picture)
     for number in range(1, 60):
         session.desk.change(match=number)
         time.sleep(0.004)

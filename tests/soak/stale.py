@@ -4,12 +4,11 @@ import random
 import time
 from collections.abc import Sequence
 
-from app.viewer.capacity import Capacity
 from app.viewer.door.server import open_server
-from app.viewer.opened import Opened
 from app.viewer.params.tab import MAIN_PARAMETERS
+from app.viewer.runner import Capacity
 from app.viewer.session import Session
-from app.viewer.session_file import SavedSession, parse_session
+from app.viewer.session_file import Opened, SavedSession, parse_session
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.params.fields import get_path
 from gpgrad_core.run.memo import Memo

@@ -1,18 +1,18 @@
 """All pairs of the dataset: run, look at the matrix and the curve, and pick a pair to see."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from html import escape
 
 import viser
 
 from app.viewer.host import Host
-from app.viewer.widgets.actions import on_choice, on_press
-from app.viewer.widgets.html import BUSY, FAINT, message_line, paragraph
+from app.viewer.widgets.actions import on_choice
+from app.viewer.widgets.html import BUSY, FAINT, box, message_line, paragraph
 from app.viewer.widgets.look import make_solid
 from app.viewer.widgets.pair_list import PairList
 from app.viewer.widgets.work_bar import WorkBar
-from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES, Candidates
+from gpgrad_core.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES, Candidate, Candidates
 
 INTRODUCTION = "Compare every submap with earlier ones, using the present parameters."
 NO_CHOICE: str = "choose a pair …"
@@ -55,55 +55,29 @@ class Findings:
     """What the panel shows of all pairs at the thresholds as they are.
 
     Attributes:
-        summary: One line.
-        outdated: Why the pairs should be compared again; empty while they need not.
-        matrix: Picture of the scores, as HTML.
-        block: The same of the block that the shown pair is in; empty where there are no blocks.
-        matrix_caption: What its colours and marks mean.
-        scores: Histogram and curve, as HTML that does not depend on the threshold.
-        disagreements: Marks of the wrong and the missed pairs, as HTML; empty without truth.
-        threshold: What brings the threshold of the pages to its value, as HTML.
-        curve_caption: The figures that go with the curve; empty without truth.
+        html: Pictures and texts, by their `PLACES`; those that are missing are empty.
         choices: All pairs, best first.
         shown: (query, database) that the scene shows.
-        reasons: Why that pair was compared, as HTML; empty if all pairs were.
+        has_truth: Whether the truth is known, by one rule or another.
     """
 
-    summary: str
-    outdated: str
-    matrix: str
-    block: str
-    matrix_caption: str
-    scores: str
-    disagreements: str
-    threshold: str
-    curve_caption: str
+    html: Mapping[str, str]
     choices: tuple[Choice, ...]
     shown: tuple[str, str]
-    reasons: str = ""
+    has_truth: bool
+
+
+PLACES = ("summary", "matrix", "block", "key", "scores", "disagreements", "curve", "threshold")
+"""Pictures and texts from above to below; the one called "reasons" stands below the list."""
 
 
 class AllPairsPanel:
-    """Widgets for all pairs; callbacks run in the server's event loop and must be quick."""
+    """Widgets for all pairs; ``html`` is what is shown, by its place."""
 
     def __init__(
-        self,
-        host: Host,
-        rules: tuple[str, ...],
-        *,
-        on_run: Callable[[], None],
-        on_rule: Callable[[str], None],
-        on_pair: Callable[[str, str], None],
+        self, host: Host, rules: tuple[str, ...], on_pair: Callable[[str, str], None]
     ) -> None:
-        """Make the widgets in the current container.
-
-        Args:
-            host: Whose GUI they join.
-            rules: Names of the rules by which a pair is truly the same place.
-            on_run: Called when all pairs are asked for.
-            on_rule: Given the name of the rule chosen.
-            on_pair: Given the query and the database to show.
-        """
+        """Make the widgets in the current container, with the names of the rules to choose from."""
         gui = host.gui
         self._choices: tuple[Choice, ...] = ()
         gui.add_html(paragraph(INTRODUCTION, FAINT))
@@ -114,18 +88,11 @@ class AllPairsPanel:
             hint="With how many earlier submaps each submap is compared. Automatic takes all of up "
             f"to {ALL_UP_TO} earlier ones, and the {DEFAULT_CANDIDATES} most promising of more.",
         )
-        run = gui.add_button("Run all pairs", hint="You can use the sliders while it runs.")
-        make_solid(host, run)
-        self.work_bar = WorkBar(host, "Cancel", "all-pairs", starts=(run,))
-        self._summary = gui.add_html("")
-        self._matrix = gui.add_html("")
-        self._block = gui.add_html("")
-        self._matrix_caption = gui.add_html("")
-        self._scores = gui.add_html("")
-        self._disagreements = gui.add_html("")
-        self._curve = gui.add_html("")
-        self._threshold = gui.add_html("")
-        self._rule = gui.add_dropdown(
+        self.run = gui.add_button("Run all pairs", hint="You can use the sliders while it runs.")
+        make_solid(host, self.run)
+        self.work_bar = WorkBar(host, "Cancel", "all-pairs", starts=(self.run,))
+        self.html = {place: gui.add_html("") for place in PLACES}
+        self.rule = gui.add_dropdown(
             "True if",
             rules,
             initial_value=rules[0],
@@ -150,10 +117,7 @@ class AllPairsPanel:
             on_choose=lambda pair: None if pair is None else on_pair(*pair),
         )
         self._pairs.set_visible(False)
-        self._reasons = gui.add_html("")
-
-        on_press(run, on_run)
-        on_choice(self._rule, on_rule)
+        self.html["reasons"] = gui.add_html("")
         on_choice(self._narrow, lambda _: self._list(self._pairs.chosen))
 
     @property
@@ -163,45 +127,21 @@ class AllPairsPanel:
 
     def clear(self) -> None:
         """Clear everything, because another dataset is open."""
-        self._choices = ()
-        for html in (
-            self._summary,
-            self._matrix,
-            self._block,
-            self._matrix_caption,
-            self._scores,
-            self._disagreements,
-            self._curve,
-            self._threshold,
-            self._reasons,
-        ):
-            html.content = ""
-        self._narrow.visible = self._rule.visible = False
-        self._pairs.set_visible(False)
+        self.show(Findings({}, (), ("", ""), has_truth=False))
         self.work_bar.idle()
 
     def show(self, findings: Findings) -> None:
         """Show what was found."""
-        note = message_line("all-pairs-message", findings.outdated, BUSY)
-        self._summary.content = paragraph(findings.summary, "font-weight:600") + note
-        for html, content in (
-            (self._matrix, findings.matrix),
-            (self._block, findings.block),
-            (self._matrix_caption, _folded("How to read it", findings.matrix_caption)),
-            (self._scores, findings.scores),
-            (self._disagreements, findings.disagreements),
-            (self._curve, paragraph(findings.curve_caption, FAINT)),
-            (self._threshold, findings.threshold),
-            (self._reasons, findings.reasons),
-        ):
-            if html.content != content:  # else a page would draw it anew, even under the hand
-                html.content = content
+        for place, handle in self.html.items():
+            content = findings.html.get(place, "")
+            if handle.content != content:  # else a page would draw it anew, even under the hand
+                handle.content = content
         self._choices = findings.choices
-        outcomes = tuple(dict.fromkeys(choice.outcome for choice in findings.choices))
+        outcomes = dict.fromkeys(choice.outcome for choice in findings.choices)
         self._narrow.options = (ALL, *sorted(outcomes))
         self._narrow.visible = bool(findings.choices)
         self._pairs.set_visible(bool(findings.choices))
-        self._rule.visible = bool(findings.curve_caption)
+        self.rule.visible = findings.has_truth
         self._list(findings.shown)
 
     def _list(self, chosen: tuple[str, str] | None) -> None:
@@ -217,10 +157,64 @@ class AllPairsPanel:
         )
 
 
-def _folded(title: str, text: str) -> str:
+def summary_html(summary: str, outdated: str) -> str:
+    """Write what was found in a line, and why it should be found anew, if it should."""
+    note = message_line("all-pairs-message", outdated, BUSY)
+    return paragraph(summary, "font-weight:600") + note
+
+
+def folded(title: str, text: str) -> str:
     """Write plain text that a click on its title opens."""
     return (
         f'<details style="padding:.2em .75em;font-size:.85em"><summary style="cursor:pointer">'
         f'{escape(title)}</summary><div style="line-height:1.45;{FAINT}">{escape(text)}</div>'
         "</details>"
+    )
+
+
+def shortlist_html(
+    query: str, database: str, shortlist: tuple[Candidate, ...], num_earlier: int
+) -> str:
+    """Write the shortlist of a query as a table that opens on a click: why a pair was looked at.
+
+    Args:
+        query: Id of the query.
+        database: Id of the database submap that is shown.
+        shortlist: The earlier submaps that the query was compared with, the best first; empty if
+            it was compared with all of them.
+        num_earlier: Number of the earlier submaps.
+    """
+    if not shortlist:
+        return ""
+    ids = [candidate.id for candidate in shortlist]
+    place = (
+        f"{database} is number {ids.index(database) + 1} among"
+        if database in ids
+        else f"{database} is not among them, so this pair was not compared. They are"
+    )
+    lead = (
+        f"{query} was compared with {len(shortlist)} of {num_earlier:,} earlier submaps. {place} "
+        "the candidates whose keypoints fit best: by votes, which are associations that keep "
+        "their distances, and by the similarity of all descriptors."
+    )
+    look = "padding-left:1em;text-align:right;font-weight:inherit"
+    has_vectors = any(candidate.similarity for candidate in shortlist)  # few submaps have none
+    head = "".join(
+        f'<th style="{FAINT};{look}">{heading}</th>'
+        for heading in ("", "submap", "votes", "similarity")
+    )
+    rows = ""
+    for number, candidate in enumerate(shortlist, start=1):
+        similarity = f"{candidate.similarity:.2f}" if has_vectors else "—"
+        cells = (str(number), candidate.id, str(candidate.votes), similarity)
+        weight = "font-weight:700" if candidate.id == database else ""
+        row = "".join(f'<td style="{look}">{escape(cell)}</td>' for cell in cells)
+        rows += f'<tr style="{weight}">{row}</tr>'
+    return box(
+        "shortlist",
+        '<details><summary style="cursor:pointer">Why was this pair looked at?</summary>'
+        f'<div style="line-height:1.45;margin:.3em 0">{escape(lead)}</div>'
+        f'<table style="border-collapse:collapse;font-variant-numeric:tabular-nums">'
+        f'<tr style="font-weight:400">{head}</tr>{rows}</table></details>',
+        "font-size:.85em",
     )

@@ -3,34 +3,45 @@
 import threading
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 import viser
 
-from app.viewer.all_pairs.cells import PairCells, gather_all, gather_block
 from app.viewer.all_pairs.judging import (
     RULES,
     ComparedPairs,
     JudgedPairs,
+    PairCells,
     TruthCheck,
     compare_pairs,
+    gather_all,
+    gather_block,
     judge,
 )
-from app.viewer.all_pairs.matrix import highest_color, matrix_html
-from app.viewer.all_pairs.panel import AllPairsPanel, Choice, Findings
-from app.viewer.all_pairs.reasons import shortlist_html
-from app.viewer.all_pairs.scores import (
+from app.viewer.all_pairs.panel import (
+    AllPairsPanel,
+    Choice,
+    Findings,
+    folded,
+    shortlist_html,
+    summary_html,
+)
+from app.viewer.all_pairs.pictures import (
     count_scores,
     disagreements_html,
+    highest_color,
+    matrix_html,
     scores_html,
     threshold_html,
 )
-from app.viewer.decisions import in_order
+from app.viewer.decisions import NO_OVERLAP, RIGHT, WRONG_MOTION, in_order
 from app.viewer.feature import Desk, Feature
 from app.viewer.methods import METHODS, MethodName
-from app.viewer.outcomes import NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.runner import Runner
 from app.viewer.state import ViewState, same_search
-from app.viewer.widgets.bridge import Data
+from app.viewer.widgets.actions import on_choice, on_press
+from app.viewer.widgets.bridge import SaidPair, Whole
+from app.viewer.widgets.html import FAINT, paragraph
 from app.viewer.work import Work, message_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
@@ -58,6 +69,21 @@ class _Judged:
     block: PairCells | None
 
 
+class SaidCell(msgspec.Struct):
+    """A click on a cell of a matrix."""
+
+    name: str
+    row: Whole
+    column: Whole
+
+
+class SaidThreshold(msgspec.Struct):
+    """The score that a hand has drawn the threshold to, and whether it was let go there."""
+
+    score: float
+    rested: bool = False
+
+
 class AllPairsTab(Feature):
     """Registers all pairs when asked, and judges them anew as the thresholds move."""
 
@@ -70,35 +96,33 @@ class AllPairsTab(Feature):
         self._compared: ComparedPairs | None = None
         self._kept: dict[MethodName, ComparedPairs] = {}  # of the dataset
         self._asked: tuple[object, ...] = ()
-        self._panel = AllPairsPanel(
-            desk.host,
-            tuple(RULES),
-            on_run=self.compare_pairs,
-            on_rule=self._set_rule,
-            on_pair=desk.choose,
-        )
+        self.panel = AllPairsPanel(desk.host, tuple(RULES), desk.choose)
+        on_press(self.panel.run, self.compare_pairs)
+        on_choice(self.panel.rule, self._set_rule)
         self._comparer: Work[ViewState, ComparedPairs] = Work(
-            self._panel.work_bar,
+            self.panel.work_bar,
             lambda state: f"Running all pairs of {len(state.dataset.submaps):,} submaps",
             self._compare,
             self._on_compared,
             slots=desk.capacity.long,
             name="all pairs",
-            watch=lambda fraction, message: desk.tell(Feature.comparing, fraction, message),
+            watch=lambda fraction, message: desk.tell(
+                lambda feature: feature.comparing(fraction, message)
+            ),
             even_from=EVEN_FROM,
         )
         self._judge: Runner[_Judging, _Judged] = Runner(
             self._judge_all,
             self._on_judged,
-            lambda _, error: self._panel.work_bar.failed(message_of(error)),
+            lambda _, error: self.panel.work_bar.failed(message_of(error)),
             name="verdicts",
         )
         self.workers = (self._comparer, self._judge)
         self._latest: tuple[tuple[object, ...], JudgedPairs, PairCells] | None = None
         self._cells: dict[str, PairCells] = {}  # what the pages show, by the name of the matrix
-        desk.bridge.hear("matrix", self._open_cell)
-        desk.bridge.hear("pair", self._open_pair)
-        desk.bridge.hear("threshold", self._set_threshold)
+        desk.bridge.hear_as("matrix", SaidCell, self._open_cell)
+        desk.bridge.hear_as("pair", SaidPair, self._open_pair)
+        desk.bridge.hear_as("threshold", SaidThreshold, self._set_threshold)
 
     def follow(self, state: ViewState) -> None:
         """Follow the session: its thresholds, its pair, another dataset or method."""
@@ -112,7 +136,7 @@ class AllPairsTab(Feature):
                 self._latest, self._asked, self._cells = None, (), {}
         if other:
             self._comparer.cancel()
-            self._panel.clear()
+            self.panel.clear()
         self._submit()
 
     def compare_pairs(self) -> None:
@@ -146,7 +170,7 @@ class AllPairsTab(Feature):
             state.given,
             self._desk.memo,
             progress,
-            self._panel.candidates,
+            self.panel.candidates,
             state.method,
         )
 
@@ -179,55 +203,47 @@ class AllPairsTab(Feature):
             self._cells["block"] = judged.block
         host = self._desk.host
         with host.atomic():
-            self._panel.show(findings(judged.pairs, judged.whole, judged.block, job.state))
+            self.panel.show(findings(judged.pairs, judged.whole, judged.block, job.state))
         host.flush()
         dataset, pairs = job.state.dataset, judged.pairs
         outcomes = {
             (closure.query_id, closure.database_id): outcome
             for closure, outcome in zip(pairs.closures, pairs.outcomes, strict=True)
         }
-        self._desk.tell(Feature.checked, dataset, outcomes)
-        self._desk.tell(Feature.judged, dataset, pairs.closures)
+        self._desk.tell(lambda feature: feature.checked(dataset, outcomes))
+        self._desk.tell(lambda feature: feature.judged(dataset, pairs.closures))
 
     # What the pictures say; it comes from a page.
 
-    def _open_cell(self, page: viser.ClientHandle, data: Data) -> None:
+    def _open_cell(self, page: viser.ClientHandle, said: SaidCell) -> None:
         """Show the best pair of a cell."""
         del page
-        cells = self._cells.get(str(data.get("name")))
-        at = data.get("row"), data.get("column")
-        if cells is None or not all(isinstance(one, float) for one in at):
+        matrix = self._cells.get(said.name)
+        if matrix is None:
             return
-        row, column = (
-            int(one) if isinstance(one, float) and one.is_integer() else -1 for one in at
-        )
-        cell = cells.cells.get((row, column)) or cells.cells.get((column, row))
+        row, column = int(said.row), int(said.column)
+        cell = matrix.cells.get((row, column)) or matrix.cells.get((column, row))
         if cell is not None:
             self._desk.choose(cell.query, cell.database)
 
-    def _open_pair(self, page: viser.ClientHandle, data: Data) -> None:
+    def _open_pair(self, page: viser.ClientHandle, said: SaidPair) -> None:
         """Show a pair that is named."""
         del page
-        query, database = data.get("query"), data.get("database")
-        if isinstance(query, str) and isinstance(database, str):
-            self._desk.choose(query, database)
+        self._desk.choose(said.query, said.database)
 
-    def _set_threshold(self, page: viser.ClientHandle, data: Data) -> None:
+    def _set_threshold(self, page: viser.ClientHandle, said: SaidThreshold) -> None:
         """Take the least score to where a hand has drawn it."""
         del page
-        score = data.get("score")
-        if not isinstance(score, float):
-            return
         params, path = self._desk.state.asked, METHODS[self._desk.state.method].threshold
-        field = next(one for one in parameters_of(PipelineParams) if one.path == path)
+        field = next(field for field in parameters_of(PipelineParams) if field.path == path)
         try:
-            rounded = score if field.bounds is None else field.bounds.round(score)
+            rounded = said.score if field.bounds is None else field.bounds.round(said.score)
             params = with_path(params, path, int(rounded) if field.kind is int else rounded)
         except (InputError, ValueError, OverflowError):
             return  # no page of ours draws it out of bounds
         self._desk.change(params=params, moving=True)
-        if data.get("rested") is True:
-            self._desk.tell(Feature.rested, params)
+        if said.rested:
+            self._desk.tell(lambda feature: feature.rested(params))
 
 
 def findings(
@@ -236,39 +252,38 @@ def findings(
     """Turn the judged pairs into pictures and words."""
     high, histogram = highest_color(judged), count_scores(judged)
     compared, count = judged.compared, judged.num_accepted
-    seconds = compared.result.seconds["total"]
     closures = "loop closure" if count == 1 else "loop closures"
     skipped = f" ({judged.num_skipped:,} were not compared)" if judged.num_skipped else ""
-    ranked = sorted(
-        zip(judged.closures, judged.outcomes, strict=True),
-        key=lambda pair: -pair[0].registration.score,
+    by_motion = "" if judged.check is None else f": {_by_motion(judged)}"
+    summary = (
+        f"{count} {closures} in {len(judged.closures):,} pairs{skipped}{by_motion} · "
+        f"{compared.result.seconds['total']:.1f} s · method {state.method}"
     )
+    outdated = "The parameters have changed since: run again to update."
     shown = state.query_id, state.database_id
     shortlist = compared.result.shortlists.get(state.query_id, ())
-    earlier = next(
-        (k for k, one in enumerate(compared.dataset.submaps) if one.id == state.query_id), 0
-    )
-    by_motion = "" if judged.check is None else f": {_by_motion(judged)}"
-    return Findings(
-        summary=f"{count} {closures} in {len(judged.closures):,} pairs{skipped}{by_motion} · "
-        f"{seconds:.1f} s · method {state.method}",
-        outdated=""
-        if compared.is_of(state)
-        else "The parameters have changed since: run again to update.",
-        matrix=matrix_html("all", whole, high, shown),
-        block="" if block is None else matrix_html("block", block, high, shown),
-        matrix_caption=_matrix_caption(judged, whole, high),
-        scores=scores_html(judged, histogram),
-        disagreements=disagreements_html(judged, histogram),
-        threshold=threshold_html(METHODS[state.method].lowest(state.params)),
-        curve_caption="" if judged.check is None else _curve_caption(judged.check),
-        choices=tuple(
+    ids = [submap.id for submap in compared.dataset.submaps]
+    earlier = ids.index(state.query_id) if state.query_id in ids else 0
+    choices = sorted(
+        (
             Choice(closure.query_id, closure.database_id, closure.registration.score, outcome)
-            for closure, outcome in ranked
+            for closure, outcome in zip(judged.closures, judged.outcomes, strict=True)
         ),
-        shown=shown,
-        reasons=shortlist_html(*shown, shortlist, earlier),
+        key=lambda choice: -choice.score,
     )
+    caption = "" if judged.check is None else _curve_caption(judged.check)
+    html = {
+        "summary": summary_html(summary, "" if compared.is_of(state) else outdated),
+        "matrix": matrix_html("all", whole, high, shown),
+        "block": "" if block is None else matrix_html("block", block, high, shown),
+        "key": folded("How to read it", _matrix_caption(judged, whole, high)),
+        "scores": scores_html(judged, histogram),
+        "disagreements": disagreements_html(judged, histogram),
+        "curve": paragraph(caption, FAINT),
+        "threshold": threshold_html(METHODS[state.method].lowest(state.params)),
+        "reasons": shortlist_html(*shown, shortlist, earlier),
+    }
+    return Findings(html, tuple(choices), shown, has_truth=judged.check is not None)
 
 
 def _by_motion(judged: JudgedPairs) -> str:

@@ -72,21 +72,20 @@ def overlapping_pairs(dataset: Dataset, count: int) -> tuple[Pair, ...]:
             around = way[query] - way[database] > AROUND * (reach[query] + reach[database])
             overlap = common / min(len(first), len(second))
             likely.append((bool(around), overlap, query, database))
-    likely.sort(key=lambda one: (not one[0], -one[1], one[2], one[3]))
+    likely.sort(key=lambda pair: (not pair[0], -pair[1], pair[2], pair[3]))
     names = [dataset.submaps[row].id for row in rows]
     return tuple((names[query], names[database]) for _, _, query, database in likely[:count])
 
 
 def _nearest(middles: Float[Array, "n 2"], reach: Float[Array, "n"]) -> list[tuple[int, int]]:
     """List the pairs (query, earlier database) that are closest for their size; no neighbours."""
-    found: list[tuple[float, int, int]] = []
+    nearest: list[tuple[float, int, int]] = []
     for query in range(2, len(middles)):
         apart = np.linalg.norm(middles[: query - 1] - middles[query], axis=1)
         relative = apart / np.maximum(reach[: query - 1] + reach[query], 1e-9)
         near = np.flatnonzero(relative < 1.0)
-        found += [(float(relative[k]), query, int(k)) for k in near]
-    found.sort()
-    return [(query, database) for _, query, database in found[:NEAREST]]
+        nearest += [(float(relative[k]), query, int(k)) for k in near]
+    return [(query, database) for _, query, database in sorted(nearest)[:NEAREST]]
 
 
 def voted_pairs(
@@ -111,13 +110,13 @@ def voted_pairs(
     submaps = dataset.submaps[::every]
     apart = 2 if every == 1 else 1
     shortlist = Shortlist()
-    found: list[tuple[int, int, Pair]] = []
+    voted: list[tuple[int, int, Pair]] = []
     for k, submap in enumerate(submaps):
         features = extract(submap)
-        earlier = [one.id for one in submaps[: max(0, k + 1 - apart)]]
+        earlier = [before.id for before in submaps[: max(0, k + 1 - apart)]]
         if earlier:
             best = shortlist.candidates(features, 1, among=earlier)[0]
-            found.append((-best.votes, k, (submap.id, best.id)))
+            voted.append((-best.votes, k, (submap.id, best.id)))
         shortlist.add(submap.id, features)
         progress((k + 1) / len(submaps))
-    return tuple(pair for _, _, pair in sorted(found)[:count])
+    return tuple(pair for _, _, pair in sorted(voted)[:count])

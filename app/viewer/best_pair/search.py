@@ -4,23 +4,82 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from html import escape
 
+import msgspec
 import viser
 
 from app.viewer.best_pair.likely import Pair, overlapping_pairs, voted_pairs
-from app.viewer.best_pair.panel import BestPairNote, ShowBestButton
-from app.viewer.feature import Desk, Feature, Subject
+from app.viewer.feature import Desk, Feature, ModeSwitch, Subject
+from app.viewer.host import Host
 from app.viewer.methods import map_params, register_pair
-from app.viewer.opened import Opened
 from app.viewer.runner import Runner
+from app.viewer.session_file import Opened
 from app.viewer.state import NEEDS_TWO, ViewState, same_search, was_fitted
-from app.viewer.widgets.bridge import Data
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.actions import on_press
+from app.viewer.widgets.bridge import SaidPair, Whole, run_when_shown, say
 from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import button
 from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult, infer_features
 from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.run.threads import at_most_workers
 from gpgrad_core.types import Dataset, Features, LoopClosure, Submap
+
+# Over the lower middle of the picture: the panels cover its sides, and the caption is above. No row
+# of a panel moves.
+PLACE = (
+    "position:fixed;bottom:52px;left:50%;transform:translateX(-50%);z-index:4;box-sizing:border-box;"
+    "width:max-content;max-width:min(27rem,94vw);padding:.5em .8em;border-radius:.5em;"
+    "font-size:.85em;line-height:1.45;background:light-dark(#fff,#2b2b2b);"
+    "color:light-dark(#222,#eee);border:1px solid light-dark(#b5b5b5,#666);"
+    "box-shadow:0 2px 8px rgba(0,0,0,.25)"
+)
+APART = "margin:.4em .5em 0 0"
+
+
+class BestPairNote:
+    """A note that lies over the picture; it is there while there is something to say."""
+
+    def __init__(self, host: Host) -> None:
+        """Make it in the current container, empty."""
+        self._handle = host.gui.add_html("")
+
+    @property
+    def said(self) -> str:
+        """The note as HTML."""
+        return self._handle.content
+
+    def say(
+        self, text: str, choices: tuple[tuple[str, str, str], ...] = (), *, watch: int | None = None
+    ) -> None:
+        """Say something.
+
+        Args:
+            text: The note.
+            choices: Buttons below it: label, query and database of the pair that each shows.
+            watch: Number to tell when somebody acts on the page; None watches nothing.
+        """
+        buttons = [
+            button(label, say("show-pair", query=query, database=database), APART)
+            for label, query, database in choices
+        ]
+        script = ""
+        if watch is not None:
+            script = run_when_shown(fill_page_file("best_pair.js", NUMBER=watch))
+        else:
+            buttons.append(button("Close", say("close-note"), APART))
+        self._handle.content = (
+            f'<div data-testid="best-pair" role="status" style="{PLACE}">{escape(text)}'
+            f"<div>{''.join(buttons)}</div></div>{script}"
+        )
+
+    def clear(self) -> None:
+        """Say nothing."""
+        if self._handle.content:
+            self._handle.content = ""
+
 
 MOST_PAIRS = 8
 """So many of the likeliest pairs are scored at most."""
@@ -48,8 +107,8 @@ class _Search:
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
-    """What was found.
+class _Best:
+    """What the search found.
 
     Attributes:
         best: The loop closure with the highest score; None if there was none.
@@ -60,20 +119,21 @@ class _Found:
     num_scored: int
 
 
+class SaidTouched(msgspec.Struct):
+    """Somebody has acted on a page that was to tell so, with the number of a search."""
+
+    number: Whole
+
+
 class BestPair(Feature):
     """Scores the likeliest pairs once a dataset has opened on none, and shows the best.
 
     It works in one thread beside whatever else runs, and stops as soon as anybody acts.
     """
 
-    def __init__(self, desk: Desk, opened: Opened, commands: Commands) -> None:
-        """Make the note in the current container.
-
-        Args:
-            desk: Of the session.
-            opened: What the session begins with.
-            commands: Get "Show the best loop closure".
-        """
+    def __init__(self, desk: Desk, opened: Opened, commands: Commands, modes: ModeSwitch) -> None:
+        """Make the note in the current container, and begin with what is opened."""
+        self._modes = modes
         self._desk = desk
         self._lock = threading.Lock()
         self._state = desk.state
@@ -83,9 +143,9 @@ class BestPair(Feature):
         self._noted: Pair | None = None  # the pair that the note is about
         self._switched_to: Pair | None = None
         self._judged: tuple[LoopClosure, ...] = ()
-        self._button: ShowBestButton | None = None
-        self._note = BestPairNote(desk.host)
-        self._runner: Runner[_Search, _Found] = Runner(
+        self._button: viser.GuiButtonHandle | None = None
+        self.note = BestPairNote(desk.host)
+        self._runner: Runner[_Search, _Best] = Runner(
             self._search,
             self._on_found,
             self._on_error,
@@ -94,14 +154,19 @@ class BestPair(Feature):
             name="best pair",
         )
         self.workers = (self._runner,)
-        desk.bridge.hear("touched", self._on_touched)
-        desk.bridge.hear("show-pair", self._on_show_pair)
-        desk.bridge.hear("close-note", lambda page, data: self._note.clear())  # noqa: ARG005
+        desk.bridge.hear_as("touched", SaidTouched, self._on_touched)
+        desk.bridge.hear_as("show-pair", SaidPair, self._on_show_pair)
+        desk.bridge.hear("close-note", lambda page, data: self.note.clear())  # noqa: ARG005
         commands.add("Pair", "Show the best loop closure", self.show_best)
 
     def add_button(self) -> None:
         """Make the button "Show best" in the current container."""
-        self._button = ShowBestButton(self._desk.host, self.show_best)
+        self._button = self._desk.host.gui.add_button(
+            "Show best",
+            disabled=True,
+            hint="Shows the loop closure with the highest score of all pairs that were run.",
+        )
+        on_press(self._button, self.show_best)
 
     # What happens.
 
@@ -114,21 +179,20 @@ class BestPair(Feature):
             return
         pair = state.query_id, state.database_id
         with self._lock:
-            mine = pair == self._switched_to
+            by_itself = pair == self._switched_to
             gone = self._noted is not None and pair != self._noted
             if not same_search(state, before):
                 self._judged = ()
             if state.dataset is not before.dataset:
                 self._due = gone = True
-                if self._button is not None:
-                    self._button.offer(False)
-            elif not mine:
+                self._offer_best(False)
+            elif not by_itself:
                 self._due = False
-        if state.dataset is not before.dataset or not mine:
+        if state.dataset is not before.dataset or not by_itself:
             self._stop()
-        if gone and not mine:
+        if gone and not by_itself:
             self._noted = None
-            self._note.clear()
+            self.note.clear()
 
     def opened(self, opened: Opened) -> None:
         """Leave a saved session as it was saved."""
@@ -148,7 +212,7 @@ class BestPair(Feature):
         """Say nothing of a pair while all submaps are shown."""
         if subject == "world":
             self._stop()
-            self._note.clear()
+            self.note.clear()
 
     def comparing(self, fraction: float | None, message: str) -> None:
         """Make way for the comparison of all pairs."""
@@ -161,8 +225,11 @@ class BestPair(Feature):
         """Know all pairs from now on."""
         if dataset is self._state.dataset:
             self._judged = closures
-            if self._button is not None:
-                self._button.offer(self._best_judged() is not None)
+            self._offer_best(self._best_judged() is not None)
+
+    def _offer_best(self, offered: bool) -> None:
+        if self._button is not None:
+            self._button.disabled = not offered
 
     # What is asked for.
 
@@ -170,26 +237,24 @@ class BestPair(Feature):
         """Show the best loop closure that is known, or search for one."""
         best = self._best_judged()
         if best is not None:
-            self._desk.tune(best.query_id, best.database_id)
+            self._modes.tune(best.query_id, best.database_id)
         elif not self._desk.state.is_pair:
-            self._note.say(NEEDS_TWO)
+            self.note.say(NEEDS_TWO)
         elif not self._searching:
             self._begin(self._desk.state, asked=True)
 
     def _best_judged(self) -> LoopClosure | None:
         accepted = [closure for closure in self._judged if closure.accepted]
-        return max(accepted, key=lambda one: one.registration.score, default=None)
+        return max(accepted, key=lambda closure: closure.registration.score, default=None)
 
-    def _on_touched(self, page: viser.ClientHandle, data: Data) -> None:
+    def _on_touched(self, page: viser.ClientHandle, said: SaidTouched) -> None:
         del page
-        if data.get("number") == self._number:
+        if said.number == self._number:
             self._stop()
 
-    def _on_show_pair(self, page: viser.ClientHandle, data: Data) -> None:
+    def _on_show_pair(self, page: viser.ClientHandle, said: SaidPair) -> None:
         del page
-        query, database = data.get("query"), data.get("database")
-        if isinstance(query, str) and isinstance(database, str):
-            self._desk.tune(query, database)
+        self._modes.tune(said.query, said.database)
 
     def _begin(self, state: ViewState, *, asked: bool) -> None:
         with self._lock:
@@ -211,19 +276,19 @@ class BestPair(Feature):
             was, self._searching = self._searching, False
             self._number += was  # what still comes of it is of an older one
         if was:
-            self._note.clear()
+            self.note.clear()
             self._desk.host.flush()
 
     def _tell(self, job: _Search, text: str) -> None:
         """Say how far a search is, unless it has ended."""
         if job.number == self._number:
             why = "" if job.asked else "This pair is no loop closure. "
-            self._note.say(why + text, watch=job.number)
+            self.note.say(why + text, watch=job.number)
             self._desk.host.flush()
 
     # What the worker does.
 
-    def _search(self, job: _Search, progress: Progress) -> _Found:
+    def _search(self, job: _Search, progress: Progress) -> _Best:
         best: LoopClosure | None = None
         num_scored = 0
         with at_most_workers(1):
@@ -243,12 +308,12 @@ class BestPair(Feature):
                     best = closure
                 if best is not None and time.monotonic() - job.began > ENOUGH:
                     break
-        return _Found(best, num_scored)
+        return _Best(best, num_scored)
 
     def _likely(self, job: _Search, progress: Progress) -> Iterator[Pair]:
         """Give the pairs to score, the likeliest first."""
         state = job.state
-        known = set[str]() if job.asked else {state.query_id, state.database_id}
+        opened = set[str]() if job.asked else {state.query_id, state.database_id}
         pairs = overlapping_pairs(state.dataset, MOST_PAIRS + 1)
         if not pairs:
             told = part(progress, 0.0, EXTRACTING)
@@ -260,24 +325,24 @@ class BestPair(Feature):
                 return infer_features(submap, params, memo, told)
 
             pairs = voted_pairs(state.dataset, MOST_PAIRS + 1, extract, told)
-        others = [pair for pair in pairs if set(pair) != known][:MOST_PAIRS]
+        others = [pair for pair in pairs if set(pair) != opened][:MOST_PAIRS]
         for number, pair in enumerate(others, start=1):
             progress(EXTRACTING)
             self._tell(job, f"The likeliest pairs are being scored: {number} of {len(others)} …")
             yield pair
 
-    def _on_found(self, job: _Search, found: _Found, seconds: float) -> None:
+    def _on_found(self, job: _Search, outcome: _Best, seconds: float) -> None:
         del seconds
         opened = job.state.query_id, job.state.database_id
         with self._lock:
             if job.number != self._number or not self._searching:
                 return  # somebody has acted
             self._searching = False
-            best = found.best
+            best = outcome.best
             if best is not None:
                 self._switched_to = self._noted = best.query_id, best.database_id
         if best is None:
-            self._note.say(_nothing(found.num_scored))
+            self.note.say(_nothing(outcome.num_scored))
         else:
             self._desk.change(pair=self._switched_to, only_from=job.state)
             now = self._desk.state
@@ -286,19 +351,19 @@ class BestPair(Feature):
             if (now.query_id, now.database_id) == shown:
                 back = f"{opened[0]} → {opened[1]}"
                 none = "" if job.asked else f" {back}, with which the dataset opened, is none."
-                self._note.say(
+                self.note.say(
                     f"Switched to {best.query_id} → {best.database_id}, the best loop closure so "
                     f"far.{none}",
                     () if opened == shown else ((f"Back to {back}", *opened),),
                 )
             else:
-                self._note.clear()
+                self.note.clear()
         self._desk.host.flush()
 
     def _on_error(self, job: _Search, error: Exception) -> None:
         if job.number == self._number:
             self._searching = False
-            self._note.say(f"The likeliest pairs could not be scored: {message_of(error)}")
+            self.note.say(f"The likeliest pairs could not be scored: {message_of(error)}")
             self._desk.host.flush()
 
 

@@ -2,9 +2,11 @@
 
 import threading
 import weakref
+from typing import Annotated, TypeAlias
 
 import numpy as np
 import viser
+from msgspec import Meta, Struct
 
 from app.viewer.draw.cameras import view_of
 from app.viewer.draw.colors import CHOSEN, css
@@ -12,15 +14,20 @@ from app.viewer.draw.overlay import line_of_sight, place_on_screen
 from app.viewer.draw.picking import Ray
 from app.viewer.feature import Desk, Feature
 from app.viewer.host import pages
-from app.viewer.pacer import Pacer
 from app.viewer.pair import PairScene
+from app.viewer.runner import Pacer
 from app.viewer.state import FROM_ABOVE
-from app.viewer.widgets.bridge import Data
 
 BETWEEN = 0.05
 """Pause between two answers to a cursor that moves [s]."""
-FARTHEST = 100_000.0
-"""Of a cursor from the corner of a canvas [pixels]."""
+Pixels: TypeAlias = Annotated[float, Meta(ge=-100_000.0, le=100_000.0)]
+
+
+class CursorSaid(Struct):
+    """Where a page's cursor is: pixels from the upper left corner of its canvas."""
+
+    x: Pixels
+    y: Pixels
 
 
 class Cursor(Feature):
@@ -41,17 +48,11 @@ class Cursor(Feature):
         )
         self._pacer: Pacer[viser.ClientHandle] = Pacer(self._mark, BETWEEN, "cursor")
         self.workers = (self._pacer,)
-        desk.bridge.hear("cursor", self._take)
+        desk.bridge.hear_as("cursor", CursorSaid, self._take)
 
-    def _take(self, page: viser.ClientHandle, data: Data) -> None:
-        """Take where a page's cursor is: pixels from the upper left corner of its canvas."""
-        x, y = data.get("x"), data.get("y")
-        if not (isinstance(x, float | int) and isinstance(y, float | int)):
-            return
-        if not (abs(x) <= FARTHEST and abs(y) <= FARTHEST):  # NaN is not below anything
-            return
+    def _take(self, page: viser.ClientHandle, cursor: CursorSaid) -> None:
         with self._lock:
-            self._at[page] = float(x), float(y)
+            self._at[page] = cursor.x, cursor.y
         self._pacer.ask(page)
 
     def _mark(self, page: viser.ClientHandle) -> None:

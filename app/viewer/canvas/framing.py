@@ -12,9 +12,9 @@ from app.viewer.draw.overlay import axes_on_screen, length_text, scale_bar
 from app.viewer.draw.placement import Camera
 from app.viewer.feature import Desk, Feature, Subject
 from app.viewer.host import pages
-from app.viewer.opened import Opened
-from app.viewer.pacer import Pacer
 from app.viewer.pair import BY_HAND, PairScene, headline_of
+from app.viewer.runner import Pacer
+from app.viewer.session_file import Opened
 from app.viewer.state import FROM_ABOVE, NEEDS_TWO, ViewState, same_pair
 from app.viewer.world import WorldTab
 from gpgrad_core.pipeline import PairResult
@@ -114,12 +114,11 @@ class Framing(Feature):
     def frame(self, page: viser.ClientHandle | None) -> None:
         """Bring the camera of a page, or all, to all that is shown."""
         self._kept = False
-        for one in pages(self._desk.host).values() if page is None else (page,):
-            self._frame(one)
+        for shown in pages(self._desk.host).values() if page is None else (page,):
+            self._frame(shown)
 
-    def set_full_screen(self, full_screen: bool) -> None:
+    def resized(self) -> None:
         """Fill the canvas that the panels leave, seen from where it was seen before."""
-        del full_screen
         self._refit_until = time.monotonic() + SCREEN_CHANGES
 
     # Cameras.
@@ -184,12 +183,12 @@ class Framing(Feature):
     def _lead(self) -> None:
         """Place the submaps so that they fill the canvas of the page that came first."""
         canvases = self._desk.canvases
-        known = {
+        measured = {
             number: page for number, page in pages(self._desk.host).items() if canvases.knows(page)
         }
-        if not known:
+        if not measured:
             return
-        tall = canvases.of(known[min(known)]).is_tall
+        tall = canvases.of(measured[min(measured)]).is_tall
         if tall != self._pair.tall:
             self._pair.tall = tall
             self._desk.change()

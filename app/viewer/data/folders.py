@@ -1,13 +1,22 @@
-"""What can be opened below a folder. Links are resolved first, so nothing outside can be."""
+"""What can be opened: below a folder, and of the datasets that were open before.
 
+Links are resolved first, so nothing outside of the folder can be opened.
+"""
+
+import json
+import logging
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
-from gpgrad_core.datasets.clouds import READERS
+from gpgrad_core.datasets.clouds import is_cloud
 from gpgrad_core.datasets.cpet import is_posed_scan
 from gpgrad_core.errors import InputError
+from gpgrad_core.outputs import replacing
+from gpgrad_core.reading.json_files import read_json
+from gpgrad_core.reading.paths import check_path
 
 MOST_ENTRIES = 500
 """Longer lists make the browser slow; what is left out is counted."""
@@ -30,6 +39,11 @@ class Listing:
     clouds: tuple[str, ...]
     is_dataset: bool
     num_hidden: int = 0
+
+    @property
+    def entries(self) -> tuple[str, ...]:
+        """Names to choose from: folders end in "/"."""
+        return (*(f"{name}/" for name in self.folders), *self.clouds)
 
 
 def inside(root: Path, path: Path) -> Path:
@@ -92,7 +106,7 @@ def list_folder(root: Path, folder: Path) -> Listing:
             continue
         if entry.is_dir():
             folders.append(entry.name)
-        elif entry.suffix.lower() in READERS:
+        elif is_cloud(entry):
             clouds.append(entry.name)
     hidden = max(len(folders) - MOST_ENTRIES, 0) + max(len(clouds) - MOST_ENTRIES, 0)
     return Listing(
@@ -126,3 +140,50 @@ def _entries(path: Path) -> Iterator[Path]:
     for folder in path.iterdir():
         if is_posed_scan(folder):
             yield from folder.iterdir()
+
+
+_log = logging.getLogger(__name__)
+
+MOST_RECENT = 8
+FILE = "recent.json"
+LARGEST = 100_000
+"""Bytes; eight paths have a tenth."""
+
+
+def recent_datasets(config: Path) -> tuple[str, ...]:
+    """Read the paths of the datasets opened last, newest first, without those that are gone."""
+    try:
+        paths = read_json(config / FILE, LARGEST)
+    except (OSError, InputError):
+        return ()  # the first time, or not worth an error
+    if not isinstance(paths, list):
+        return ()
+    texts = [path for path in cast("list[object]", paths) if isinstance(path, str)]
+    return tuple(path for path in texts if _is_there(path))[:MOST_RECENT]
+
+
+def _is_there(path: str) -> bool:
+    try:
+        return check_path(path).exists()
+    except InputError:
+        return False
+
+
+def remember_dataset(config: Path, path: str) -> tuple[str, ...]:
+    """Put a dataset first among the recent ones; returns them all.
+
+    A list that cannot be written is lost with the viewer, and that goes to the log: opening
+    worked.
+
+    Args:
+        config: Folder of the user's settings; made if need be.
+        path: Of the dataset.
+    """
+    paths = tuple(dict.fromkeys((path, *recent_datasets(config))))[:MOST_RECENT]
+    try:
+        config.mkdir(parents=True, exist_ok=True)
+        with replacing(config / FILE) as unfinished:
+            unfinished.write_text(json.dumps(paths, indent=1), encoding="utf-8")
+    except (OSError, ValueError) as error:
+        _log.warning("recent datasets were not saved: %s", error)
+    return paths

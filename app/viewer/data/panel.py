@@ -1,49 +1,19 @@
 """Open another dataset: a recent one, by its path, from a folder, or by uploading it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from html import escape
-from pathlib import PurePath
+from pathlib import Path, PurePath
 
 import viser
 
+from app.viewer.data.folders import Listing
 from app.viewer.host import Host
-from app.viewer.widgets.actions import on_choice, on_option, on_press, on_upload
+from app.viewer.widgets.actions import on_choice, on_option, on_upload
 from app.viewer.widgets.work_bar import WorkBar
 
 NO_RECENT: str = "—"
 UP: str = "↑ up"
 CHOOSE: str = "choose …"
-
-
-@dataclass(frozen=True)
-class Choices:
-    """What a folder on the server offers.
-
-    Attributes:
-        place: The folder, as people are shown it.
-        entries: Names to choose from: folders end in "/".
-        can_open: Whether the folder itself can be opened.
-        note: What else there is to say.
-    """
-
-    place: str
-    entries: tuple[str, ...]
-    can_open: bool
-    note: str = ""
-
-
-@dataclass(frozen=True)
-class FolderCalls:
-    """What the list of a folder on the server calls; all must be quick.
-
-    Attributes:
-        enter: Given the name chosen, or "" for the folder above.
-        open_here: Called to open the folder itself.
-    """
-
-    enter: Callable[[str], None]
-    open_here: Callable[[], None]
 
 
 class DatasetPanel:
@@ -55,8 +25,8 @@ class DatasetPanel:
         *,
         on_load: Callable[[str], None],
         on_demo: Callable[[], None],
-        folder: FolderCalls | None = None,
-        uploaded: Callable[[str, bytes], None] | None = None,
+        on_enter: Callable[[str], None] | None = None,
+        on_upload_file: Callable[[str, bytes], None] | None = None,
         upload_hint: str = "",
     ) -> None:
         """Make the widgets in the current container; callbacks must only hand on.
@@ -65,8 +35,10 @@ class DatasetPanel:
             host: Whose GUI they join.
             on_load: Given the path as typed, or chosen among the recent ones.
             on_demo: Called for the built-in demo.
-            folder: What the list of a folder calls; None where no folder may be browsed.
-            uploaded: Given the name and the content of a file; None where uploads are not allowed.
+            on_enter: Given the name of an entry of the folder, or "" for the folder above; None
+                where no folder may be browsed.
+            on_upload_file: Given the name and the content of a file; None where uploads are not
+                allowed.
             upload_hint: How large an upload may be.
         """
         gui = host.gui
@@ -82,40 +54,41 @@ class DatasetPanel:
             hint="A dataset folder, a folder of clouds, or one cloud, "
             "on the machine that runs the viewer.",
         )
-        self._buttons = gui.add_button_group(
+        buttons = gui.add_button_group(
             "Open", ("Load", "Load demo"), hint="Load the folder above, or the built-in demo."
         )
-        self._place = gui.add_html("", visible=folder is not None)
+        self.place = gui.add_html("", visible=on_enter is not None)
         self._entries: viser.GuiDropdownHandle[str] = gui.add_dropdown(
             "Browse",
             (CHOOSE,),
             initial_value=CHOOSE,
-            visible=folder is not None,
+            visible=on_enter is not None,
             hint="Enter a folder on the machine that runs the viewer, or choose a cloud.",
         )
-        self._here = gui.add_button("Use this folder", visible=False)
-        self._upload = gui.add_upload_button(
+        self.here = gui.add_button("Use this folder", visible=False)
+        upload = gui.add_upload_button(
             "Upload clouds or a .zip",
-            visible=uploaded is not None,
+            visible=on_upload_file is not None,
             hint="A zipped dataset, or a cloud. Further clouds join the ones that you uploaded "
             "before. " + upload_hint,
         )
         self.work_bar = WorkBar(host, "Cancel loading", "dataset")
         on_option(
-            self._buttons,
+            buttons,
             lambda label: on_demo() if label == "Load demo" else on_load(self._path.value.strip()),
         )
         on_choice(self._recent, lambda path: None if path == NO_RECENT else on_load(path))
-        if folder is not None:
+        if on_enter is not None:
             on_choice(
                 self._entries,
-                lambda name: None if name == CHOOSE else folder.enter("" if name == UP else name),
+                lambda name: None if name == CHOOSE else on_enter("" if name == UP else name),
             )
-            on_press(self._here, folder.open_here)
-        if uploaded is not None:
+        if on_upload_file is not None:
             on_upload(
-                self._upload,
-                lambda name, content: uploaded(PurePath(name.replace("\\", "/")).name, content),
+                upload,
+                lambda name, content: on_upload_file(
+                    PurePath(name.replace("\\", "/")).name, content
+                ),
             )
 
     def show(self, path: str) -> None:
@@ -127,13 +100,16 @@ class DatasetPanel:
         self._recent.options = (NO_RECENT, *paths)
         self._recent.value = NO_RECENT
 
-    def show_folder(self, choices: Choices) -> None:
-        """Offer what is in a folder."""
-        note = f"<br>{escape(choices.note)}" if choices.note else ""
-        self._place.content = (
+    def show_folder(self, root: Path, listing: Listing) -> None:
+        """Offer what is in a folder below a root."""
+        note = ""
+        if listing.num_hidden:
+            note = f"<br>{listing.num_hidden:,} more are not listed; type the path"
+        self.place.content = (
             f'<div data-testid="place" style="padding:0 .75em;font-size:.85em;'
-            f'overflow-wrap:anywhere">{escape(choices.place)}{note}</div>'
+            f'overflow-wrap:anywhere">{escape(str(root / listing.folder))}{note}</div>'
         )
-        self._entries.options = (CHOOSE, *choices.entries)
+        up = () if listing.folder == Path() else (UP,)
+        self._entries.options = (CHOOSE, *up, *listing.entries)
         self._entries.value = CHOOSE
-        self._here.visible = choices.can_open
+        self.here.visible = listing.is_dataset

@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from app.recordings import built_first
-from app.viewer.data.folders import check_inside, list_folder
-from app.viewer.data.panel import UP, Choices, DatasetPanel, FolderCalls
-from app.viewer.data.recent import recent_datasets, remember_dataset
+from app.viewer.data.folders import check_inside, list_folder, recent_datasets, remember_dataset
+from app.viewer.data.panel import DatasetPanel
 from app.viewer.data.unpacking import MOST_GROWTH, check_cloud, unpack
 from app.viewer.feature import Desk, Feature
-from app.viewer.opened import Opened
-from app.viewer.session_file import SavedSession
+from app.viewer.session_file import Opened, SavedSession
+from app.viewer.widgets.actions import on_press
 from app.viewer.work import Work
 from gpgrad_core.datasets import demo_path, load_dataset
 from gpgrad_core.datasets.folder import MOST_LOADED
@@ -54,20 +53,19 @@ class DataTab(Feature):
         self._uploads: Path | None = None  # of this session, made when first needed
         self._folder = Path()
         allowed = desk.permissions
-        self._panel = DatasetPanel(
+        self.panel = DatasetPanel(
             desk.host,
-            on_load=self._open,
+            on_load=self.open,
             on_demo=lambda: self._start(Request()),
-            folder=None
-            if allowed.root is None
-            else FolderCalls(self._enter, lambda: self._submit(self._folder)),
-            uploaded=None if allowed.uploads is None else self._upload,
+            on_enter=None if allowed.root is None else self._enter,
+            on_upload_file=None if allowed.uploads is None else self._upload,
             upload_hint=f"Up to {allowed.max_upload / 1e6:,.0f} MB.",
         )
-        self._panel.show(desk.state.source)
+        on_press(self.panel.here, lambda: self._submit(self._folder))
+        self.panel.show(desk.state.source)
         self._show_recent()
         self._loader: Work[Request, Opened] = Work(
-            self._panel.work_bar,
+            self.panel.work_bar,
             lambda request: f"Loading {request.name}",
             self._load,
             self._on_loaded,
@@ -83,7 +81,7 @@ class DataTab(Feature):
 
     def refuse(self, message: str) -> None:
         """Say why a file that a page sends was not taken."""
-        self._panel.work_bar.failed(message)
+        self.panel.work_bar.failed(message)
 
     def close(self) -> None:
         """Stop, and remove what was uploaded."""
@@ -93,9 +91,10 @@ class DataTab(Feature):
 
     # What the panel asks for.
 
-    def _open(self, path: str) -> None:
+    def open(self, path: str) -> None:
+        """Open what lies at a path as it was typed."""
         if not path:
-            self._panel.work_bar.failed("Type the path of a dataset folder first.")
+            self.panel.work_bar.failed("Type the path of a dataset folder first.")
             return
         self._submit(Path(path).expanduser())
 
@@ -109,7 +108,7 @@ class DataTab(Feature):
         try:
             name = check_name(name).name  # a page may send any name, and files are made of it
         except InputError as error:
-            self._panel.work_bar.failed(f"The upload was refused: {error}")
+            self.panel.work_bar.failed(f"The upload was refused: {error}")
             return
         self._start(Request(upload=(name, content)))
 
@@ -125,25 +124,16 @@ class DataTab(Feature):
         root = self._permissions.root
         assert root is not None
         try:
-            found = list_folder(root, self._folder)
+            listing = list_folder(root, self._folder)
         except InputError as error:
             self._folder = Path()
-            self._panel.work_bar.failed(str(error))
+            self.panel.work_bar.failed(str(error))
             return
-        up = () if found.folder == Path() else (UP,)
-        note = f"{found.num_hidden:,} more are not listed; type the path" * bool(found.num_hidden)
-        self._panel.show_folder(
-            Choices(
-                str(root / found.folder),
-                (*up, *(f"{name}/" for name in found.folders), *found.clouds),
-                found.is_dataset,
-                note,
-            )
-        )
+        self.panel.show_folder(root, listing)
 
     def _show_recent(self) -> None:
         if self._permissions.config is not None:
-            self._panel.show_recent(recent_datasets(self._permissions.config))
+            self.panel.show_recent(recent_datasets(self._permissions.config))
 
     # What the loader does.
 
@@ -190,7 +180,7 @@ class DataTab(Feature):
         cloud = folder / name
         if cloud.exists():
             raise InputError(f"{name}: was uploaded before; rename one of them")
-        if len(content) + sum(one.stat().st_size for one in folder.iterdir()) > most:
+        if len(content) + sum(file.stat().st_size for file in folder.iterdir()) > most:
             raise InputError(
                 f"{name}: the uploaded clouds would have more than {most / 1e6:,.0f} MB together; "
                 "open another dataset to begin anew"
@@ -223,10 +213,10 @@ class DataTab(Feature):
     def _on_loaded(self, request: Request, opened: Opened, seconds: float) -> None:
         del seconds
         self._desk.open(opened)
-        self._panel.show(opened.source)
+        self.panel.show(opened.source)
         if request.path is not None and self._permissions.config is not None:
             path = str(Path(opened.source).absolute())
-            self._panel.show_recent(remember_dataset(self._permissions.config, path))
+            self.panel.show_recent(remember_dataset(self._permissions.config, path))
         if self._uploads is not None:  # what is no longer open
             for old in self._uploads.iterdir():
                 if not Path(opened.source).is_relative_to(old):
@@ -234,13 +224,7 @@ class DataTab(Feature):
 
 
 def _as_uploaded(error: Exception, name: str, source: Path) -> str:
-    """Say what is wrong with an upload: the page knows the names of its files, not where they lie.
-
-    Args:
-        error: What loading it raised.
-        name: Of the file that was uploaded.
-        source: Where it was unpacked.
-    """
+    """Say what is wrong with an upload by the names that the page knows, not by where it lies."""
     if isinstance(error, OSError):
         return f"{name}: {error.strerror or error}"
     within = "" if source.name == CLOUDS else f"{name}: "

@@ -6,7 +6,7 @@ import stat
 import zipfile
 from pathlib import Path, PurePosixPath
 
-from gpgrad_core.datasets.clouds import READERS, UNPACKED, unpacked_bytes
+from gpgrad_core.datasets.clouds import CLOUD_ENDINGS, CLOUD_FORMATS, is_cloud, unpacked_bytes
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.archives import opened_archive
 from gpgrad_core.reading.paths import check_name
@@ -15,7 +15,7 @@ from gpgrad_core.run.progress import Progress, silent
 MOST_GROWTH = 8
 """An archive may unpack to this many times the largest upload; text is packed to a quarter."""
 MOST_FILES = 5000
-KNOWN = frozenset(READERS) | {".txt", ".toml", ".png", ".jpg", ".jpeg"}
+KNOWN = frozenset(CLOUD_FORMATS) | {".txt", ".toml", ".png", ".jpg", ".jpeg"}
 """Endings of the files of a dataset; other files are not unpacked."""
 CHUNK = 1 << 20
 
@@ -87,7 +87,7 @@ def _unpacked(
     left_out = sum(not _is_hidden(PurePosixPath(member.filename)) for member in members)
     left_out -= len(wanted)
     if not wanted:
-        raise InputError(f"{name}: holds no clouds ({' '.join(READERS)})")
+        raise InputError(f"{name}: holds no clouds ({CLOUD_ENDINGS})")
     files = "file was" if left_out == 1 else "files were"
     notes = (f"{name}: {left_out} {files} left out: not part of a dataset",) if left_out else ()
     return _dataset_in(folder), notes
@@ -120,7 +120,8 @@ def _check_unpacked(name: str, path: Path, most_bytes: int) -> None:
     Raises:
         InputError: If it would, or is broken.
     """
-    if path.suffix.lower() not in UNPACKED:
+    kind = CLOUD_FORMATS.get(path.suffix.lower())
+    if kind is None or kind.unpacked_bytes is None:
         return
     try:
         total = unpacked_bytes(path)
@@ -140,9 +141,9 @@ def check_cloud(path: Path, most_bytes: int) -> None:
     Raises:
         InputError: If it is of an unknown kind, or would unpack to too much.
     """
-    if path.suffix.lower() not in READERS:
+    if not is_cloud(path):
         raise InputError(
-            f"{path.name}: is neither a zipped dataset (.zip) nor a cloud ({' '.join(READERS)})"
+            f"{path.name}: is neither a zipped dataset (.zip) nor a cloud ({CLOUD_ENDINGS})"
         )
     _check_unpacked(path.name, path, most_bytes)
 

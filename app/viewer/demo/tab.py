@@ -8,15 +8,14 @@ import viser
 
 from app.viewer.demo.pages import gliding, write_closure, write_world
 from app.viewer.demo.panel import DemoCalls, DemoPanel, Playable
-from app.viewer.downloads import Downloads, safe_name
 from app.viewer.draw.animation import Animation, ease, play
 from app.viewer.draw.cameras import BOOKMARKS, blend, follow, orbit, set_view, top, view_of
 from app.viewer.draw.placement import Camera
-from app.viewer.feature import Desk, Feature
+from app.viewer.feature import Cameras, Desk, Feature, ModeSwitch
 from app.viewer.pair import PairScene
 from app.viewer.runner import Runner
 from app.viewer.state import NEEDS_TWO, ViewState, registered
-from app.viewer.work import message_of
+from app.viewer.work import Downloads, message_of, safe_name
 from app.viewer.world import WorldTab
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.types import GradientMap
@@ -28,15 +27,26 @@ TOUR_SECONDS = 12.0
 class DemoTab(Feature):
     """What a demonstration can do."""
 
-    def __init__(self, desk: Desk, pair: PairScene, world: WorldTab) -> None:
+    def __init__(
+        self,
+        desk: Desk,
+        pair: PairScene,
+        world: WorldTab,
+        modes: ModeSwitch,
+        cameras: Cameras,
+    ) -> None:
         """Make the panel in the current container.
 
         Args:
             desk: Of the session.
             pair: The scene in which closures are played.
             world: The world.
+            modes: Turn to either, and to the full screen.
+            cameras: Stay where the demonstration brings them.
         """
         self._desk = desk
+        self._modes = modes
+        self._cameras = cameras
         self._pair = pair
         self._world = world
         self._lock = threading.Lock()
@@ -47,11 +57,11 @@ class DemoTab(Feature):
             desk.host,
             BOOKMARKS,
             DemoCalls(
-                on_subject=lambda subject: desk.tell(Feature.turn_to, subject),
+                on_subject=modes.turn_to,
                 on_bookmark=self._fly,
                 on_save_view=self._keep,
                 on_play=self._play,
-                on_full_screen=lambda: desk.tell(Feature.set_full_screen, True),
+                on_full_screen=lambda: modes.set_full_screen(True),
                 on_page=self._order,
             ),
         )
@@ -91,18 +101,18 @@ class DemoTab(Feature):
                 self._bar.failed("Optimise the pose graph in Explore first.")
                 return
             self._bar.idle()
-            self._desk.tell(Feature.turn_to, "world")
+            self._modes.turn_to("world")
             self._world.relax()
             return
         if not self._desk.state.is_pair:
             self._bar.failed(NEEDS_TWO)
             return
-        self._desk.tell(Feature.turn_to, "pair")
+        self._modes.turn_to("pair")
         if client is not None:
             # Both while they are apart; where they come together is in the middle of that.
             canvas = self._desk.canvases.of(client)
             self._to(client, self._pair.camera(self._desk.state, canvas, layout="side by side"))
-            self._desk.tell(Feature.keep_cameras)
+            self._cameras.keep_cameras()
         with self._lock:
             self._playing = True
         self._desk.change(options=registered(self._desk.state.options))

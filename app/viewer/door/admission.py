@@ -103,14 +103,14 @@ class Gate:
             )
         origins = given("Origin")
         own = f"http://{host}" if host not in self._hosts else None
-        known = len(origins) == 1 and (origins[0] == own or origins[0] in self.origins)
-        if (origins and not known) or (socket_wanted and not known):
+        is_ours = len(origins) == 1 and (origins[0] == own or origins[0] in self.origins)
+        if (origins and not is_ours) or (socket_wanted and not is_ours):
             return Refusal(
                 HTTPStatus.FORBIDDEN,
                 "Pages of another origin may not talk to the viewer. To allow one, start gpgrad "
                 "view with --allow-origin ORIGIN.\n",
             )
-        if not known and _is_fetched_by_another(given):
+        if not is_ours and _is_fetched_by_another(given):
             return Refusal(HTTPStatus.FORBIDDEN, "Other pages may not load parts of the viewer.\n")
         query = parse_qsl(path.partition("?")[2], keep_blank_values=True)
         if any(key in ELSEWHERE for key, _ in query):
@@ -172,8 +172,8 @@ class Gate:
     def _has_token(self, query: list[tuple[str, str]], given: Given, port: int) -> bool:
         shown = [value for key, value in query if key == "token"]
         for line in given("Cookie"):
-            for one in line.split(";"):
-                name, _, value = one.strip().partition("=")
+            for cookie in line.split(";"):
+                name, _, value = cookie.strip().partition("=")
                 shown += [value] if name == cookie_name(port) else []
         return any([self._is_token(value) for value in shown])  # noqa: C419 - all, for equal time
 
@@ -225,10 +225,10 @@ def check_token(text: str) -> str:
 def is_loopback(host: str) -> bool:
     """Say whether an address can be reached from this machine only."""
     try:
-        found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
+        addresses = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
     except OSError:
         return False
-    return all(ipaddress.ip_address(str(one[4][0])).is_loopback for one in found)
+    return all(ipaddress.ip_address(str(address[4][0])).is_loopback for address in addresses)
 
 
 def _is_everywhere(host: str) -> bool:
@@ -252,4 +252,6 @@ def _spelled(host: str) -> str:
 def _is_fetched_by_another(given: Given) -> bool:
     """Say whether a page of another site fetches a part of ours, rather than going there."""
     site, mode = given("Sec-Fetch-Site"), given("Sec-Fetch-Mode")
-    return any(one not in ("same-origin", "none") for one in site) and list(mode) != ["navigate"]
+    return any(place not in ("same-origin", "none") for place in site) and list(mode) != [
+        "navigate"
+    ]

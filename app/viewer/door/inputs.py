@@ -73,12 +73,12 @@ def read_message(frame: object) -> dict[str, Any] | None:
     if not isinstance(frame, bytes):
         raise Malformed("text")
     try:
-        found: object = msgspec.msgpack.decode(frame)
+        decoded: object = msgspec.msgpack.decode(frame)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise Malformed("not MessagePack") from error
-    if not isinstance(found, dict) or not isinstance(found.get("type"), str):
+    if not isinstance(decoded, dict) or not isinstance(decoded.get("type"), str):
         raise Malformed("no message")
-    message = cast("dict[str, Any]", found)
+    message = cast("dict[str, Any]", decoded)
     kind = SPOKEN.get(message["type"])
     if kind is None:
         return None
@@ -107,7 +107,7 @@ def fits(value: object, hint: Any) -> bool:  # noqa: PLR0911 - a case for each k
     if origin is Literal:
         return isinstance(value, str) and value in inner
     if origin in (Union, types.UnionType):
-        return any(fits(value, one) for one in inner)
+        return any(fits(value, kind) for kind in inner)
     if origin is tuple and isinstance(value, list):
         items = cast("list[object]", value)
         if inner[-1] is ...:
@@ -201,13 +201,11 @@ def _is_number(value: object) -> bool:
 @cache
 def _fields(kind: type[messages.Message]) -> tuple[dict[str, Any], frozenset[str]]:
     """Give the annotations of a message's fields by name, and the names that must be there."""
-    hints = get_type_hints(kind)
-    known = dataclasses.fields(cast("Any", kind))
-    optional = {
-        one.name
-        for one in known
-        if one.default is not dataclasses.MISSING or one.default_factory is not dataclasses.MISSING
-    }
-    return {one.name: hints[one.name] for one in known}, frozenset(
-        one.name for one in known if one.name not in optional
+    hints, missing = get_type_hints(kind), dataclasses.MISSING
+    fields = dataclasses.fields(cast("Any", kind))
+    needed = frozenset(
+        field.name
+        for field in fields
+        if field.default is missing and field.default_factory is missing
     )
+    return {field.name: hints[field.name] for field in fields}, needed

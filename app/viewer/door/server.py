@@ -10,6 +10,7 @@ changes, and `open_server` refuses to serve at all if the door was not put in.
 import asyncio
 import contextlib
 import functools
+import gzip
 import inspect
 import io
 import logging
@@ -28,9 +29,8 @@ from websockets.protocol import State
 
 from app.viewer.door.admission import Admission, Gate
 from app.viewer.door.inputs import Malformed, is_small_enough, read_message, why_not
-from app.viewer.door.limits import Limits, Pace
-from app.viewer.door.page import add_script
-from app.viewer.door.uploads import RefusedUpload, Uploads
+from app.viewer.door.limits import Limits, Pace, RefusedUpload, Uploads
+from app.viewer.web import fill_page_file
 
 _log = logging.getLogger(__name__)
 _starting = threading.Lock()
@@ -66,6 +66,8 @@ class Door:
     Attributes:
         gate: Decides who comes in.
         told: Who is told what was refused.
+        uploads: Counts what pages are sending.
+        refusals_due: By page and widget: what is refused soon, unless the person goes on typing.
         is_open: Whether viser serves through it.
     """
 
@@ -75,10 +77,10 @@ class Door:
         self.told = Told()
         self.is_open = False
         self.limits = limits
-        self._uploads = Uploads(max_upload, limits)
+        self.uploads = Uploads(max_upload, limits)
         self._server: Any = None
         self._sweep: asyncio.TimerHandle | None = None
-        self._late: dict[tuple[int, str], asyncio.TimerHandle] = {}
+        self.refusals_due: dict[tuple[int, str], asyncio.TimerHandle] = {}
 
     def guard(self, server: viser.ViserServer) -> None:
         """Take the server whose pages come through the door."""
@@ -115,7 +117,7 @@ class Door:
         )
         if refusal is not None:
             return connection.respond(refusal.status, refusal.text)
-        pages = sum(one.protocol.state is State.OPEN for one in connection.server.handlers)
+        pages = sum(peer.protocol.state is State.OPEN for peer in connection.server.handlers)
         if wanted and pages >= self.limits.pages:
             return connection.respond(
                 HTTPStatus.SERVICE_UNAVAILABLE,
@@ -128,7 +130,7 @@ class Door:
             given = self.gate.answer_headers(request.headers.get_all, request.path, address[1])
             for name, value in given.items():
                 response.headers[name] = value
-            add_script(response)
+            _add_script(response)
         return response
 
     # What pages say.
@@ -158,10 +160,10 @@ class Door:
 
     def leave(self, page: int) -> None:
         """Forget a page that has left."""
-        for name in self._uploads.leave(page):
+        for name in self.uploads.leave(page):
             self._forget_upload(page, name)
-        for key in [key for key in self._late if key[0] == page]:
-            self._late.pop(key).cancel()
+        for key in [key for key in self.refusals_due if key[0] == page]:
+            self.refusals_due.pop(key).cancel()
 
     # Widgets.
 
@@ -170,19 +172,21 @@ class Door:
         if widget is None:
             return False
         key = page, message["uuid"]
-        if key in self._late:  # what it said before is forgotten: the person was still typing
-            self._late.pop(key).cancel()
+        if (
+            key in self.refusals_due
+        ):  # what it said before is forgotten: the person was still typing
+            self.refusals_due.pop(key).cancel()
         reason = why_not(widget, message["updates"])
         if reason is not None:
             loop = asyncio.get_running_loop()
-            self._late[key] = loop.call_later(
+            self.refusals_due[key] = loop.call_later(
                 self.limits.typing_seconds, self._put_back, page, widget, reason
             )
         return reason is None
 
     def _put_back(self, page: int, widget: Any, reason: str) -> None:
         """Show the page what the widget is, and say why it is not what the page wants."""
-        del self._late[page, widget._impl.uuid]
+        del self.refusals_due[page, widget._impl.uuid]
         value = widget._impl.value
         if not isinstance(value, viser.UploadedFile):
             self._say(page, messages.GuiUpdateMessage(widget._impl.uuid, {"value": value}))
@@ -191,9 +195,9 @@ class Door:
     def _widget(self, page: int, uuid: str) -> Any:
         """Find a widget that a page may change; None if there is none."""
         for gui in self._guis(page):
-            found = gui._gui_input_handle_from_uuid.get(uuid)
-            if found is not None:
-                return None if found._impl.removed else found
+            widget = gui._gui_input_handle_from_uuid.get(uuid)
+            if widget is not None:
+                return None if widget._impl.removed else widget
         return None
 
     def _guis(self, page: int) -> list[Any]:
@@ -215,7 +219,7 @@ class Door:
         if not button.visible or button.disabled:
             return False
         try:
-            self._uploads.start(page, message)
+            self.uploads.start(page, message)
         except RefusedUpload as refused:
             self._refuse_upload(page, message, int(message["size_bytes"]), str(refused))
             return False
@@ -224,7 +228,7 @@ class Door:
 
     def _takes_part(self, page: int, message: dict[str, Any]) -> bool:
         try:
-            return self._uploads.part(page, message)
+            return self.uploads.part(page, message)
         except RefusedUpload as refused:
             self._forget_upload(page, message["transfer_uuid"])
             self._refuse_upload(page, message, 1, str(refused))
@@ -252,12 +256,12 @@ class Door:
         viser tells all pages, and those to come, of every part of every upload: for ever.
         """
         self._sweep = None
-        for name in self._uploads.expire():
+        for name in self.uploads.expire():
             for page in self._server.get_clients():
                 self._forget_upload(page, name)
             self._server.gui._current_file_upload_states.pop(name, None)
         self._server._websock_server._broadcast_buffer.remove_from_buffer(_is_upload_news)
-        if self._uploads.names:
+        if self.uploads.names:
             self._wake()
 
 
@@ -280,7 +284,7 @@ class Connection(ServerConnection):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take a connection; the oldest that has not become a page makes room for it."""
         super().connection_made(transport)
-        waiting = [one for one in self.server.handlers if one.protocol.state is not State.OPEN]
+        waiting = [peer for peer in self.server.handlers if peer.protocol.state is not State.OPEN]
         for oldest in waiting[: -self._door.limits.waiting]:
             oldest.transport.abort()
 
@@ -294,7 +298,7 @@ class Connection(ServerConnection):
         """Give viser's number of the page; None before it has one."""
         if self._page is None:
             live = server._websock_server._live_connections
-            self._page = next((number for number, one in live.items() if one is self), None)
+            self._page = next((number for number, peer in live.items() if peer is self), None)
         return self._page
 
     async def recv(self, decode: bool | None = None) -> Any:
@@ -373,3 +377,26 @@ def _is_upload_news(message: object) -> bool:
 def _is_worth_saying(record: logging.LogRecord) -> bool:
     """Leave out of the log that somebody has begun a request and not ended it."""
     return record.getMessage() not in ("opening handshake failed", "connection rejected (200 OK)")
+
+
+# viser's client makes the address of its websocket from that of the page and cuts off only what
+# follows `?`. A socket's address may have no `#`, so a page that was opened with one and without
+# the other never connects. And as the client starts it writes the page's address anew, at times
+# without that part, which our links need. So a script stands before all others.
+
+
+def _add_script(response: Response) -> None:
+    """Put the script into an answer, if that is the page."""
+    if response.headers.get("Content-Type", "").startswith("text/html"):
+        zipped = response.headers.get("Content-Encoding") == "gzip"
+        response.body = _with_script(bytes(response.body or b""), zipped=zipped)
+        del response.headers["Content-Length"]  # else it would be there twice
+        response.headers["Content-Length"] = str(len(response.body))
+
+
+@functools.lru_cache(maxsize=2)  # as it is, and zipped
+def _with_script(body: bytes, *, zipped: bool) -> bytes:
+    page = gzip.decompress(body) if zipped else body
+    script = f"<head><script>{fill_page_file('keep_hash.js')}</script>"
+    page = page.replace(b"<head>", script.encode(), 1)
+    return gzip.compress(page) if zipped else page

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from viser._messages import SetCameraLookAtMessage
 
 from app.viewer.draw.placement import FIELD_OF_VIEW, Camera
+from app.viewer.host import send_to
 from gpgrad_core.arrays import Array
 from gpgrad_core.se2 import SE2
 
@@ -90,7 +91,6 @@ def view_of(client: viser.ClientHandle) -> Camera:
 def set_view(client: viser.ClientHandle, camera: Camera) -> None:
     """Bring a page to a view."""
     distance = float(np.linalg.norm(np.array(camera.position) - np.array(camera.look_at)))
-    connection = client._websock_connection  # pyright: ignore[reportPrivateUsage]
     with client.atomic():
         client.camera.far = max(FAR, FAR_DISTANCES * distance)
         client.camera.fov = float(FIELD_OF_VIEW)
@@ -98,7 +98,7 @@ def set_view(client: viser.ClientHandle, camera: Camera) -> None:
         client.camera.look_at = camera.look_at
         # A new position takes the point that is looked at along. If the page reports just then that
         # it looks where it should, from a view before, viser has nothing to set and sends nothing.
-        connection.queue_message(SetCameraLookAtMessage(camera.look_at))
+        send_to(client, SetCameraLookAtMessage(camera.look_at))
     client.flush()
 
 

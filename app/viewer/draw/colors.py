@@ -1,6 +1,5 @@
 """Colour maps, hillshade and the legend: numbers to the colours that the screen shows."""
 
-import base64
 from functools import cache
 from typing import TypeAlias
 
@@ -8,6 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from app.viewer.charts import png_uri
 from app.viewer.state import ColorMap
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
@@ -153,6 +153,4 @@ def for_lines(color: Rgb) -> Rgb:
 def legend_uri(name: ColorMap, *, width: int = 256, height: int = 12) -> str:
     """Draw a colour map as a bar, as a ``data:`` address of a PNG, low end left."""
     columns = np.linspace(0, 255, width).round().astype(np.intp)
-    bar = np.broadcast_to(lookup_table(name)[columns][None, :, ::-1], (height, width, 3))
-    _, png = cv2.imencode(".png", np.ascontiguousarray(bar))
-    return "data:image/png;base64," + base64.b64encode(png.tobytes()).decode("ascii")
+    return png_uri(np.broadcast_to(lookup_table(name)[columns], (height, width, 3)))

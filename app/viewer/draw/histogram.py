@@ -52,11 +52,11 @@ def count_values(
     num_masked = 0
     span = max(scale.high - scale.low, 1e-12)
     for values, sure in zip(fields, trusted, strict=True):
-        known = np.isfinite(values)
+        finite = np.isfinite(values)
         places = (values - scale.low) * (NUM_BINS / span)
-        inside = places[known & sure].clip(0, NUM_BINS - 1).astype(np.intp)
+        inside = places[finite & sure].clip(0, NUM_BINS - 1).astype(np.intp)
         passed += np.bincount(inside, minlength=NUM_BINS)
-        outside = places[known & ~sure]
+        outside = places[finite & ~sure]
         num_masked += len(outside)
         outside = outside[(outside >= 0) & (outside < NUM_BINS)].astype(np.intp)
         rejected += np.bincount(outside, minlength=NUM_BINS)

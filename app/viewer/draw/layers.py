@@ -111,9 +111,9 @@ def shared_scale(
         values = field[::stride, ::stride]
         trusted = gradient_map.trusted(max_std_ratio)[::stride, ::stride]
         samples.append((values[trusted] if trusted.any() else values.ravel()) + offset)
-    known = np.concatenate(samples)
-    known = known[np.isfinite(known)]
-    ends = np.percentile(known, (1, 99)) if len(known) else NO_RANGE
+    pooled = np.concatenate(samples)
+    pooled = pooled[np.isfinite(pooled)]
+    ends = np.percentile(pooled, (1, 99)) if len(pooled) else NO_RANGE
     low, high = (float(end) for end in ends)
     if style.symmetric:
         high = max(abs(low), abs(high))

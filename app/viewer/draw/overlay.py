@@ -6,6 +6,7 @@ from math import tan
 import numpy as np
 from jaxtyping import Float
 
+from app.viewer.charts import round_length
 from app.viewer.draw.placement import FIELD_OF_VIEW, Camera, Canvas, axes_of_view
 from gpgrad_core.arrays import Array
 
@@ -34,16 +35,6 @@ def scale_bar(camera: Camera, canvas: Canvas) -> ScaleBar:
     free = canvas.width - canvas.left - canvas.right
     metres = round_length(min(BAR_SHARE * free, LONGEST_BAR) * per_pixel)
     return ScaleBar(metres / per_pixel, metres)
-
-
-def round_length(longest: float) -> float:
-    """Give the longest of 1, 2, 5, 10, … [m] that is not longer.
-
-    >>> round_length(4.7), round_length(0.3)
-    (2.0, 0.2)
-    """
-    power = 10.0 ** np.floor(np.log10(longest))
-    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= longest))
 
 
 def length_text(metres: float) -> str:

@@ -63,11 +63,11 @@ class Extent:
     @classmethod
     def of(cls, submap: Submap) -> "Extent":
         """Measure a submap, once: the cameras ask again and again."""
-        known = _measured.get(submap)
-        if known is None:
+        extent = _measured.get(submap)
+        if extent is None:
             low, high = submap.points.min(axis=0), submap.points.max(axis=0)
-            known = _measured[submap] = cls((low[0], low[1], low[2]), (high[0], high[1], high[2]))
-        return known
+            extent = _measured[submap] = cls((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+        return extent
 
     @property
     def center(self) -> Float[Array, "3"]:

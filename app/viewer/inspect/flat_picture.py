@@ -67,13 +67,7 @@ class _Sheet:
 
 
 def draw_pane(state: ViewState, result: PairResult) -> Image:
-    """Draw the picture.
-
-    Args:
-        state: What is asked for: layout, comparison, mask, which lines, and the association
-            that is pointed at.
-        result: Of the pair.
-    """
+    """Draw the picture as the state asks: in its layout, with its lines and the association."""
     motion = result.registration.T_database_query
     registered = state.options.layout == "registered" and motion is not None
     if registered and motion is not None:
@@ -187,8 +181,8 @@ def _compared_ground(state: ViewState, result: PairResult, motion: SE2, grid: Gr
     scale = shared_scale(maps, layer, state.options.color_map, ratio, (0.0, 0.0), fields)
     seen = resample(fields[1], result.database_map.grid, grid, SE2())
     image = np.full((*grid.shape, 3), NOTHING, dtype=np.uint8)
-    known = np.isfinite(seen)
-    image[known] = colorize(seen[known], scale.low, scale.high, scale.color_map)
+    finite = np.isfinite(seen)
+    image[finite] = colorize(seen[finite], scale.low, scale.high, scale.color_map)
     return image
 
 

@@ -3,8 +3,10 @@
 import threading
 from collections.abc import Callable
 
+import msgspec
 import numpy as np
 import viser
+from jaxtyping import Float
 
 from app.viewer.draw.associations import MOST_LINES, inlier_color, residuals, step_match
 from app.viewer.draw.colors import DATABASE, OUTLIER, QUERY, UNMATCHED, css
@@ -15,13 +17,12 @@ from app.viewer.draw.ruler import Ruler, measure
 from app.viewer.feature import Desk, Feature
 from app.viewer.host import pages
 from app.viewer.inspect.flat_picture import MASKED, Image, draw_pane
-from app.viewer.inspect.panel import SEEN, Key, MatchesPanel, MatchFigures
-from app.viewer.inspect.profile import RulerPanel
-from app.viewer.inspect.reading import ReadingPanel
+from app.viewer.inspect.panel import SEEN, Key, MatchesPanel, ReadingPanel, RulerPanel
 from app.viewer.runner import Runner
 from app.viewer.state import COMPARED, NEEDS_TWO, Layer, Probe, Role, ViewState, same_pair
-from app.viewer.widgets.bridge import Data
+from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.work import message_of
+from gpgrad_core.arrays import Array
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import GradientMap
@@ -31,6 +32,12 @@ COMPARED_TITLES: dict[Layer, str] = {
     "difference": "The height of the query above the database, in the colours of the legend.",
     "agreement": "Where the heights speak for one terrain (blue), and where against it (red).",
 }
+
+
+class SaidSeen(msgspec.Struct):
+    """Whether a page has the flat picture in view."""
+
+    seen: bool
 
 
 class InspectTab(Feature):
@@ -44,10 +51,8 @@ class InspectTab(Feature):
     ) -> None:
         """Make the panels in the current container.
 
-        Args:
-            desk: Of the session.
-            pick: Finds the place of a surface that a line of sight meets first.
-            show_ruler: Shows a measured line in the scene, or none.
+        ``pick`` finds the place of a surface that a line of sight meets first, and ``show_ruler``
+        shows a measured line in the scene, or none.
         """
         self._desk = desk
         self._pick = pick
@@ -56,13 +61,16 @@ class InspectTab(Feature):
         self._ends: tuple[Probe, ...] = ()
         self._lock = threading.Lock()
         self._shown: _ShownPair | None = None
-        self._reading = ReadingPanel(desk.host, lambda: desk.change(probe=None))
-        self._ruler = RulerPanel(desk.host, self._switch_ruler, self._clear_ruler)
-        self._matches = MatchesPanel(
+        self.reading = ReadingPanel(desk.host)
+        on_press(self.reading.clear_button, lambda: desk.change(probe=None))
+        self._ruler = RulerPanel(desk.host)
+        on_choice(self._ruler.switch, self._switch_ruler)
+        on_press(self._ruler.clear_button, self._clear_ruler)
+        self.matches = MatchesPanel(
             desk.host,
-            on_match=lambda number: desk.change(match=number),
-            on_step=self.step,
-            numbers=desk.numbers,
+            lambda number: desk.change(match=number),
+            self.step,
+            desk.numbers,
         )
         # Drawn after the scene, only the newest, and only while a page has it in view: the flat
         # picture must cost the 3D nothing.
@@ -70,12 +78,12 @@ class InspectTab(Feature):
         self._painter: Runner[_ShownPair, Image] = Runner(
             _draw,
             self._on_drawn,
-            lambda _, error: self._matches.failed(message_of(error)),
+            lambda _, error: self.matches.failed(message_of(error)),
             name="flat picture",
         )
         self.workers = (self._painter,)
         desk.host.scene.on_click(modifier="shift")(self.clicked)
-        desk.bridge.hear(SEEN, self._see)
+        desk.bridge.hear_as(SEEN, SaidSeen, self._see)
 
     def show(self, state: ViewState, result: PairResult) -> None:
         """Follow what was found and what is pointed at."""
@@ -88,20 +96,19 @@ class InspectTab(Feature):
         if not self._seen_by.isdisjoint(pages(self._desk.host)):
             self._painter.submit((state, result))
         self._show_reading(state, result)
-        figures = match_figures(state, result)
-        self._matches.show_match(state.match if figures is not None else 0, figures)
+        self.matches.show_match(state.match, *match_figures(state, result))
 
     def alone(self, state: ViewState, gradient_map: GradientMap) -> None:
         """Read the one submap there is; of a pair shown before, nothing is left."""
         with self._lock:
             self._shown, self._ends = None, ()
         self._measure()
-        self._matches.show_nothing(NEEDS_TWO)
+        self.matches.show_nothing(NEEDS_TWO)
         reading = reading_of(state, (gradient_map, gradient_map))
         if reading is None:
-            self._reading.clear()
+            self.reading.clear()
         else:
-            self._reading.show(
+            self.reading.show(
                 f"submap {state.query_id}", reading_rows(reading), trusted=reading.trusted
             )
 
@@ -127,16 +134,16 @@ class InspectTab(Feature):
         ray = Ray(np.array(event.ray_origin), np.array(event.ray_direction))
         probe = self._pick(ray)
         if probe is None:
-            self._reading.nothing_there()
+            self.reading.nothing_there()
         elif self._measuring:
             self._ends = (*self._ends, probe) if len(self._ends) == 1 else (probe,)
             self._measure()
         else:
             self._desk.change(probe=probe)
 
-    def _see(self, page: viser.ClientHandle, data: Data) -> None:
+    def _see(self, page: viser.ClientHandle, said: SaidSeen) -> None:
         """Draw the flat picture for a page that has it in view, and for no other."""
-        if data.get("seen") is not True:
+        if not said.seen:
             self._seen_by.discard(page.client_id)
             return
         self._seen_by.add(page.client_id)
@@ -182,18 +189,18 @@ class InspectTab(Feature):
         del seconds
         host = self._desk.host
         with host.atomic():
-            self._matches.show_picture(image, title_of(*job), key_of(*job))
+            self.matches.show_picture(image, title_of(*job), key_of(*job))
         host.flush()
 
     def _show_reading(self, state: ViewState, result: PairResult) -> None:
         probe = state.probe
         reading = reading_of(state, (result.query_map, result.database_map))
         if probe is None or reading is None:
-            self._reading.clear()
+            self.reading.clear()
             return
         submap = state.query_id if probe.role == "query" else state.database_id
         rows = reading_rows(reading) + _other_rows(state, result, reading, probe.role)
-        self._reading.show(f"{probe.role} {submap}", rows, trusted=reading.trusted)
+        self.reading.show(f"{probe.role} {submap}", rows, trusted=reading.trusted)
 
 
 def _draw(job: _ShownPair, progress: Progress) -> Image:
@@ -235,26 +242,31 @@ def _other_rows(
     return (("query minus database", f"{difference:+z.{digits}f} ± {std:.{digits}f} m"),)
 
 
-def match_figures(state: ViewState, result: PairResult) -> MatchFigures | None:
-    """Collect the figures of the association that the state points at, if there is one."""
+def match_figures(state: ViewState, result: PairResult) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """Write the figures of the association that the state points at: a title, and rows.
+
+    They are empty if there is no such association.
+    """
     index, matches = state.match - 1, result.matches
     if not 0 <= index < len(matches):
-        return None
-    missed = residuals(result)
-    (query_x, query_y), (database_x, database_y) = (
-        matches.query_xy[index].tolist(),
-        matches.database_xy[index].tolist(),
+        return "", ()
+    kind = "inlier" if result.registration.inliers[index] else "outlier"
+    distance = float(matches.distances[index])
+    rank = int(np.sum(matches.distances < distance)) + 1
+    missed, residual = residuals(result), "unknown: no motion was found"
+    if missed is not None:
+        allowed = state.params.registration.radius(result.registration.scale)
+        residual = f"{missed[index]:.3f} m (at most {allowed:g} m for an inlier)"
+    return f"Association {state.match} of {len(matches):,}: {kind}", (
+        ("descriptor distance", f"{distance:.3f} (rank {rank})"),
+        ("residual", residual),
+        ("in the query", _position(matches.query_xy[index])),
+        ("in the database", _position(matches.database_xy[index])),
     )
-    return MatchFigures(
-        inlier=bool(result.registration.inliers[index]),
-        distance=float(matches.distances[index]),
-        rank=int(np.sum(matches.distances < matches.distances[index])) + 1,
-        count=len(matches),
-        residual=None if missed is None else float(missed[index]),
-        allowed=state.params.registration.radius(result.registration.scale),
-        query_xy=(query_x, query_y),
-        database_xy=(database_x, database_y),
-    )
+
+
+def _position(xy: Float[Array, "2"]) -> str:
+    return f"x {xy[0]:+z.2f} m, y {xy[1]:+z.2f} m"
 
 
 def title_of(state: ViewState, result: PairResult) -> str:
@@ -276,19 +288,19 @@ def title_of(state: ViewState, result: PairResult) -> str:
             return "The gradients of both, laid onto each other. Where they agree, they look grey."
 
 
-def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
+def key_of(state: ViewState, result: PairResult) -> Key:
     """Say what the colours of the flat picture mean, with counts."""
     options, registration = state.options, result.registration
     inliers, total = registration.num_inliers, len(result.matches)
     registered = options.layout == "registered" and registration.T_database_query is not None
     overlaid = registered and options.compare in ("both", "blink")
-    key: list[Key] = []
+    key: list[tuple[str, str]] = []
     if registered and options.layer in COMPARED:
-        key.append(Key("rgb(38,38,42)", "masked in one of the two maps"))
+        key.append(("rgb(38,38,42)", "masked in one of the two maps"))
     elif overlaid:
-        key += [Key(css(QUERY), "the query alone"), Key(css(DATABASE), "the database alone")]
+        key += [(css(QUERY), "the query alone"), (css(DATABASE), "the database alone")]
     else:
-        key.append(Key(css(MASKED), "masked: no points nearby"))
+        key.append((css(MASKED), "masked: no points nearby"))
     for color, count, kind, drawn in (
         (inlier_color(result), inliers, "inliers", options.inlier_lines),
         (OUTLIER, total - inliers, "outliers", options.outlier_lines),
@@ -296,7 +308,7 @@ def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
         note = "" if drawn else " (lines are off)"
         if drawn and not options.all_lines and count > MOST_LINES:
             note = f" ({MOST_LINES} lines drawn)"
-        key.append(Key(css(color), f"{count:,} {kind}{note}"))
+        key.append((css(color), f"{count:,} {kind}{note}"))
     if options.keypoints:
         alone = sum(
             len(features) - len(np.unique(indices))
@@ -306,5 +318,5 @@ def key_of(state: ViewState, result: PairResult) -> tuple[Key, ...]:
                 strict=True,
             )
         )
-        key.append(Key(css(UNMATCHED), f"{alone:,} keypoints without an association"))
+        key.append((css(UNMATCHED), f"{alone:,} keypoints without an association"))
     return tuple(key)

@@ -4,32 +4,35 @@ The server of the page never sees that part, and viser, which reads words of its
 leaves it alone. It comes from outside: every value is checked as those of files are.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 from urllib.parse import parse_qsl, quote
+
+import msgspec
 
 from app.viewer.draw.placement import Camera
 from app.viewer.feature import Subject
 from app.viewer.methods import METHODS
-from app.viewer.session_file import SavedSession, check_method
+from app.viewer.session_file import Coordinate, SavedSession, as_saved
 from app.viewer.state import ViewOptions, ViewState
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.fields import AUTOMATIC, Field, get_path, parameters_of
-from gpgrad_core.params.files import with_tables
 from gpgrad_core.pipeline import PipelineParams
-from gpgrad_core.reading.paths import check_path
-from gpgrad_core.types import MAX_COORDINATE
+from gpgrad_core.reading.records import Finite
 
 LONGEST = 3500
 """Characters of such a part; what tells it to the server takes little more."""
-LONGEST_NUMBER = 40
 MOST_ENTRIES = 200
 WHERE = "the link"
 PERSONAL = ("dark",)
 """Options of the view that are the reader's own."""
+WORDS = ("dataset", "query", "database", "method")
+"""Of an address, as they stand in a saved session; others are taken apart first."""
+CameraNumbers: TypeAlias = tuple[
+    Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,28 +111,19 @@ def read_address(text: str, options: ViewOptions | None = None) -> Link:
     given = dict(pairs)
     if len(given) < len(pairs):
         raise InputError(f"{WHERE}: says the same thing twice")
-    mine = options or ViewOptions()
-    own = {name: getattr(mine, name) for name in PERSONAL}
-    view = replace(_params(given, "view.", ViewOptions()), **own)
-    method = check_method(given.pop("method", None), WHERE)
-    params = _params(given, "params.", METHODS[method].adapt(PipelineParams()))
-    dataset, camera = given.pop("dataset", None), given.pop("camera", None)
-    query, database = given.pop("query", None), given.pop("database", None)
-    scene = given.pop("scene", "pair")
-    if given:
-        raise InputError(f"{WHERE}: unknown word {next(iter(given))[:40]!r}")
-    if scene not in ("pair", "world"):
-        raise InputError(f"{WHERE}: scene must be pair or world, got {scene[:40]!r}")
-    saved = SavedSession(
-        None if dataset is None else _path(dataset),
-        query,
-        database,
-        view,
-        params,
-        None if camera is None else _camera(camera),
-        method=method,
-    )
-    return Link(saved, "world" if scene == "world" else "pair")
+    subject = _as("scene", given.pop("scene", "pair"), Subject, "pair or world")
+    table: dict[str, object] = {
+        "view": _take_tables(given, "view.", ViewOptions),
+        "params": _take_tables(given, "params.", PipelineParams),
+    }
+    if "camera" in given:
+        table["camera"] = _camera(given.pop("camera"))
+    for key in given:
+        if key not in WORDS:
+            raise InputError(f"{WHERE}: unknown word {key[:40]!r}")
+    saved = as_saved(given | table, WHERE)
+    own = {name: getattr(options or ViewOptions(), name) for name in PERSONAL}
+    return Link(replace(saved, options=replace(saved.options, **own)), subject)
 
 
 def _text_of(value: object) -> str:
@@ -139,9 +133,9 @@ def _text_of(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _params(given: dict[str, str], prefix: str, base: Any) -> Any:
-    """Take the entries that begin with a prefix out, and put their values into params."""
-    fields = {field.path: field for field in parameters_of(type(base))}
+def _take_tables(given: dict[str, str], prefix: str, kind: type) -> dict[str, Any]:
+    """Take the entries that begin with a prefix out, as nested tables of values."""
+    fields = {field.path: field for field in parameters_of(kind)}
     tables: dict[str, Any] = {}
     for key in [key for key in given if key.startswith(prefix)]:
         path, text = key.removeprefix(prefix), given.pop(key)
@@ -152,44 +146,30 @@ def _params(given: dict[str, str], prefix: str, base: Any) -> Any:
         for group in groups:
             table = table.setdefault(group, {})
         table[name] = _value(fields[path], text)
-    return with_tables(base, tables, WHERE)
+    return tables
 
 
 def _value(field: Field, text: str) -> object:
     if isinstance(field.kind, tuple) or (field.optional and text == AUTOMATIC):
         return text
     if field.kind is bool:
-        known = {"true": True, "false": False}
-        if text not in known:
-            raise InputError(f"{WHERE}: {field.path} must be true or false, got {text[:40]!r}")
-        return known[text]
-    return _number(text, field.path, int if field.kind is int else float)
+        return _as(field.path, text, bool, "true or false")
+    kind = int if field.kind is int else Finite
+    return _as(field.path, text, kind, "a whole number" if kind is int else "a number")
 
 
-def _number(text: str, name: str, kind: Callable[[str], float]) -> float:
-    try:
-        if len(text) > LONGEST_NUMBER:
-            raise ValueError
-        number = kind(text)
-    except ValueError:
-        raise InputError(f"{WHERE}: {name} must be a number, got {text[:40]!r}") from None
-    if not abs(number) < float("inf"):  # NaN is not below anything
-        raise InputError(f"{WHERE}: {name} must be a number, got {text[:40]!r}")
-    return number
-
-
-def _path(text: str) -> Path:
-    try:
-        return check_path(text)
-    except InputError as error:
-        raise InputError(f"{WHERE}: dataset: {error}") from None
-
-
-def _camera(text: str) -> Camera:
-    parts = text.split(",")
-    if len(parts) != 6:
-        raise InputError(f"{WHERE}: camera must be six numbers, got {text[:40]!r}")
-    x, y, z, u, v, w = (_number(part, "camera", float) for part in parts)
-    if max(map(abs, (x, y, z, u, v, w))) > MAX_COORDINATE or (x, y, z) == (u, v, w):
+def _camera(text: str) -> dict[str, tuple[float, ...]]:
+    """Read six numbers: where a camera stands, and what it looks at."""
+    numbers = _as("camera", text, CameraNumbers, "six numbers that are places")
+    if numbers[:3] == numbers[3:]:
         raise InputError(f"{WHERE}: camera cannot be at {text[:60]}")
-    return Camera((x, y, z), (u, v, w))
+    return {"position": numbers[:3], "look_at": numbers[3:]}
+
+
+def _as(name: str, text: str, kind: Any, rule: str) -> Any:
+    """Read a text of an address as a value of a kind."""
+    try:
+        parts = text.split(",") if kind is CameraNumbers else text
+        return msgspec.convert(parts, kind, strict=False)
+    except msgspec.ValidationError:
+        raise InputError(f"{WHERE}: {name} must be {rule}, got {text[:40]!r}") from None

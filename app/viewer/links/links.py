@@ -5,17 +5,19 @@ import weakref
 from pathlib import Path
 
 import viser
+from msgspec import Struct
 
 from app.viewer.draw.cameras import view_of
-from app.viewer.feature import Desk, Feature, Subject
+from app.viewer.feature import Cameras, Desk, Feature, ModeSwitch, Restore, Subject
 from app.viewer.host import Host, pages
-from app.viewer.links.address import Link, address_of, read_address
-from app.viewer.links.panel import LinkPanel, script_html, tell
-from app.viewer.opened import Opened
-from app.viewer.pacer import Pacer
+from app.viewer.links.address import LONGEST, Link, address_of, read_address
+from app.viewer.runner import Pacer
+from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
-from app.viewer.widgets.bridge import Data
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import paragraph
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.errors import InputError
 
@@ -23,23 +25,79 @@ BETWEEN = 0.4
 """Pause between two changes of an address [s]; browsers refuse very many."""
 
 
+NO_LINK = (
+    "This dataset has no link, because it was uploaded or has no path on the server. Save the "
+    "session instead."
+)
+
+
 def add_script(host: Host) -> None:
     """Put the script of the addresses into the current container, which must not be a tab."""
-    host.gui.add_html(script_html())
+    host.gui.add_html(run_when_shown(fill_page_file("links.js", MOST_LETTERS=LONGEST + 1)))
+
+
+def link_html(*, has_link: bool) -> str:
+    """Write the box with a page's own link, as each has a camera, and the button that copies it."""
+    if not has_link:
+        return paragraph(NO_LINK, "opacity:.8")
+    intro = paragraph(
+        "The address of this page follows what is shown: dataset, pair, parameters, layers and "
+        "camera. Whoever opens it on this viewer sees the same."
+    )
+    fill = run_when_shown(
+        "window.gpgradLink&&(this.parentNode.querySelector('input').value=gpgradLink.link())"
+    )
+    return intro + fill_page_file("link.html", FILL=fill)
+
+
+def tell(page: viser.ClientHandle, title: str, body: str) -> None:
+    """Say something about a link to the page that it concerns."""
+    page.add_notification(title, body, auto_close_seconds=12.0, with_close_button=True)
+
+
+class Address(Struct):
+    """What a page has behind ``#``.
+
+    Attributes:
+        text: The part of the address.
+        again: Whether the server was gone meanwhile.
+    """
+
+    text: str
+    again: bool = False
+
+
+class Copied(Struct):
+    """Whether a page could copy its link."""
+
+    copied: bool
 
 
 class Links(Feature):
     """Writes what is shown into the addresses of the pages, and reads that of a page that comes."""
 
-    def __init__(self, desk: Desk, commands: Commands) -> None:
+    def __init__(
+        self,
+        desk: Desk,
+        commands: Commands,
+        modes: ModeSwitch,
+        cameras: Cameras,
+        restore: Restore,
+    ) -> None:
         """Make the panel in the current container.
 
         Args:
             desk: Of the session.
             commands: Gets one that copies the link.
+            modes: Go to the one that a link was made in.
+            cameras: Are brought to where a link has them.
+            restore: Opens what a link has open.
         """
         self._desk = desk
-        self._panel = LinkPanel(desk.host)
+        self._modes = modes
+        self._cameras = cameras
+        self._restore = restore
+        self._body = desk.host.gui.add_html(link_html(has_link=True))
         self._subject: Subject = "pair"
         self._pending: Link | None = None  # whose dataset is being loaded
         self._arrived: weakref.WeakKeyDictionary[viser.ClientHandle, str] = (
@@ -48,16 +106,18 @@ class Links(Feature):
         self._lock = threading.Lock()
         self._pacer: Pacer[viser.ClientHandle] = Pacer(self._publish, BETWEEN, "addresses")
         self.workers = (self._pacer,)
-        desk.bridge.hear("arrived", self._arrive)
-        desk.bridge.hear("asked", self._take)
-        desk.bridge.hear("link copied", _say_copied)
+        desk.bridge.hear_as("arrived", Address, self._arrive)
+        desk.bridge.hear_as("asked", Address, self._take)
+        desk.bridge.hear_as("link copied", Copied, _say_copied)
         commands.add_for_page(
             "Session", "Copy link", lambda page: desk.bridge.call(page, "copy", {})
         )
 
     def follow(self, state: ViewState) -> None:
         """Take what is shown now."""
-        self._panel.show(has_link=bool(self._address(state)))
+        content = link_html(has_link=bool(self._address(state)))
+        if self._body.content != content:
+            self._body.content = content
         self._ask_all()
 
     def turned(self, subject: Subject) -> None:
@@ -70,7 +130,7 @@ class Links(Feature):
         with self._lock:
             pending, self._pending = self._pending, None
         if pending is not None and opened.saved is pending.saved and pending.subject == "world":
-            self._desk.tell(Feature.explore)
+            self._modes.go("Explore")
 
     def _ask_all(self) -> None:
         for page in pages(self._desk.host).values():
@@ -97,13 +157,12 @@ class Links(Feature):
 
     # A page that comes.
 
-    def _arrive(self, page: viser.ClientHandle, data: Data) -> None:
+    def _arrive(self, page: viser.ClientHandle, address: Address) -> None:
         if page in self._arrived:
             return
         self._arrived[page] = ""
-        text = data.get("text")
-        if isinstance(text, str) and text:
-            self._open(page, text, again=data.get("again") is True)
+        if address.text:
+            self._open(page, address.text, again=address.again)
 
         @page.camera.on_update
         async def _(camera: viser.CameraHandle) -> None:
@@ -112,12 +171,11 @@ class Links(Feature):
 
         self._pacer.ask(page)
 
-    def _take(self, page: viser.ClientHandle, data: Data) -> None:
+    def _take(self, page: viser.ClientHandle, address: Address) -> None:
         """Show what a page asks for that is there already: by a pasted link, back or forward."""
-        text = data.get("text")
-        if page in self._arrived and isinstance(text, str):
-            self._arrived[page] = text  # so that what is shown is written over it
-            self._open(page, text)
+        if page in self._arrived:
+            self._arrived[page] = address.text  # so that what is shown is written over it
+            self._open(page, address.text)
             self._pacer.ask(page)
 
     def _open(self, page: viser.ClientHandle, text: str, *, again: bool = False) -> None:
@@ -144,7 +202,7 @@ class Links(Feature):
                     "asks for is not shown. Open it again when the others have left.",
                 )
             elif link.subject == self._subject == "pair" and link.saved.camera is not None:
-                self._desk.tell(Feature.look, page, link.saved.camera)
+                self._cameras.look(page, link.saved.camera)
             return
         if _has_open(link, state):
             self._change(page, link)
@@ -166,7 +224,7 @@ class Links(Feature):
             "Opening the dataset of the link",
             f"Loading {where}. If it does not appear, the tab Data says why.",
         )
-        self._desk.tell(Feature.restore, link.saved)
+        self._restore(link.saved)
 
     def _change(self, page: viser.ClientHandle, link: Link) -> None:
         saved = link.saved
@@ -179,14 +237,14 @@ class Links(Feature):
             tell(page, "The link cannot be opened", str(error))
             return
         if link.subject == "world":
-            self._desk.tell(Feature.explore)
+            self._modes.go("Explore")
             return
         if self._subject == "world":
-            self._desk.tell(Feature.tune)
+            self._modes.go("Tune")
         if saved.camera is not None:
-            self._desk.tell(Feature.look, page, saved.camera)
+            self._cameras.look(page, saved.camera)
         elif self._desk.canvases.is_by_hand(page):
-            self._desk.tell(Feature.frame, page)
+            self._cameras.frame(page)
 
 
 def _has_open(link: Link, state: ViewState) -> bool:
@@ -212,8 +270,8 @@ def _asks_for(link: Link, state: ViewState) -> bool:
     )
 
 
-def _say_copied(page: viser.ClientHandle, data: Data) -> None:
-    if data.get("copied") is True:
+def _say_copied(page: viser.ClientHandle, said: Copied) -> None:
+    if said.copied:
         tell(page, "Link copied", "Whoever opens it on this viewer sees what you see.")
     else:
         tell(page, "The link was not copied", "Copy it from the tab Save.")

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable
 from html import escape
-from typing import Literal, TypeAlias, get_args
+from typing import get_args
 
+from app.viewer.feature import Mode
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_option, one_of
 from app.viewer.widgets.html import QUIET
 from app.viewer.widgets.look import segment_style
-
-Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
 
 MODES: tuple[Mode, ...] = get_args(Mode)
 GUIDES: dict[Mode, str] = {
@@ -25,13 +24,7 @@ class ModesPanel:
     """Buttons for the modes, and a line on the present one."""
 
     def __init__(self, host: Host, mode: Mode, on_change: Callable[[Mode], None]) -> None:
-        """Make the widgets in the current container.
-
-        Args:
-            host: Whose GUI they join.
-            mode: The present one.
-            on_change: Given the mode that a user chose; must be quick.
-        """
+        """Make the widgets in the current container; they report the mode that a user chose."""
         self._buttons = host.gui.add_button_group(
             "Mode",
             MODES,

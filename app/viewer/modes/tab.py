@@ -7,9 +7,9 @@ import viser
 
 from app.viewer.draw.cameras import set_start, set_view, view_of
 from app.viewer.draw.placement import UNKNOWN_CANVAS, Camera, Canvas
-from app.viewer.feature import Desk, Feature, Subject
+from app.viewer.feature import Desk, Feature, Mode, Subject
 from app.viewer.host import pages
-from app.viewer.modes.panel import Mode, ModesPanel
+from app.viewer.modes.panel import ModesPanel
 from app.viewer.pair import PairScene
 from app.viewer.state import ViewState
 from app.viewer.widgets.commands import Commands
@@ -43,15 +43,8 @@ class Modes(Feature):
         panels: Mapping[Mode, viser.PanelHandle],
         commands: Commands,
     ) -> None:
-        """Take over the panels and the scenes.
-
-        Args:
-            pair: Scene of the pair.
-            world: The world.
-            panels: Panel of each mode; one at a time is to be seen.
-            commands: Get those for the full screen.
-        """
-        desk, self._scenes = self._desk, (pair, world)
+        """Take over the scenes, and the panels, of which one at a time is to be seen."""
+        self._scenes = pair, world
         self._panels = panels
         for panel in panels.values():
             panel.dock_left()
@@ -60,7 +53,7 @@ class Modes(Feature):
         commands.add(
             "Demo",
             "Full screen, or back",
-            lambda: desk.tell(Feature.set_full_screen, not self._full_screen),
+            lambda: self.set_full_screen(not self._full_screen),
             key="F",
         )
         commands.add("Demo", "Leave full screen", self._leave_full_screen, key="escape")
@@ -71,13 +64,10 @@ class Modes(Feature):
             self._views.clear()
         self._state = state
 
-    def tune(self) -> None:
-        """Go to the mode in which a pair is tuned."""
+    def tune(self, query_id: str, database_id: str) -> None:
+        """Show a pair in the mode in which it is tuned."""
+        self._desk.choose(query_id, database_id)
         self.go("Tune")
-
-    def explore(self) -> None:
-        """Go to the mode in which all submaps are looked at."""
-        self.go("Explore")
 
     def go(self, mode: Mode) -> None:
         """Go to a mode; Demo keeps what is to be seen."""
@@ -119,7 +109,7 @@ class Modes(Feature):
             start = whole()
             if start is not None and isinstance(host, viser.ViserServer):
                 set_start(host, start)
-        self._desk.tell(Feature.turned, subject)
+        self._desk.tell(lambda feature: feature.turned(subject))
         host.flush()
 
     def set_full_screen(self, full_screen: bool) -> None:
@@ -131,10 +121,11 @@ class Modes(Feature):
             else:
                 panel.expand()
         self._desk.host.flush()
+        self._desk.tell(lambda feature: feature.resized())
 
     def _leave_full_screen(self) -> None:
         if self._full_screen:
-            self._desk.tell(Feature.set_full_screen, False)
+            self.set_full_screen(False)
 
     def _show_panels(self) -> None:
         with self._desk.host.atomic():

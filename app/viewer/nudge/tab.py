@@ -7,12 +7,14 @@ from math import atan2, degrees
 import numpy as np
 import viser
 
+from app.viewer.decisions import with_motion
 from app.viewer.draw.placement import Extent, Placement, height_offset, place
 from app.viewer.feature import Desk, Feature
-from app.viewer.nudge.panel import NudgeCalls, NudgePanel
+from app.viewer.nudge.panel import NudgePanel
 from app.viewer.pair import PAIR, PairScene
 from app.viewer.runner import Runner
 from app.viewer.state import NEEDS_TWO, ViewState, registered, same_pair
+from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.registration import refine
@@ -35,12 +37,7 @@ class NudgeTab(Feature):
     """Lets a person put the query where it belongs."""
 
     def __init__(self, desk: Desk, scene: PairScene) -> None:
-        """Make the panel in the current container.
-
-        Args:
-            desk: Of the session.
-            scene: Of the pair.
-        """
+        """Make the panel in the current container."""
         self._desk = desk
         self._host = desk.host
         self._scene = scene
@@ -50,15 +47,11 @@ class NudgeTab(Feature):
         self._motion = SE2()
         self._refined: Registration | None = None
         self._gizmo: viser.TransformControlsHandle | None = None
-        self._panel = NudgePanel(
-            desk.host,
-            NudgeCalls(
-                on_active=self._set_active,
-                on_refine=self._refine,
-                on_back=self._back,
-                on_use=self._use,
-            ),
-        )
+        self._panel = NudgePanel(desk.host)
+        on_choice(self._panel.active, self._set_active)
+        on_press(self._panel.refine, self._refine)
+        on_press(self._panel.back, self._back)
+        on_press(self._panel.use, self._use)
         self._refiner: Runner[_Refinement, Registration] = Runner(
             self._align,
             self._on_refined,
@@ -108,20 +101,19 @@ class NudgeTab(Feature):
             self._gizmo.remove()
             self._gizmo = None
         self._refined = None
-        self._desk.tell(Feature.moved, False)
+        self._desk.tell(lambda feature: feature.moved(False))
         self._panel.set_active(False)
         self._panel.show(())
         self._panel.say("")
 
     def _begin(self, state: ViewState, result: PairResult) -> None:
-        found = result.registration.T_database_query
-        motion = found if found is not None else _onto_each_other(state)
+        motion = result.registration.T_database_query or _onto_each_other(state)
         self._refined = None
-        self._panel.offer_use(False)
+        self._panel.use.disabled = True
         if self._gizmo is None:
             self._gizmo = self._add_gizmo(state)
         self._put(motion, with_gizmo=True)
-        self._desk.tell(Feature.moved, False)
+        self._desk.tell(lambda feature: feature.moved(False))
         self._panel.show(_rows(motion, result.registration))
 
     def _add_gizmo(self, state: ViewState) -> viser.TransformControlsHandle:
@@ -137,26 +129,26 @@ class NudgeTab(Feature):
         @gizmo.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
             if event.client_id is not None:
-                self._moved()
+                self.moved_by_hand()
 
         return gizmo
 
-    def _moved(self) -> None:
+    def moved_by_hand(self) -> None:
+        """Put the query where the handles are."""
         gizmo, shown = self._gizmo, self._shown
         if gizmo is None or shown is None:
             return
-        state, result = shown
+        state, _ = shown
         w, _, _, z = gizmo.wxyz
         yaw = 2 * atan2(float(z), float(w))
         # The handles sit on the middle of the query's box; the scene's origin on the database's.
         middle = SE2(yaw=yaw).apply(Extent.of(state.query).center[None, :2])[0]
         x, y = np.array(gizmo.position)[:2] + Extent.of(state.database).center[:2] - middle
         self._refined = None
-        self._panel.offer_use(False)
+        self._panel.use.disabled = True
         self._put(SE2(float(x), float(y), yaw), with_gizmo=False)
-        self._desk.tell(Feature.moved, True)
+        self._desk.tell(lambda feature: feature.moved(True))
         self._panel.show((*_motion_rows(self._motion), ("", "not refined yet")))
-        del result
 
     def _put(self, motion: SE2, *, with_gizmo: bool) -> None:
         """Put the query where a motion has it, and the handles on it."""
@@ -208,16 +200,17 @@ class NudgeTab(Feature):
             return
         self._refined = registration
         self._put(motion, with_gizmo=True)
-        self._desk.tell(Feature.moved, True)
+        self._desk.tell(lambda feature: feature.moved(True))
         self._panel.show(_rows(motion, registration))
-        self._panel.offer_use(True)
+        self._panel.use.disabled = False
         self._panel.say(f"Refined in {1000 * seconds:.0f} ms.")
         self._host.flush()
 
     def _use(self) -> None:
         if self._refined is not None and self._shown is not None:
             state = self._shown[0]
-            self._desk.tell(Feature.use_motion, state.query_id, state.database_id, self._refined)
+            pair, refined = (state.query_id, state.database_id), self._refined
+            self._desk.decide(lambda decisions: with_motion(decisions, pair, refined))
             self._panel.say("Accepted by hand: see the tab Pose graph in Explore.")
 
 

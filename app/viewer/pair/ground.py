@@ -161,7 +161,7 @@ class Ground:
                 hits.append((hit, role))
         if not hits:
             return None
-        hit, role = min(hits, key=lambda found: found[0].distance)
+        hit, role = min(hits, key=lambda met: met[0].distance)
         return Probe(role, hit.x, hit.y)
 
     def spot(self, probe: Probe) -> Float[NDArray[np.float64], "3"] | None:
@@ -177,38 +177,31 @@ class Ground:
         """Count the values that the layer shows."""
         layer, ratio = self.state.options.layer, self.state.params.features.max_std_ratio
         maps = self.maps if self.state.is_pair else self.maps[:1]
-        fields: tuple[Float[NDArray[np.floating], "_rows _columns"], ...]
-        if self.comparison is not None:
-            fields = self.comparison.fields
-        else:
-            fields = tuple(
+        fields: tuple[Float[NDArray[np.floating], "_rows _columns"], ...] = (
+            self.comparison.fields
+            if self.comparison is not None
+            else tuple(
                 layer_values(gradient_map, layer) + lift
-                if lift
-                else layer_values(gradient_map, layer)
                 for gradient_map, lift in zip(maps, self.lifts, strict=False)
             )
+        )
         trusted = tuple(gradient_map.trusted(ratio) for gradient_map in maps)
         return count_values(fields, trusted, self.scale)
 
 
-@dataclass(frozen=True)
-class DrawnHistogram:
-    """How often each value of the shown layer occurs."""
-
-    svg: str  # a picture to stand on the colour bar
-    note: str  # a line about it
-
-
-class HistogramOf:
+class HistogramPainter:
     """Draws the histogram of the ground, unless the last one was of the same."""
 
     def __init__(self) -> None:
-        """Nothing is drawn yet."""
+        """Begin without one."""
         self._made_from: tuple[object, ...] = ()
-        self._last = DrawnHistogram("", "")
+        self._last = "", ""
 
-    def of(self, ground: Ground) -> DrawnHistogram:
-        """Draw it, with the mask's threshold where the layer has one."""
+    def draw(self, ground: Ground) -> tuple[str, str]:
+        """Give a picture to stand on the colour bar, and a line about it.
+
+        The mask's threshold stands in it where the layer has one.
+        """
         layer, ratio = ground.state.options.layer, ground.state.params.features.max_std_ratio
         made_from = (*ground.maps, layer, ratio, ground.lifts, ground.scale, ground.comparison)
         if made_from != self._made_from:
@@ -221,7 +214,7 @@ class HistogramOf:
                 values = " and ".join(f"{value:.3g}" for value, _ in thresholds)
                 note += f"; dashed: the mask's threshold, {values} {ground.scale.unit}"
             self._made_from = made_from
-            self._last = DrawnHistogram(histogram_svg(counted, ground.scale, thresholds), note)
+            self._last = histogram_svg(counted, ground.scale, thresholds), note
         return self._last
 
 

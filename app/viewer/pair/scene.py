@@ -3,11 +3,10 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import viser
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from app.viewer.draw.cameras import DOWN, set_start, set_view
 from app.viewer.draw.colors import DATABASE, QUERY
@@ -29,11 +28,15 @@ from app.viewer.draw.readout import other_place
 from app.viewer.draw.ruler import Ruler
 from app.viewer.draw.surfels import make_surfels, stride_for
 from app.viewer.host import Host, pages
-from app.viewer.pair.annotations import Annotations
-from app.viewer.pair.association_nodes import AssociationNodes
-from app.viewer.pair.blinker import Blinker
 from app.viewer.pair.ground import ROLES, Comparison, Ground, shown_roles
-from app.viewer.pair.ruler_nodes import RulerNodes
+from app.viewer.pair.nodes import (
+    Annotations,
+    AssociationNodes,
+    Blinker,
+    Painted,
+    RulerNodes,
+    painted,
+)
 from app.viewer.state import (
     COMPARED,
     FROM_ABOVE,
@@ -63,7 +66,7 @@ class Shown:
         scale: Of the layer's colours; None while no surface is shown.
         registered: Whether the query was laid onto the database.
         num_surfels: Cells drawn.
-        num_points: PointsNode points drawn.
+        num_points: Points of the clouds drawn.
         ground: The maps as they are drawn.
     """
 
@@ -146,7 +149,7 @@ class PairScene:
         registration = result.registration
         self._registered = state, registration
         maps = result.query_map, result.database_map
-        self._blinker.run(on=_is_registered(state, registration) and _blinks(state))
+        self._blink(state, registration)
         with self._lock, self._host.atomic():
             self._last = result
             shown, layout = self._show_submaps(state, maps, registration)
@@ -165,7 +168,7 @@ class PairScene:
         Of another pair they go out of sight.
         """
         registration = self._known_registration(state)
-        self._blinker.run(on=_is_registered(state, registration) and _blinks(state))
+        self._blink(state, registration)
         with self._lock, self._host.atomic():
             self._last = None
             shown, _ = self._show_submaps(state, maps, registration)
@@ -189,13 +192,8 @@ class PairScene:
     def gliding(self, state: ViewState, result: PairResult) -> Callable[[float], None] | None:
         """Give what moves the query from beside the database to where it registers.
 
-        Args:
-            state: As it was shown, in the registered layout.
-            result: What was shown.
-
-        Returns:
-            A function of the share of the way in [0, 1], which does nothing once another picture
-            has been shown; None where there is no motion.
+        It takes the share of the way in [0, 1], and does nothing once another picture has been
+        shown. Where there is no motion it is None.
         """
         motion = result.registration.T_database_query
         if motion is None:
@@ -213,11 +211,7 @@ class PairScene:
     ) -> Callable[[Placement, Placement], None]:
         """Give what puts query and database anywhere, without drawing them anew.
 
-        It does nothing once another picture has been shown.
-
-        Args:
-            state: As it was shown.
-            result: What was shown.
+        It does nothing once another picture than that of the result has been shown.
         """
 
         def put(at_query: Placement, at_database: Placement) -> None:
@@ -241,8 +235,14 @@ class PairScene:
         return not state.is_pair or self._known_registration(state) is not None
 
     def _known_registration(self, state: ViewState) -> Registration | None:
-        known = self._registered
-        return known[1] if known is not None and same_pair(known[0], state) else None
+        if self._registered is None:
+            return None
+        shown, registration = self._registered
+        return registration if same_pair(shown, state) else None
+
+    def _motion(self, state: ViewState) -> SE2 | None:
+        registration = self._known_registration(state)
+        return None if registration is None else registration.T_database_query
 
     def pick(self, ray: Ray) -> Probe | None:
         """Find the place of a surface that a line of sight meets first, if it meets one."""
@@ -254,18 +254,16 @@ class PairScene:
         The other is left out without a motion, and where the other submap saw no ground.
         """
         with self._lock:
-            ground, known = self._ground, self._registered
+            ground = self._ground
+            motion = None if ground is None else self._motion(ground.state)
         if ground is None:
             return ()
-        found = [ground.spot(probe)]
-        motion = None
-        if known is not None and same_pair(known[0], ground.state):
-            motion = known[1].T_database_query
+        spots = [ground.spot(probe)]
         if motion is not None:
             of_query = probe.role == "query"
             x, y = other_place(motion, probe.x, probe.y, of_query=of_query)
-            found.append(ground.spot(Probe("database" if of_query else "query", x, y)))
-        return tuple(spot for spot in found if spot is not None)
+            spots.append(ground.spot(Probe("database" if of_query else "query", x, y)))
+        return tuple(spot for spot in spots if spot is not None)
 
     def show_ruler(self, ruler: Ruler | None) -> None:
         """Show a measured line where the submaps stand; None shows none."""
@@ -273,6 +271,10 @@ class PairScene:
             if self._ground is not None:
                 self._ruler.show(ruler, self._ground)
         self._host.flush()
+
+    def _blink(self, state: ViewState, registration: Registration | None) -> None:
+        registered = _is_registered(state, registration)
+        self._blinker.run(on=registered and state.options.compare == "blink")
 
     def close(self) -> None:
         """Stop blinking."""
@@ -286,18 +288,16 @@ class PairScene:
     ) -> tuple[Shown, "_Layout"]:
         state = as_drawn(state)
         options, ratio = state.options, state.params.features.max_std_ratio
-        motion = None if registration is None else registration.T_database_query
         registered = _is_registered(state, registration)
-        compared = options.layer in COMPARED
-        dz = 0.0
-        if registration is not None and (registered or compared):
-            dz = z_offset_of(registration, maps, ratio)
-        comparison = None
-        if registration is not None and compared:
-            comparison = Comparison.between(
-                options.layer, maps, registration, dz, ratio, self._comparison
-            )
-            self._comparison = comparison
+        motion, comparison, dz = None, None, 0.0
+        if registration is not None:
+            motion, compared = registration.T_database_query, options.layer in COMPARED
+            if registered or compared:
+                dz = z_offset_of(registration, maps, ratio)
+            if compared:
+                comparison = self._comparison = Comparison.between(
+                    options.layer, maps, registration, dz, ratio, self._comparison
+                )
         boxes = Extent.of(state.query), Extent.of(state.database)
         layout = _Layout(boxes, *self._place(state, boxes, options.layout, motion, dz))
         lift = dz if registered and options.layer == "elevation" else 0.0
@@ -351,10 +351,8 @@ class PairScene:
             layout: Instead of the state's.
         """
         boxes = Extent.of(state.query), Extent.of(state.database)
-        found = self._known_registration(state)
-        motion = None if found is None else found.T_database_query
         layout = layout or state.options.layout
-        placed = self._place(state, boxes, layout, motion)
+        placed = self._place(state, boxes, layout, self._motion(state))
         if forward is None and layout == FROM_ABOVE:
             forward = DOWN
         return frame_camera(tuple(zip(boxes, placed, strict=True)), canvas, forward=forward)
@@ -390,14 +388,14 @@ class PairScene:
 
     def _show_surface(self, node: SubmapNode, ground: Ground, index: int) -> None:
         options = ground.state.options
-        ratio = ground.state.params.features.max_std_ratio
-        gradient_map, placement = ground.maps[index], ground.placements[index]
-        offset, comparison = ground.lifts[index], ground.comparison
         if not options.surfaces:
             node.surface.hide()
             return
+        ratio = ground.state.params.features.max_std_ratio
+        gradient_map, placement = ground.maps[index], ground.placements[index]
+        offset, comparison = ground.lifts[index], ground.comparison
 
-        def make() -> tuple[Any, Any, float]:
+        def make() -> Painted:
             surfels = make_surfels(
                 gradient_map,
                 ground.scale,
@@ -413,19 +411,11 @@ class PairScene:
             )
             return surfels.positions, surfels.colors, surfels.size
 
-        needs = (
-            gradient_map,
-            ground.scale,
-            options.layer,
-            ratio,
-            options.untrusted,
-            options.hillshade,
-            placement.yaw,
-            offset,
-            comparison,
-            None if ground.swipe_at is None else (ground.swipe_at, placement),
+        look = options.layer, ratio, options.untrusted, options.hillshade
+        swiped = None if ground.swipe_at is None else (ground.swipe_at, placement)
+        node.surface.show(
+            (gradient_map, ground.scale, *look, placement.yaw, offset, comparison, swiped), make
         )
-        node.surface.show(needs, make)
 
     def _show_cloud(self, node: SubmapNode, submap: Submap, state: ViewState) -> None:
         options = state.options
@@ -433,22 +423,15 @@ class PairScene:
             node.cloud.hide()
             return
 
-        def make() -> tuple[Any, Any, float]:
+        def make() -> Painted:
             stride = int(np.ceil(len(submap.points) / MAX_CLOUD_POINTS))
             points = submap.points[::stride].astype(np.float32)
-            colors: UInt8[NDArray[np.uint8], "n 3"] = np.broadcast_to(
-                np.array(node.color, dtype=np.uint8), points.shape
-            ).copy()
-            return points, colors, options.point_size
+            return points, painted(node.color, len(points)), options.point_size
 
         node.cloud.show((submap, options.point_size), make)
 
 
 def _is_registered(state: ViewState, registration: Registration | None) -> bool:
     """Say whether the query is to be laid onto the database, and can be."""
-    found = registration is not None and registration.T_database_query is not None
-    return found and state.options.layout == "registered"
-
-
-def _blinks(state: ViewState) -> bool:
-    return state.options.compare == "blink"
+    has_motion = registration is not None and registration.T_database_query is not None
+    return has_motion and state.options.layout == "registered"

@@ -1,24 +1,36 @@
 """The pair: wires the choice of two submaps to the pipeline, and its result to the picture."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import viser
 
 from app.viewer.decisions import Decisions
-from app.viewer.feature import Desk, Feature
+from app.viewer.draw.cameras import set_view
+from app.viewer.feature import Desk, Feature, Frame
 from app.viewer.host import set_theme
 from app.viewer.methods import METHODS, map_params, register_pair
-from app.viewer.opened import Opened
-from app.viewer.pair.choice import DatasetSummary, PairPanel
-from app.viewer.pair.ground import HistogramOf
-from app.viewer.pair.panel import ViewPanel
+from app.viewer.pair.ground import HistogramPainter
+from app.viewer.pair.panel import DatasetSummary, PairPanel, ViewPanel
 from app.viewer.pair.scene import PairScene, Shown
 from app.viewer.pair.status import PictureStatus
 from app.viewer.pair.verdict import VerdictCard
 from app.viewer.runner import Runner
-from app.viewer.state import COMPARED, Role, ViewState, same_surfaces
-from app.viewer.widgets.title import PageTitle
+from app.viewer.session_file import Opened
+from app.viewer.state import (
+    COMPARED,
+    FROM_ABOVE,
+    LAYER_NAMES,
+    LAYERS,
+    Role,
+    ViewOptions,
+    ViewState,
+    registered,
+    same_surfaces,
+)
+from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.look import PageTitle
 from app.viewer.work import message_of
 from gpgrad_core.pipeline import PairResult, infer_map
 from gpgrad_core.pipeline.coarse import infer_quick_map, infer_quick_maps
@@ -47,18 +59,12 @@ class PairPicture:
 class PairTab(Feature):
     """Shows the pair of the session: one worker turns the newest state into a picture."""
 
-    def __init__(self, desk: Desk, opened: Opened, view: viser.GuiTabHandle) -> None:
-        """Make verdict and status in the current container, and the view's options in a tab.
-
-        Args:
-            desk: Of the session.
-            opened: What the session begins with.
-            view: The tab of the view.
-        """
+    def __init__(self, desk: Desk, opened: Opened, view: viser.GuiTabHandle, frame: Frame) -> None:
+        """Make verdict and status in the current container, and the options in the view's tab."""
         self._desk = desk
         host, state = desk.host, desk.state
         self.scene = PairScene(host, standalone=False)
-        self._histogram = HistogramOf()
+        self._histogram = HistogramPainter()
         self._title = PageTitle(host)
         self._verdict = VerdictCard(host)
         self._status = PictureStatus(
@@ -72,7 +78,7 @@ class PairTab(Feature):
                 host,
                 state.options,
                 lambda options: desk.change(options=options),
-                lambda: desk.tell(Feature.frame, None),
+                lambda: frame(None),
                 desk.numbers,
             )
         self._dark = False
@@ -158,8 +164,8 @@ class PairTab(Feature):
             maps = infer_quick_maps(*state.pair, params[0], memo, self._desk.capacity.helper, told)
         else:
             query, database = (
-                infer_quick_map(submap, of_map, memo, told)
-                for submap, of_map in zip(state.pair, params, strict=True)
+                infer_quick_map(submap, numbers, memo, told)
+                for submap, numbers in zip(state.pair, params, strict=True)
             )
             maps = query, database
         coarse = any(made.grid.resolution != state.params.map.resolution for made in maps)
@@ -207,9 +213,9 @@ class PairTab(Feature):
             newer_waits = self._runner.newer_waits
             self._status.finished(seconds, details(shown, state), newer_waits=newer_waits)
             if result is not None:
-                self._desk.tell(Feature.show, state, result)
+                self._desk.tell(lambda feature: feature.show(state, result))
             elif alone is not None:
-                self._desk.tell(Feature.alone, state, alone)
+                self._desk.tell(lambda feature: feature.alone(state, alone))
         self._desk.host.flush()
 
     def _mark_outdated(self) -> None:
@@ -226,8 +232,7 @@ class PairTab(Feature):
         if shown.scale is None:
             self._view.show_legend(None)
         else:
-            made = self._histogram.of(shown.ground)
-            self._view.show_legend(shown.scale, made.svg, made.note)
+            self._view.show_legend(shown.scale, *self._histogram.draw(shown.ground))
 
     def _on_error(self, state: ViewState, error: Exception) -> None:
         del state
@@ -237,7 +242,7 @@ class PairTab(Feature):
         """Say that what is seen is not what is set: on the card, in the scene, and why."""
         self._mark_outdated()
         self._verdict.outdate("out of date")
-        self._desk.tell(Feature.outdated)
+        self._desk.tell(lambda feature: feature.outdated())
         tell()
         self._desk.host.flush()
 
@@ -260,3 +265,93 @@ def details(shown: Shown, state: ViewState) -> str:
     elif state.options.layout == "registered" and not shown.registered:
         parts.append("no motion found: shown side by side")
     return " · ".join(parts) or "everything is hidden"
+
+
+SWITCHES = (
+    ("Inlier lines", "I", "inlier_lines"),
+    ("Outlier lines", "O", "outlier_lines"),
+    ("All lines, or forty of each kind", "G", "all_lines"),
+    ("Keypoints", "K", "keypoints"),
+    ("Point clouds", "C", "clouds"),
+    ("Surfaces", None, "surfaces"),
+    ("Hillshade", None, "hillshade"),
+)
+"""Options that a key shows or hides."""
+STEPS: tuple[tuple[Role, int, str, str | None], ...] = (
+    ("query", 1, "J", None),
+    ("query", -1, "J", "shift"),
+    ("database", 1, "M", None),
+    ("database", -1, "M", "shift"),
+)
+"""Keys that step through the submaps in a role."""
+
+
+def add_shortcuts(
+    commands: Commands,
+    desk: Desk,
+    pair: PairTab,
+    frame: Frame,
+    step_match: Callable[[int], None],
+) -> None:
+    """Add the commands to the palette: keys for what people do often.
+
+    Args:
+        commands: The palette.
+        desk: Of the session.
+        pair: Whose submaps are stepped through.
+        frame: Brings cameras to all that is shown.
+        step_match: Points at the next (1) or the previous (-1) association.
+    """
+
+    def show(**changes: object) -> None:
+        desk.change(options=changed(desk.state.options, **changes))
+
+    def choose(group: str, label: str, key: str | None, **changes: object) -> None:
+        commands.add(group, label, lambda: show(**changes), key=key)
+
+    def compare(label: str, key: str | None, **changes: object) -> None:
+        choose("Compare", label, key, layout="registered", **changes)
+
+    def other_layout() -> None:
+        is_registered = desk.state.options.layout == "registered"
+        show(layout="side by side" if is_registered else "registered")
+
+    def both() -> None:
+        options = registered(desk.state.options)
+        # Out of what compares them too: it shows neither of the two.
+        layer = "elevation" if options.layer in COMPARED else options.layer
+        desk.change(options=changed(options, layer=layer))
+
+    def from_above(page: viser.ClientHandle) -> None:
+        set_view(page, pair.scene.camera_above(desk.state, desk.canvases.of(page)))
+
+    def switch(name: str) -> None:
+        show(**{name: not getattr(desk.state.options, name)})
+
+    commands.add_for_page("View", "All of it in view", frame, key="R")
+    commands.add_for_page("View", "View from above", from_above, key="T")
+    commands.add("View", "Side by side or registered", other_layout, key="L")
+    choose("View", "Gradient of both from above", None, layout=FROM_ABOVE)
+    compare("Blink: one after the other", "B", compare="blink")
+    compare("Swipe: left and right of a line", "V", compare="swipe")
+    compare("Height difference of the registered maps", "Y", compare="both", layer="difference")
+    compare("Agreement of the registered maps", None, compare="both", layer="agreement")
+    commands.add("Compare", "Both at once", both, key="Z")
+    commands.add("Association", "Next association", partial(step_match, 1), key="N")
+    commands.add("Association", "Previous association", partial(step_match, -1), key="P")
+    no_choice = partial(desk.change, match=0, probe=None)
+    commands.add("Association", "Choose no association and no place", no_choice, key="U")
+    for role, step, key, modifier in STEPS:
+        label = f"{'Next' if step > 0 else 'Previous'} {role}"
+        commands.add("Pair", label, partial(pair.step, role, step), key=key, modifier=modifier)
+    for label, key, name in SWITCHES:
+        commands.add("Show or hide", label, partial(switch, name), key=key)
+    for number, layer in enumerate(LAYERS, start=1):
+        choose("Layer", LAYER_NAMES[layer].capitalize(), str(number), layer=layer)
+
+
+def changed(options: ViewOptions, **changes: object) -> ViewOptions:
+    """Copy options with some of them changed; a layer also switches the surfaces on."""
+    if "layer" in changes:
+        changes = {"surfaces": True} | changes
+    return replace(options, **changes)

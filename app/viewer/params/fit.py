@@ -1,12 +1,16 @@
-"""The Fit button: wires its panel to a worker, and the result to the session."""
+"""A button that sets the terrain's parameters to the values that explain the points best."""
 
 import threading
 from dataclasses import replace
+from html import escape
 
 from app.viewer.feature import Desk, Feature
 from app.viewer.methods import METHODS
-from app.viewer.params.fit_panel import FitPanel
 from app.viewer.state import ViewState
+from app.viewer.widgets.actions import on_press
+from app.viewer.widgets.html import box, table
+from app.viewer.widgets.look import make_solid
+from app.viewer.widgets.work_bar import WorkBar
 from app.viewer.work import Work
 from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.gradient_map import MapParams, TerrainParams
@@ -18,13 +22,20 @@ class FitTool(Feature):
     """Fits the terrain's parameters to the two submaps that are shown."""
 
     def __init__(self, desk: Desk) -> None:
-        """Make the panel in the current container."""
+        """Make the button in the current container."""
         self._desk = desk
         self._lock = threading.Lock()
         self._state = desk.state
-        self._panel = FitPanel(desk.host, lambda: self._fitter.start(self._state))
+        self._button = desk.host.gui.add_button(
+            "Fit to these submaps",
+            hint="Sets length-scale, noise and signal to the values that explain the points of "
+            "both submaps best, by maximum marginal likelihood.",
+        )
+        make_solid(desk.host, self._button)
+        self.work_bar = WorkBar(desk.host, "Cancel fit", "fit", starts=(self._button,))
+        on_press(self._button, lambda: self._fitter.start(self._state))
         self._fitter: Work[ViewState, FitResult] = Work(
-            self._panel.work_bar,
+            self.work_bar,
             lambda _: "Fitting",
             _fit,
             self._on_result,
@@ -37,19 +48,22 @@ class FitTool(Feature):
         """Follow the session; a fit to submaps that are no longer shown is stopped."""
         with self._lock:
             before, self._state = self._state, state
-        self._panel.show_button(visible=not METHODS[state.method].fits_each)
+        self._button.visible = not METHODS[state.method].fits_each
         if not _same_submaps(before, state) or before.method != state.method:
             self._fitter.cancel()
-            self._panel.work_bar.idle()
+            self.work_bar.idle()
 
     def _on_result(self, state: ViewState, result: FitResult, seconds: float) -> None:
         if not _same_submaps(state, self._state) or state.method != self._state.method:
             return  # others are shown since the very last moment
         start = state.params.map.terrain
-        found = {name: _value(result.params, name) for name in fitted_names(start)}
-        self._panel.show(_headline(result, seconds), _rows(start, found, result))
+        fitted = {name: _value(result.params, name) for name in fitted_names(start)}
+        submaps = " and ".join(result.submap_ids)
+        headline = f"Fitted to {result.num_points:,} points of {submaps} in {seconds:.1f} s:"
+        rows = table(_rows(start, fitted, result))
+        self.work_bar.show(box("fit", f"{escape(headline)}{rows}", "font-size:.8em"))
         params = self._desk.state.asked
-        self._desk.change(params=replace(params, map=with_fitted(params.map, found)))
+        self._desk.change(params=replace(params, map=with_fitted(params.map, fitted)))
         self._desk.host.flush()
 
 
@@ -59,9 +73,9 @@ def _fit(state: ViewState, progress: Progress) -> FitResult:
     return fit_parameters(submaps, state.params.map.terrain, progress=progress)
 
 
-def with_fitted(params: MapParams, found: dict[str, float]) -> MapParams:
+def with_fitted(params: MapParams, fitted: dict[str, float]) -> MapParams:
     """Replace parameters of the map by fitted values."""
-    return replace(params, **found)
+    return replace(params, **fitted)
 
 
 def _same_submaps(first: ViewState, second: ViewState) -> bool:
@@ -77,16 +91,11 @@ def _value(params: TerrainParams, name: str) -> float:
     return min(max(value, bounds.low), bounds.high)
 
 
-def _headline(result: FitResult, seconds: float) -> str:
-    submaps = " and ".join(result.submap_ids)
-    return f"Fitted to {result.num_points:,} points of {submaps} in {seconds:.1f} s:"
-
-
 def _rows(
-    start: TerrainParams, found: dict[str, float], result: FitResult
+    start: TerrainParams, fitted: dict[str, float], result: FitResult
 ) -> tuple[tuple[str, str], ...]:
     rows: list[tuple[str, str]] = []
-    for name, value in found.items():
+    for name, value in fitted.items():
         before = getattr(start, name)
         unit = bounds_of(TerrainParams)[name].unit
         old = "automatic" if before is None else f"{before:g}"

@@ -8,17 +8,14 @@ import viser
 
 from app.viewer.host import Host
 from app.viewer.widgets.actions import on_choice, on_press
-from app.viewer.widgets.decades import spread_over_decades
 from app.viewer.widgets.look import uuid_of
-from app.viewer.widgets.numbers import Numbers
+from app.viewer.widgets.numbers import Numbers, spread_over_decades
+from app.viewer.widgets.options import add_input, is_slider
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import DIGITS, Bounds
 from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path, with_unit
 
 P = TypeVar("P")
-
-MOST_STEPS = 1_000_000
-"""Of a slider; what has more, such as a seed, is typed."""
 
 
 class ParamsPanel(Generic[P]):
@@ -91,12 +88,7 @@ class ParamsPanel(Generic[P]):
         return self._used
 
     def set(self, value: P, used: P | None = None) -> None:
-        """Show other params; ``on_change`` is not called.
-
-        Args:
-            value: The params; None is automatic.
-            used: The same with numbers for what is automatic; None if none are known.
-        """
+        """Show other params, with numbers for what is automatic; ``on_change`` is not called."""
         only_numbers, self._value = value == self._value, value
         self._used = value if used is None else used
         for path, setting in self._settings.items():
@@ -159,26 +151,16 @@ class ParamsPanel(Generic[P]):
         on_press(button, reset)
 
     def _add(self, setting: Field, name: str | None) -> None:
-        gui, path = self._host.gui, setting.path
+        path = setting.path
         label = with_unit(name, setting.bounds) if name else setting.label
         current: Any = get_path(self._used, path)
-        if isinstance(setting.kind, tuple):
-            handle: Any = gui.add_dropdown(
-                label, setting.kind, initial_value=str(current), hint=setting.doc
-            )
-        elif setting.kind is bool:
-            handle = gui.add_checkbox(label, bool(current), hint=setting.doc)
-        elif setting.bounds is None or _is_too_wide(setting.bounds):
-            low, high = (
-                (None, None)
-                if setting.bounds is None
-                else map(setting.kind, (setting.bounds.low, setting.bounds.high))
-            )
-            handle = gui.add_number(label, current, min=low, max=high, hint=setting.doc)
-        else:
+        handle: viser.GuiInputHandle[Any]
+        if is_slider(setting.bounds):
             if setting.optional and (name is None or path in self._boxes):
                 self._add_automatic(setting)
             handle = self._add_slider(setting, label, current)
+        else:
+            handle = add_input(self._host, setting, label, current)
         self._inputs[path] = handle
         moves = isinstance(handle, viser.GuiSliderHandle | viser.GuiNumberHandle)
         if moves and self._numbers is not None:
@@ -330,12 +312,6 @@ def _rounded(setting: Field, raw: object) -> object:
     # The first position of a slider need not be a whole number of steps from zero.
     value = min(max(value, setting.bounds.low), setting.bounds.high)
     return int(value) if setting.kind is int else value
-
-
-def _is_too_wide(bounds: Bounds) -> bool:
-    """Say whether a slider would skip most of the values."""
-    low, high = bounds.slider_range
-    return high - low > MOST_STEPS * bounds.step
 
 
 def _finest(bounds: Bounds, *, whole: bool) -> float:

@@ -6,13 +6,12 @@ from dataclasses import replace
 
 from app.viewer.feature import Desk, Feature
 from app.viewer.methods import METHOD_NAMES, METHODS, MethodName
-from app.viewer.opened import Opened
 from app.viewer.params.fit import FitTool
 from app.viewer.params.panel import ParamsPanel
 from app.viewer.params.presets import PresetsTool
 from app.viewer.params.sensitivity import SensitivityTool
-from app.viewer.params.snapshots import SnapshotsTool
-from app.viewer.params.undo import UndoTool
+from app.viewer.params.undo import SnapshotsTool, UndoTool
+from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.commands import Commands
@@ -60,14 +59,7 @@ class ParamsTab(Feature):
         commands: Commands,
         on_error: Callable[[str], None],
     ) -> None:
-        """Make the widgets in the current container.
-
-        Args:
-            desk: Of the session.
-            default: What "Reset parameters" goes back to.
-            commands: Get undo and redo.
-            on_error: Given the message if a value is refused.
-        """
+        """Make the widgets in the current container; the default is what the reset goes to."""
         self._desk = desk
         self._default = default
         self._shown: MethodName = desk.state.method
@@ -124,7 +116,7 @@ class ParamsTab(Feature):
         with suppress(InputError):  # what no slider of ours says
             if value is not None:
                 params = self._panel.with_moved(params, widget, value)
-            self._desk.tell(Feature.rested, params)
+            self._desk.tell(lambda feature: feature.rested(params))
 
     def opened(self, opened: Opened) -> None:
         """Reset to what the new dataset prefers."""
@@ -133,11 +125,11 @@ class ParamsTab(Feature):
 
     def _change(self, asked: PipelineParams, *, moving: bool = False) -> None:
         """Take what a person has set; the noise is no longer automatic if a part of it is set."""
-        before, of_map = self._desk.state, asked.map
-        if of_map.noise_std is None and (of_map.noise_growth, of_map.noise_factor) != (
+        before, terrain = self._desk.state, asked.map
+        if terrain.noise_std is None and (terrain.noise_growth, terrain.noise_factor) != (
             before.asked.map.noise_growth,
             before.asked.map.noise_factor,
         ):
             noise_std = before.params.map.noise_std
-            asked = replace(asked, map=replace(of_map, noise_std=noise_std))
+            asked = replace(asked, map=replace(terrain, noise_std=noise_std))
         self._desk.change(params=asked, moving=moving)

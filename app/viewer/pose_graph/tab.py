@@ -9,29 +9,28 @@ import numpy as np
 import viser
 
 from app.viewer.closure_files import write_closure_file
-from app.viewer.decisions import Decisions, Pair, decide, with_motion, with_verdict
-from app.viewer.downloads import Downloads
+from app.viewer.decisions import DECIDES, Decisions, Pair, decide, with_verdict
 from app.viewer.draw.layers import Scale
-from app.viewer.feature import Desk, Feature
+from app.viewer.feature import Comparison, Desk, Feature, ModeSwitch
 from app.viewer.methods import MethodName
-from app.viewer.pose_graph.panel import Format, PoseGraphCalls, PoseGraphPanel, Verdict
+from app.viewer.pose_graph.panel import FORMATS, Format, PoseGraphPanel
 from app.viewer.state import ViewState, same_search
+from app.viewer.widgets.actions import on_choice, on_option, on_option_by, on_press, one_of
 from app.viewer.widgets.legend import legend_html
-from app.viewer.work import Work
+from app.viewer.work import Downloads, Work
 from app.viewer.world import SCORE_MAP, Correction, Loop, WorldTab
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.pipeline.all_pairs import EVEN_FROM
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.slam import OptimisedGraph, build_pose_graph, optimise_pose_graph
 from gpgrad_core.slam.truth import trajectory_error, true_poses
-from gpgrad_core.types import Dataset, LoopClosure, Registration
+from gpgrad_core.types import Dataset, LoopClosure
 
 FILES: dict[Format, str] = {
     "closures": "closures.json",
     "g2o": "graph.g2o",
     "TUM": "poses_corrected.txt",
 }
-ACCEPTABLE: dict[Verdict, bool | None] = {"accept": True, "refuse": False, "as found": None}
 NOT_FOUND = (
     "No closures yet.",
     "Find closures compares all pairs with the present parameters. The thresholds on the right "
@@ -51,9 +50,9 @@ class _Task:
     def key(self) -> object:
         """Equal for tasks of the same solution."""
         accepted = [
-            (one.query_id, one.database_id, one.registration)
-            for one in self.closures
-            if one.accepted
+            (closure.query_id, closure.database_id, closure.registration)
+            for closure in self.closures
+            if closure.accepted
         ]
         return accepted, sorted(self.decisions.trusted)
 
@@ -61,36 +60,35 @@ class _Task:
 class PoseGraphTab(Feature):
     """Gathers the accepted closures, optimises when asked, and tells the world."""
 
-    def __init__(self, desk: Desk, world: WorldTab) -> None:
-        """Make the panel in the current container.
-
-        Args:
-            desk: Of the session.
-            world: Shows the loops and the corrected poses.
-        """
+    def __init__(
+        self, desk: Desk, world: WorldTab, comparison: Comparison, modes: ModeSwitch
+    ) -> None:
+        """Make the panel in the current container; the world shows loops and corrected poses."""
         self._desk = desk
         self._world = world
+        self._modes = modes
         self._lock = threading.Lock()
         self._state = desk.state
         self._found: tuple[LoopClosure, ...] = ()
         self._chosen: Pair | None = None
         self._graph: OptimisedGraph | None = None
         self._solved: object = None  # what it was optimised from
-        self._panel = PoseGraphPanel(
-            desk.host,
-            PoseGraphCalls(
-                on_find=lambda: desk.tell(Feature.compare_pairs),
-                on_optimise=self._optimise,
-                on_shown=lambda loops, refused: world.set_loops_shown(loops=loops, refused=refused),
-                on_choose=self._choose,
-                on_verdict=self._decide,
-                on_undo=desk.take_back,
-                on_tune=self._tune,
-                on_export=self._order,
-            ),
-        )
-        self._bar = self._panel.work_bar
-        self._bar.on_cancel(lambda: desk.tell(Feature.stop_comparing))
+        panel = self.panel = PoseGraphPanel(desk.host, self._choose)
+        on_press(panel.find, comparison.compare_pairs)
+        on_press(panel.optimise, self._optimise)
+        for box in (panel.loops, panel.refused):
+            on_choice(
+                box,
+                lambda _: world.set_loops_shown(
+                    loops=panel.loops.value, refused=panel.refused.value
+                ),
+            )
+        on_option(panel.verdicts, lambda label: self._decide(DECIDES[label]))
+        on_press(panel.undo, desk.take_back)
+        on_press(panel.tune, self._tune)
+        on_option_by(panel.export, lambda page, label: self._order(page, one_of(FORMATS, label)))
+        self._bar = panel.work_bar
+        self._bar.on_cancel(comparison.stop_comparing)
         self._solver: Work[_Task, OptimisedGraph] = Work(
             self._bar,
             lambda _: "Optimising",
@@ -101,7 +99,7 @@ class PoseGraphTab(Feature):
         )
         self._downloads = Downloads(self._bar, "pose graph's files", desk.capacity.long)
         self.workers = (self._solver, self._downloads)
-        self._panel.show(NOT_FOUND, {}, chosen=None, can_undo=False)
+        self.panel.show(NOT_FOUND, {}, chosen=None, can_undo=False)
 
     def follow(self, state: ViewState) -> None:
         """Follow the session; another dataset or method has other closures."""
@@ -112,9 +110,9 @@ class PoseGraphTab(Feature):
             self._found = ()
             self._chosen, self._graph, self._solved = None, None, None
         self._solver.cancel()
-        self._panel.show_result(())
-        self._panel.show_legend("")
-        self._panel.show(NOT_FOUND, {}, chosen=None, can_undo=False)
+        self.panel.show_result(())
+        self.panel.show_legend("")
+        self.panel.show(NOT_FOUND, {}, chosen=None, can_undo=False)
 
     def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
         """Take all pairs as the thresholds judge them."""
@@ -130,11 +128,6 @@ class PoseGraphTab(Feature):
             self._bar.done(message)
         else:
             self._bar.running("Comparing all pairs", fraction, EVEN_FROM)
-
-    def use_motion(self, query_id: str, database_id: str, registration: Registration) -> None:
-        """Take a registration set by hand, and accept it."""
-        pair = query_id, database_id
-        self._desk.decide(lambda decisions: with_motion(decisions, pair, registration))
 
     def decided(self, decisions: Decisions) -> None:
         """Show what the decisions make of the closures."""
@@ -161,17 +154,17 @@ class PoseGraphTab(Feature):
         if pair is not None:
             self._desk.choose(*pair)  # the verdict beside the world is of what is chosen in it
 
-    def _decide(self, verdict: Verdict) -> None:
+    def _decide(self, accepted: bool | None) -> None:
         pair = self._chosen
         if pair is None:
             self._bar.failed("Choose a closure first.")
             return
         self._bar.idle()
-        self._desk.decide(lambda decisions: with_verdict(decisions, pair, ACCEPTABLE[verdict]))
+        self._desk.decide(lambda decisions: with_verdict(decisions, pair, accepted))
 
     def _tune(self) -> None:
         if self._chosen is not None:
-            self._desk.tune(*self._chosen)
+            self._modes.tune(*self._chosen)
 
     def _optimise(self) -> None:
         task = self._task()
@@ -202,7 +195,7 @@ class PoseGraphTab(Feature):
             if task.dataset is not self._state.dataset:
                 return  # another was opened in the very last moment
             self._graph, self._solved = graph, task.key
-        self._panel.show_result(result_rows(task.dataset, graph, seconds))
+        self.panel.show_result(result_rows(task.dataset, graph, seconds))
         self._show(relax=True)
         self._desk.host.flush()
 
@@ -220,14 +213,18 @@ class PoseGraphTab(Feature):
             closures, chosen, graph = self._closures(), self._chosen, self._graph
         decisions, can_undo = self._desk.decisions, self._desk.can_take_back
         outdated = graph is not None and self._task().key != self._solved
-        ordered = sorted(closures, key=lambda one: (not one.accepted, -one.registration.score))
         chi_squares = _chi_squares(graph)
-        listed = {_label(one, chi_squares): (one.query_id, one.database_id) for one in ordered}
+        listed = {
+            _label(closure, chi_squares): (closure.query_id, closure.database_id)
+            for closure in sorted(
+                closures, key=lambda closure: (not closure.accepted, -closure.registration.score)
+            )
+        }
         summary = _summary(closures, decisions, outdated=outdated)
         with self._desk.host.atomic():
-            self._panel.show(summary, listed, chosen=chosen, can_undo=can_undo)
+            self.panel.show(summary, listed, chosen=chosen, can_undo=can_undo)
             scale = Scale("Loop closures", "score", SCORE_MAP, 0.0, _highest(closures))
-            self._panel.show_legend(legend_html(scale if closures else None))
+            self.panel.show_legend(legend_html(scale if closures else None))
         self._tell_world(relax=relax)
 
     def _tell_world(self, *, relax: bool = False) -> None:
@@ -237,14 +234,14 @@ class PoseGraphTab(Feature):
         wrong = set() if graph is None else {(f.edge.end, f.edge.start) for f in graph.refused}
         loops = tuple(
             Loop(
-                one.query_id,
-                one.database_id,
-                one.registration.score,
-                one.accepted,
-                wrong=(one.query_id, one.database_id) in wrong,
+                closure.query_id,
+                closure.database_id,
+                closure.registration.score,
+                closure.accepted,
+                wrong=(closure.query_id, closure.database_id) in wrong,
             )
-            for one in closures
-            if one.registration.T_database_query is not None
+            for closure in closures
+            if closure.registration.T_database_query is not None
         )
         correction = Correction(graph, loops, _highest(closures), chosen)
         self._world.correct(correction, relax=relax)
@@ -292,18 +289,12 @@ def _write(
     del progress
     result = DetectionResult(task.closures, {"total": 0.0})
     write_closure_file(
-        path,
-        task.dataset,
-        result,
-        params,
-        method,
-        decisions=task.decisions,
-        solved=graph,
+        path, task.dataset, result, params, method, decisions=task.decisions, solved=graph
     )
 
 
 def _highest(closures: tuple[LoopClosure, ...]) -> float:
-    return max((one.registration.score for one in closures), default=1.0) or 1.0
+    return max((closure.registration.score for closure in closures), default=1.0) or 1.0
 
 
 def _chi_squares(graph: OptimisedGraph | None) -> dict[Pair, tuple[float, float]]:
@@ -329,7 +320,7 @@ def _summary(
 ) -> tuple[str, ...]:
     if not closures:
         return NOT_FOUND
-    accepted = sum(one.accepted for one in closures)
+    accepted = sum(closure.accepted for closure in closures)
     lines = [f"{accepted} closures accepted of {len(closures):,} pairs"]
     if decisions.verdicts:
         lines.append(f"{len(decisions.verdicts)} decided by hand.")

@@ -31,16 +31,16 @@ def detect_command(state: ViewState) -> str:
 
 def flags(params: PipelineParams, base: PipelineParams) -> list[str]:
     """List the command-line flags that turn a base into params."""
-    found: list[str] = []
+    words: list[str] = []
     for setting in parameters_of(type(params)):
         value = get_path(params, setting.path)
         if value == get_path(base, setting.path):
             continue
         group, _, name = setting.path.replace("_", "-").rpartition(".")
         if setting.kind is bool:
-            found.append(f"--{group}.{name}" if value else f"--{group}.no-{name}")
+            words.append(f"--{group}.{name}" if value else f"--{group}.no-{name}")
         else:
             # repr of a float is the shortest text that reads back as the same number.
             text = value if isinstance(value, str) else AUTOMATIC if value is None else repr(value)
-            found += [f"--{group}.{name}", text]
-    return found
+            words += [f"--{group}.{name}", text]
+    return words

@@ -1,22 +1,18 @@
 """The list of pairs to look at, with small pictures, and what can be decided about one."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
-from typing import Literal, TypeAlias, get_args
 
 import viser
 
-from app.viewer.decisions import Pair
+from app.viewer.decisions import DECIDES, Pair
 from app.viewer.host import Host
 from app.viewer.triage.listing import FILTERS, Entry, Filter
-from app.viewer.widgets.actions import on_choice, on_option, on_press, one_of
+from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import run_when_shown, say
 from app.viewer.widgets.html import BAD, FAINT, GOOD, message_line, paragraph
 
-Verdict: TypeAlias = Literal["accept", "refuse", "as found"]
-VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
-DECIDES: Mapping[Verdict, bool | None] = {"accept": True, "refuse": False, "as found": None}
 NEXT_KEY = "G"
 ROWS = 6
 """Pairs that are listed at once: a few hundred pictures would make a page slow."""
@@ -26,24 +22,6 @@ INTRODUCTION = (
     "with the session and in closures.json, and gpgrad slam heeds it. While this tab is open, A "
     f"accepts the pair shown, X refuses it, and {NEXT_KEY} goes to the next undecided one."
 )
-
-# Letters fly the camera too. While the list is to be seen, these decide instead.
-KEYS_SCRIPT = """
-if (!window.gpgradTriage) {
-  window.gpgradTriage = true;
-  window.addEventListener('keydown', event => {
-    const list = document.querySelector('[data-testid=triage]');
-    const key = event.key.toLowerCase();
-    if (!'axg'.includes(key) || key.length !== 1 || !list || !list.getClientRects().length) return;
-    if (event.ctrlKey || event.metaKey || event.altKey || event.shiftKey) return;
-    const at = event.target;
-    if (at && at.closest && at.closest('input,textarea,select,[contenteditable=true]')) return;
-    event.preventDefault();
-    event.stopImmediatePropagation();
-    if (!event.repeat) gpgrad.say('triage-key', {key});
-  }, true);
-}
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,43 +47,19 @@ class Listing:
     shown: Pair
 
 
-@dataclass(frozen=True)
-class TriageCalls:
-    """What the panel calls; all must be quick.
-
-    Attributes:
-        on_filter: Given which pairs are to be listed.
-        on_verdict: Given what is to become of the pair shown: True accepts it, False refuses it,
-            None leaves it to the thresholds.
-        on_next: Called to go to the next undecided pair.
-        on_note: Given a line of text about the pair shown.
-        on_find: Called when all pairs are to be compared.
-    """
-
-    on_filter: Callable[[Filter], None]
-    on_verdict: Callable[[bool | None], None]
-    on_next: Callable[[], None]
-    on_note: Callable[[str], None]
-    on_find: Callable[[], None]
-
-
 class TriagePanel:
-    """Widgets of the triage."""
+    """Widgets of the triage; the tab binds what they do."""
 
-    def __init__(self, host: Host, calls: TriageCalls) -> None:
-        """Make the widgets in the current container.
-
-        Args:
-            host: Whose GUI they join.
-            calls: What they call.
-        """
+    def __init__(self, host: Host) -> None:
+        """Make the widgets in the current container."""
         gui = host.gui
-        gui.add_html(paragraph(INTRODUCTION, FAINT) + run_when_shown(KEYS_SCRIPT))
-        self._find = gui.add_button(
+        keys = run_when_shown(fill_page_file("triage.js"))
+        gui.add_html(paragraph(INTRODUCTION, FAINT) + keys)
+        self.find = gui.add_button(
             "Compare pairs", hint="Compares all pairs, like the tab All pairs."
         )
-        self._summary = gui.add_html("")
-        self._filter: viser.GuiDropdownHandle[Filter] = gui.add_dropdown(
+        self.summary = gui.add_html("")
+        self.narrow: viser.GuiDropdownHandle[Filter] = gui.add_dropdown(
             "List of",
             FILTERS,
             initial_value=FILTERS[0],
@@ -113,58 +67,44 @@ class TriagePanel:
             "them that nobody has decided. borderline: the score is within 30 % of the threshold. "
             "wrong and missed: the true poses say so.",
         )
-        verdicts = gui.add_button_group(
+        self.verdicts = gui.add_button_group(
             "Pair shown",
-            VERDICTS,
+            tuple(DECIDES),
             hint="accept: the pair is used, whatever its score. refuse: it is not used. as found: "
             "the thresholds decide again.",
         )
-        self._next = gui.add_button(
+        self.next = gui.add_button(
             f"Next undecided ({NEXT_KEY})", hint="Shows the next pair that nobody has decided."
         )
-        self._note = gui.add_text(
+        self.note = gui.add_text(
             "Note", "", hint="A line on the pair shown. It is kept with the decision."
         )
-        self._message = gui.add_html("")
-        self._list = gui.add_html("")
-        on_choice(self._filter, calls.on_filter)
-        on_option(verdicts, lambda label: calls.on_verdict(DECIDES[one_of(VERDICTS, label)]))
-        on_press(self._next, calls.on_next)
-        on_press(self._find, calls.on_find)
-        on_choice(self._note, calls.on_note)
+        self.message = gui.add_html("")
+        self.list = gui.add_html("")
         self.clear()
-
-    @property
-    def narrowed_to(self) -> Filter:
-        """Which pairs are listed."""
-        return self._filter.value
 
     def clear(self) -> None:
         """Show that no pairs are compared yet."""
-        self._find.visible = True
-        self._summary.content = paragraph("No pairs yet: compare them first.", "font-weight:600")
-        self._list.content = '<div data-testid="triage"></div>'
-        self._message.content = ""
-        self._note.value = ""
+        self.find.visible = True
+        self.summary.content = paragraph("No pairs yet: compare them first.", "font-weight:600")
+        self.list.content = '<div data-testid="triage"></div>'
+        self.message.content = ""
+        self.note.value = ""
 
     def show(self, listing: Listing) -> None:
         """Show a page of the list."""
-        self._find.visible = False
+        self.find.visible = False
         decided = f"{listing.decided:,} decided" if listing.decided else "None is decided yet"
-        self._summary.content = paragraph(
+        self.summary.content = paragraph(
             f"{listing.undecided:,} pairs wait for a decision. {decided}.", "font-weight:600"
         )
         content = list_html(listing)
-        if self._list.content != content:
-            self._list.content = content
-
-    def show_note(self, note: str) -> None:
-        """Show the note on another pair."""
-        self._note.value = note
+        if self.list.content != content:
+            self.list.content = content
 
     def tell(self, message: str, *, bad: bool = False) -> None:
         """Say what came of a wish; an empty message says nothing."""
-        self._message.content = message_line("triage-message", message, BAD if bad else GOOD)
+        self.message.content = message_line("triage-message", message, BAD if bad else GOOD)
 
 
 def list_html(listing: Listing) -> str:
@@ -214,13 +154,12 @@ def _row(entry: Entry, picture: str | None, *, shown: bool) -> str:
 
 def _turn(text: str, first: int, possible: bool) -> str:
     """Write a button that turns to another page; one that cannot keeps its place."""
-    state = (
-        f'onclick="{say("triage-page", first=float(max(first, 0)))}"' if possible else "disabled"
-    )
+    act = f'onclick="{say("triage-page", first=float(max(first, 0)))}"'
     return (
-        f'<button type="button" {state} style="min-height:32px;padding:0 .8em;border:1px solid '
-        f"currentColor;border-radius:.3em;background:transparent;color:inherit;font:inherit;"
-        f'opacity:{1 if possible else 0.35};cursor:{"pointer" if possible else "default"}">'
+        f'<button type="button" {act if possible else "disabled"} style="min-height:32px;'
+        f"padding:0 .8em;border:1px solid currentColor;border-radius:.3em;background:transparent;"
+        f"color:inherit;font:inherit;opacity:{1 if possible else 0.35};"
+        f'cursor:{"pointer" if possible else "default"}">'
         f"{text}</button>"
     )
 

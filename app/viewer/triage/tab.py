@@ -1,26 +1,39 @@
 """The Triage tab: wires its panel to the decisions of the session, and to what lists and draws."""
 
 import threading
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal
 
+import msgspec
 import viser
 
-from app.viewer.decisions import Decisions, Pair, in_order, with_note, with_verdict
+from app.viewer.charts import png_uri
+from app.viewer.decisions import DECIDES, Decisions, Pair, in_order, with_note, with_verdict
 from app.viewer.feature import Desk, Feature
 from app.viewer.methods import METHODS, map_params
 from app.viewer.runner import Runner
 from app.viewer.state import NEEDS_TWO, ViewState, same_search
-from app.viewer.triage.listing import PASSES, Entry, Filter, list_pairs, next_undecided
-from app.viewer.triage.panel import NEXT_KEY, ROWS, Listing, TriageCalls, TriagePanel
-from app.viewer.triage.thumbnails import Thumbnails, thumbnail, to_uri
-from app.viewer.widgets.bridge import Data
+from app.viewer.triage.listing import (
+    PASSES,
+    Entry,
+    Filter,
+    list_pairs,
+    next_undecided,
+    thumbnail,
+)
+from app.viewer.triage.panel import NEXT_KEY, ROWS, Listing, TriagePanel
+from app.viewer.widgets.actions import on_choice, on_option, on_press
+from app.viewer.widgets.bridge import SaidPair, Whole
 from app.viewer.widgets.commands import Commands
 from app.viewer.work import message_of
 from gpgrad_core.pipeline.coarse import infer_quick_map
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Dataset, LoopClosure
+
+MOST_PICTURES = 400
+"""That are kept, the newest; each has about ten kilobytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +41,7 @@ class _Wanted:
     """What a page of the list depends on."""
 
     state: ViewState
-    found: tuple[LoopClosure, ...]
+    closures: tuple[LoopClosure, ...]
     outcomes: Mapping[Pair, str]
     decisions: Decisions
     narrowed_to: Filter
@@ -50,37 +63,40 @@ class _Painting:
     entries: tuple[Entry, ...]
 
 
+class SaidKey(msgspec.Struct):
+    """A key that decides the pair shown, or goes to the next one."""
+
+    key: Literal["a", "x", "g"]
+
+
+class SaidPlace(msgspec.Struct):
+    """The place of the first pair of the list that is to be shown."""
+
+    first: Whole
+
+
 class TriageTab(Feature):
     """Lists the pairs worth a look, and takes what a person decides about the pair shown."""
 
-    def __init__(self, desk: Desk, commands: Commands) -> None:
-        """Make the panel in the current container.
-
-        Args:
-            desk: Of the session.
-            commands: Get what the buttons do.
-        """
+    def __init__(self, desk: Desk, commands: Commands, compare_pairs: Callable[[], None]) -> None:
+        """Make the panel in the current container; ``compare_pairs`` finds what it lists."""
         self._desk = desk
         self._lock = threading.Lock()
         self._state = desk.state
-        self._found: tuple[LoopClosure, ...] = ()
+        self._closures: tuple[LoopClosure, ...] = ()
         self._by_pair: Mapping[Pair, LoopClosure] = {}
         self._outcomes: Mapping[Pair, str] = {}
         self._first: int | None = None
         self._noted: Pair | None = None  # whose note the box shows
         self._typing = False  # a note; the box is not to be written over meanwhile
         self._entries: tuple[Entry, ...] = ()
-        self._pictures = Thumbnails()
-        self._panel = TriagePanel(
-            desk.host,
-            TriageCalls(
-                on_filter=lambda _: self._turn(None),
-                on_verdict=self._decide,
-                on_next=self._go_on,
-                on_note=self._take_note,
-                on_find=lambda: desk.tell(Feature.compare_pairs),
-            ),
-        )
+        self._pictures: dict[Hashable, str] = {}
+        self.panel = TriagePanel(desk.host)
+        on_choice(self.panel.narrow, lambda _: self._turn(None))
+        on_option(self.panel.verdicts, lambda label: self.decide(DECIDES[label]))
+        on_press(self.panel.next, self._go_on)
+        on_choice(self.panel.note, self._take_note)
+        on_press(self.panel.find, compare_pairs)
         self._lister: Runner[_Wanted, _Listed] = Runner(
             self._list, self._on_listed, self._on_error, name="triage"
         )
@@ -96,14 +112,14 @@ class TriageTab(Feature):
             commands.add(
                 "Triage",
                 f"{name}: the pair shown",
-                partial(self._decide, accepted),
+                partial(self.decide, accepted),
                 heard={True: "A", False: "X", None: ""}[accepted],
             )
         commands.add("Triage", "Next undecided pair", self._go_on, heard=NEXT_KEY)
         commands.add("Triage", "Take the last decision back", desk.take_back)
-        desk.bridge.hear("triage-key", self._hear_key)
-        desk.bridge.hear("triage-open", self._open)
-        desk.bridge.hear("triage-page", self._hear_page)
+        desk.bridge.hear_as("triage-key", SaidKey, self._hear_key)
+        desk.bridge.hear_as("triage-open", SaidPair, self._open)
+        desk.bridge.hear_as("triage-page", SaidPlace, self._hear_page)
 
     # What the session tells.
 
@@ -113,13 +129,13 @@ class TriageTab(Feature):
             before, self._state = self._state, state
             other = not same_search(state, before)
             if other:
-                self._found, self._by_pair, self._outcomes = (), {}, {}
+                self._closures, self._by_pair, self._outcomes = (), {}, {}
                 self._first, self._noted = None, None
         pair = in_order(state.dataset, state.query_id, state.database_id)
         if other:
-            self._panel.clear()
+            self.panel.clear()
         elif pair != in_order(state.dataset, before.query_id, before.database_id):
-            self._panel.tell("")
+            self.panel.tell("")
             self._turn(None)
         self._show_note(pair)
 
@@ -134,8 +150,10 @@ class TriageTab(Feature):
         with self._lock:
             if dataset is not self._state.dataset:
                 return
-            self._found = closures
-            self._by_pair = {(one.query_id, one.database_id): one for one in closures}
+            self._closures = closures
+            self._by_pair = {
+                (closure.query_id, closure.database_id): closure for closure in closures
+            }
         self._submit()
 
     def decided(self, decisions: Decisions) -> None:
@@ -148,14 +166,15 @@ class TriageTab(Feature):
 
     # What a person asks for.
 
-    def _decide(self, accepted: bool | None) -> None:
+    def decide(self, accepted: bool | None) -> None:
+        """Accept or refuse the pair shown; None leaves it to the thresholds."""
         pair = self._desk.shown_pair
         closure = self._by_pair.get(pair)
         if not self._state.is_pair:
-            self._panel.tell(NEEDS_TWO, bad=True)
+            self.panel.tell(NEEDS_TWO, bad=True)
             return
         if closure is None:
-            self._panel.tell(
+            self.panel.tell(
                 f"{pair[0]} and {pair[1]} were not compared. Choose a pair of the list.", bad=True
             )
             return
@@ -164,17 +183,17 @@ class TriageTab(Feature):
             or pair in self._desk.decisions.motions
         )
         if accepted and not has_motion:
-            self._panel.tell(
+            self.panel.tell(
                 "There is no motion to accept. Set one in the tab Nudge first.", bad=True
             )
             return
         self._desk.decide(lambda decisions: with_verdict(decisions, pair, accepted))
         done = {True: "accepted", False: "refused", None: "left to the thresholds"}[accepted]
-        self._panel.tell(f"{pair[0]} → {pair[1]} is {done}.")
+        self.panel.tell(f"{pair[0]} → {pair[1]} is {done}.")
 
     def _take_note(self, note: str) -> None:
         if not self._state.is_pair:
-            self._panel.tell(NEEDS_TWO, bad=True)
+            self.panel.tell(NEEDS_TWO, bad=True)
             return
         self._typing = True
         try:
@@ -185,33 +204,25 @@ class TriageTab(Feature):
     def _go_on(self) -> None:
         pair = next_undecided(self._entries, self._desk.shown_pair)
         if pair is None:
-            self._panel.tell("No other pair waits for a decision.")
+            self.panel.tell("No other pair waits for a decision.")
         else:
             self._desk.choose(*pair)
 
-    def _hear_key(self, page: viser.ClientHandle, data: Data) -> None:
+    def _hear_key(self, page: viser.ClientHandle, said: SaidKey) -> None:
         del page
-        match data.get("key"):
-            case "a":
-                self._decide(True)
-            case "x":
-                self._decide(False)
-            case "g":
-                self._go_on()
-            case _:
-                pass
+        if said.key == "g":
+            self._go_on()
+        else:
+            self.decide(said.key == "a")
 
-    def _open(self, page: viser.ClientHandle, data: Data) -> None:
+    def _open(self, page: viser.ClientHandle, said: SaidPair) -> None:
         del page
-        pair = data.get("query"), data.get("database")
-        if isinstance(pair[0], str) and isinstance(pair[1], str):
-            self._desk.choose(pair[0], pair[1])
+        self._desk.choose(said.query, said.database)
 
-    def _hear_page(self, page: viser.ClientHandle, data: Data) -> None:
+    def _hear_page(self, page: viser.ClientHandle, said: SaidPlace) -> None:
         del page
-        first = data.get("first")
-        if isinstance(first, float) and 0 <= first < len(self._by_pair) + 1:
-            self._turn(int(first))
+        if 0 <= said.first <= len(self._by_pair):
+            self._turn(int(said.first))
 
     def _turn(self, first: int | None) -> None:
         """Go to another part of the list; None goes to the pair shown."""
@@ -223,18 +234,18 @@ class TriageTab(Feature):
         """Show the note on a pair, unless it is shown: somebody may be typing it."""
         if self._noted != pair:
             self._noted = pair
-            self._panel.show_note(self._desk.decisions.notes.get(pair, ""))
+            self.panel.note.value = self._desk.decisions.notes.get(pair, "")
 
     def _submit(self) -> None:
         with self._lock:
-            if not self._found:
+            if not self._closures:
                 return
             wanted = _Wanted(
                 self._state,
-                self._found,
+                self._closures,
                 self._outcomes,
                 self._desk.decisions,
-                self._panel.narrowed_to,
+                self.panel.narrow.value,
                 self._first,
             )
         self._lister.submit(wanted)
@@ -245,7 +256,7 @@ class TriageTab(Feature):
         del progress  # it is over in a moment
         state = wanted.state
         entries = list_pairs(
-            wanted.found,
+            wanted.closures,
             wanted.decisions,
             wanted.outcomes,
             METHODS[state.method].lowest(state.params),
@@ -282,7 +293,7 @@ class TriageTab(Feature):
             if not same_search(wanted.state, self._state):
                 return
             self._entries = listed.entries
-        self._panel.show(listed.listing)
+        self.panel.show(listed.listing)
         self._desk.host.flush()
         if len(listed.listing.pictures) < len(listed.listing.entries):
             self._painter.submit(_Painting(wanted.state, listed.listing.entries))
@@ -307,7 +318,9 @@ class TriageTab(Feature):
                 motion = entry.closure.registration.T_database_query
                 ratio = state.params.features.max_std_ratio
                 picture = thumbnail(query_map, database_map, motion, ratio)
-                self._pictures.keep(key, to_uri(picture))
+                if len(self._pictures) >= MOST_PICTURES:
+                    self._pictures.pop(next(iter(self._pictures)))
+                self._pictures[key] = png_uri(picture)
                 return True
         return False
 
@@ -318,7 +331,7 @@ class TriageTab(Feature):
 
     def _on_error(self, job: object, error: Exception) -> None:
         del job
-        self._panel.tell(message_of(error), bad=True)
+        self.panel.tell(message_of(error), bad=True)
 
 
 def _key(state: ViewState, entry: Entry) -> Hashable:

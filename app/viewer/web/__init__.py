@@ -1,25 +1,42 @@
-"""What runs in the pages, scripts and styles: each is a file, and this is how Python reads it."""
+"""What runs in the pages, scripts and styles: each is a file, and this is how Python reads it.
+
+What they depend on in viser's own pages stands in ``viser.toml``.
+"""
 
 import json
 import re
+import tomllib
 from functools import cache
 from importlib.resources import files
 
 
 @cache
-def read_page_file(name: str) -> str:
-    """Read a file of this folder, such as ``bridge.js`` or ``look.css``."""
+def _read(name: str) -> str:
     return files(__name__).joinpath(name).read_text(encoding="utf-8")
+
+
+@cache
+def viser_parts() -> dict[str, str]:
+    """Give the selectors of the parts of viser's pages, by our names for them."""
+    return tomllib.loads(_read("viser.toml"))["parts"]
 
 
 def fill_page_file(name: str, **values: object) -> str:
     """Read a file of this folder and put values in the place of the names that stand for them.
 
+    The names of viser's parts are known in every file.
+
     Args:
-        name: Of the file.
-        values: By name, in upper case; anything that JSON can hold.
+        name: Of the file, such as ``bridge.js`` or ``look.css``.
+        values: By name, in upper case. A script gets anything that JSON can hold, as JSON; a style
+            or a piece of HTML gets the text as it is, which must be safe there.
     """
-    text = read_page_file(name)
-    for place, value in values.items():
-        text = re.sub(rf"\b{place}\b", lambda _, value=value: json.dumps(value), text)
-    return text
+    fillings = {**viser_parts(), **values}
+
+    def fill(match: re.Match[str]) -> str:
+        if match[0] not in fillings:
+            return match[0]
+        value = fillings[match[0]]
+        return json.dumps(value) if name.endswith(".js") else str(value)
+
+    return re.sub(r"\b[A-Z][A-Z_]+\b", fill, _read(name))

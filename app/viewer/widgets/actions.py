@@ -73,6 +73,21 @@ def on_option_by(
             act(event.client, event.target.value)
 
 
+async def act_on(handle: Any, value: object, page: viser.ClientHandle | None) -> None:
+    """Do what a widget does when a user acts on it.
+
+    Args:
+        handle: The widget; viser's kinds have no common class.
+        value: What the user chooses; None leaves a button as it is.
+        page: On which it happens.
+    """
+    if value is not None:
+        handle._impl.value = value
+    number = 1 if page is None else page.client_id
+    for act in tuple(handle._impl.update_cb):
+        await act(viser.GuiEvent(page, number, handle))
+
+
 def one_of(options: Iterable[Option], label: str) -> Option:
     """Give the option that a label names."""
     return next(option for option in options if option == label)

@@ -11,13 +11,13 @@ This depends on how viser builds its pages, so nothing else does it, and a brows
 import json
 from collections.abc import Callable, Mapping
 from html import escape
-from typing import TypeAlias
+from typing import Annotated, TypeAlias, TypeVar
 
 import msgspec
 import viser
 from viser._messages import RunJavascriptMessage
 
-from app.viewer.host import Host
+from app.viewer.host import Host, send_to
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice_by
 
@@ -25,6 +25,9 @@ Value: TypeAlias = str | float | bool | None
 Data: TypeAlias = Mapping[str, Value]
 """What a page says: plain values by name. They come from outside: whoever takes them checks them.
 """
+Whole: TypeAlias = Annotated[float, msgspec.Meta(ge=-1, le=1e9, multiple_of=1)]
+"""A whole number that a page says, such as a place in a list."""
+Record = TypeVar("Record", bound=msgspec.Struct)
 Act: TypeAlias = Callable[[viser.ClientHandle, Data], None]
 
 AGAIN_MS = 500
@@ -41,15 +44,18 @@ class Said(msgspec.Struct, forbid_unknown_fields=True):
     data: dict[str, Value]
 
 
+class SaidPair(msgspec.Struct):
+    """A pair of submaps that a page names."""
+
+    query: str
+    database: str
+
+
 class Bridge:
     """Takes what the viewer's own HTML says, and hands it on by name."""
 
     def __init__(self, host: Host) -> None:
-        """Put the text box and the script into the current container, unseen.
-
-        Args:
-            host: Whose pages they join.
-        """
+        """Put the text box and the script into the current container, unseen."""
         self._folder = host.gui.add_folder("Bridge")
         with self._folder:
             self._box = host.gui.add_text("bridge", "")
@@ -57,7 +63,7 @@ class Bridge:
         self._script.content = self._hidden_script()
         self._acts: dict[str, Act] = {}
         self._taken: dict[int, int] = {}  # the last number of each page
-        on_choice_by(self._box, self._take)
+        on_choice_by(self._box, self.take)
 
     def hear(self, name: str, act: Act) -> None:
         """Call something whenever a page says a name.
@@ -67,6 +73,26 @@ class Bridge:
             act: Given the page and what it said; must be quick, and check what it is given.
         """
         self._acts[name] = act
+
+    def hear_as(
+        self, name: str, kind: type[Record], act: Callable[[viser.ClientHandle, Record], None]
+    ) -> None:
+        """Do the same with a record that is checked; what is none is not heard.
+
+        Args:
+            name: Given to `say`.
+            kind: Of record, with its bounds in the types.
+            act: Given the page and the record; must be quick.
+        """
+
+        def take(page: viser.ClientHandle, data: Data) -> None:
+            try:
+                record = msgspec.convert(data, kind)
+            except msgspec.ValidationError:
+                return
+            act(page, record)
+
+        self.hear(name, take)
 
     def call(self, page: viser.ClientHandle, name: str, data: object) -> None:
         """Have a page do what a script of ours has put into ``gpgrad.acts``.
@@ -79,13 +105,19 @@ class Bridge:
             name: Of the act.
             data: What it takes; anything that JSON can hold.
         """
-        _run(page, f"window.gpgrad&&gpgrad.hear({json.dumps(name)},{json.dumps(data)})")
+        send_to(
+            page,
+            RunJavascriptMessage(
+                f"window.gpgrad&&gpgrad.hear({json.dumps(name)},{json.dumps(data)})"
+            ),
+        )
 
-    def _take(self, page: viser.ClientHandle, text: str) -> None:
+    def take(self, page: viser.ClientHandle, text: str) -> None:
+        """Take what a page wrote into the text box, and hand it on; answers the page."""
         said = read_said(text)
         if said is None:
             return
-        _run(page, f"gpgrad.heard({said.number})")
+        send_to(page, RunJavascriptMessage(f"gpgrad.heard({said.number})"))
         is_new = said.number > self._taken.get(page.client_id, 0)
         self._taken[page.client_id] = said.number
         if is_new and said.name in self._acts:
@@ -95,11 +127,9 @@ class Bridge:
         """Write the script and the style that hides the folder."""
         box = self._box._impl.uuid  # pyright: ignore[reportPrivateUsage]
         script = run_when_shown(fill_page_file("bridge.js", BOX=box, AGAIN_MS=AGAIN_MS))
-        inside = f'label[for="{box}"]'
-        folder = f".mantine-Paper-root:has({inside}):not(:has(.mantine-Paper-root {inside}))"
+        style = fill_page_file("bridge.css", BOX=box)
         return (
-            f"<style>{folder}{{display:none}}</style>"
-            f'<div data-testid="bridge" style="display:none">{script}</div>'
+            f'<style>{style}</style><div data-testid="bridge" style="display:none">{script}</div>'
         )
 
 
@@ -109,11 +139,6 @@ def read_said(text: str) -> Said | None:
         return msgspec.json.decode(text, type=Said)
     except (msgspec.MsgspecError, UnicodeEncodeError, RecursionError):
         return None
-
-
-def _run(page: viser.ClientHandle, source: str) -> None:
-    connection = page._websock_connection  # pyright: ignore[reportPrivateUsage]
-    connection.queue_message(RunJavascriptMessage(source))
 
 
 def run_when_shown(script: str) -> str:

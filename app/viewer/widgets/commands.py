@@ -9,8 +9,9 @@ from typing import Any
 
 import viser
 
-from app.viewer.host import Host
-from app.viewer.widgets.actions import on_press
+from app.viewer.host import Host, inputs_of
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.actions import act_on, on_press
 from app.viewer.widgets.bridge import run_when_shown
 
 CAMERA_KEYS = frozenset("WASDQE") | {"arrowup", "arrowdown", "arrowleft", "arrowright"}
@@ -52,11 +53,7 @@ class Commands:
     """All commands of a session."""
 
     def __init__(self, host: Host) -> None:
-        """Begin with the command that shows the others.
-
-        Args:
-            host: Whose pages know the commands.
-        """
+        """Begin with the command that shows the others."""
         self._host = host
         self._commands: list[Command] = []
         self.add_for_page(
@@ -122,9 +119,8 @@ class Commands:
 
     def add_buttons(self) -> None:
         """Add every button of the panels that has no command yet; call it when all are there."""
-        known = {command.label for command in self._commands}
-        handles = self._host.gui._gui_input_handle_from_uuid  # pyright: ignore[reportPrivateUsage]
-        for handle in tuple(handles.values()):
+        labels = {command.label for command in self._commands}
+        for handle in inputs_of(self._host):
             if isinstance(handle, viser.GuiButtonHandle):
                 presses = {handle.label: None}
             elif isinstance(handle, viser.GuiButtonGroupHandle):
@@ -132,8 +128,8 @@ class Commands:
             else:
                 continue
             for label, option in presses.items():
-                if label not in known:
-                    known.add(label)
+                if label not in labels:
+                    labels.add(label)
                     self.add_for_page(BUTTONS, label, partial(_press, handle, option, label))
 
 
@@ -145,30 +141,16 @@ def _press(handle: Any, option: str | None, label: str, page: viser.ClientHandle
     if handle.disabled or not handle.visible:
         page.add_notification("Not possible now", label, auto_close_seconds=5.0)
         return
-    if option is not None:
-        handle._impl.value = option
-    for act in tuple(handle._impl.update_cb):
-        task = asyncio.ensure_future(act(viser.GuiEvent(page, page.client_id, handle)))
-        _pressing.add(task)  # else it might be forgotten before it has run
-        task.add_done_callback(_pressing.discard)
-
-
-# viser's dialogs know no keys. The last button of the dialog closes it.
-CLOSED_BY_ESCAPE = """
-const here = this.parentElement;
-document.addEventListener('keydown', function end(event) {
-  if (!here.isConnected) document.removeEventListener('keydown', end);
-  else if (event.key === 'Escape')
-    [...here.closest('[role=dialog]').querySelectorAll('button')].pop().click();
-});
-"""
+    task = asyncio.ensure_future(act_on(handle, option, page))
+    _pressing.add(task)  # else it might be forgotten before it has run
+    task.add_done_callback(_pressing.discard)
 
 
 def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None:
     """List all commands in a dialog on the page that asks."""
     modal = client.gui.add_modal("Keys and commands")
     with modal:
-        client.gui.add_html(help_html(commands) + run_when_shown(CLOSED_BY_ESCAPE))
+        client.gui.add_html(help_html(commands) + run_when_shown(fill_page_file("help.js")))
         close = client.gui.add_button("Close")
 
     on_press(close, modal.close)

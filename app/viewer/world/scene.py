@@ -4,16 +4,16 @@ A submap is a frame with a surface beneath it, so that moving it sends a pose an
 """
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import viser
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
-from app.viewer.draw.associations import outline
-from app.viewer.draw.colors import Rgb, for_lines
+from app.viewer.draw.associations import arcs, outline
+from app.viewer.draw.colors import Rgb, colorize, for_lines
 from app.viewer.draw.layers import Scale
 from app.viewer.draw.nodes import LinesNode, PointsNode
 from app.viewer.draw.placement import (
@@ -26,21 +26,111 @@ from app.viewer.draw.placement import (
 )
 from app.viewer.draw.surfels import Surfels
 from app.viewer.host import Host
-from app.viewer.world.lines import (
-    REFUSED_LOOP,
-    TRAJECTORY_COLORS,
-    Loop,
-    arch_colors,
-    arches,
-    choose_arches,
-    drawable,
-    trajectory_lines,
+from app.viewer.state import ColorMap
+from app.viewer.world.submaps import (
+    PoseSource,
+    Surface,
+    WorldOptions,
+    make_patch,
+    pick,
+    submap_color,
+    world_scale,
 )
-from app.viewer.world.submaps import PoseSource, WorldOptions
-from app.viewer.world.surfaces import Surface, make_patch, pick, submap_color, world_scale
-from gpgrad_core.arrays import Array
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset
+
+LinePoints = Float[NDArray[np.float32], "n 2 3"]
+
+TRAJECTORY_COLORS: dict[PoseSource, Rgb] = {
+    "true": (90, 90, 90),
+    "odometry": (222, 120, 20),
+    "corrected": (31, 119, 200),
+}
+REFUSED_LOOP: Rgb = (165, 165, 165)
+WRONG_LOOP: Rgb = (0, 0, 0)
+SCORE_MAP: ColorMap = "viridis"
+MOST_ARCHES = 60
+"""Accepted loops that are drawn, and refused pairs; those of the chosen submap come on top."""
+LOOP_PIECES = 12
+"""Straight pieces of the arch of one loop."""
+LOOP_RISE = 0.45
+"""Height of the arch over its feet, as a share of its span."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One pair of submaps as an edge of the picture.
+
+    Attributes:
+        query: Id of the later submap.
+        database: Id of the earlier one.
+        score: What its colour tells.
+        accepted: Whether it is taken for a loop closure.
+        wrong: Whether the pose graph found that the others contradict it.
+    """
+
+    query: str
+    database: str
+    score: float
+    accepted: bool
+    wrong: bool = False
+
+    @property
+    def pair(self) -> tuple[str, str]:
+        """Query and database."""
+        return self.query, self.database
+
+
+def trajectory_lines(poses: Mapping[str, Pose], lift: float) -> LinePoints:
+    """Join the submaps' origins in the order of the traverse, so far above the ground [m]."""
+    points = np.array([pose.translation for pose in poses.values()], dtype=np.float64)
+    points = points.reshape(-1, 3) + np.array([0.0, 0.0, lift])
+    return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+
+
+def arches(loops: Iterable[Loop], poses: Mapping[str, Pose], lift: float) -> LinePoints:
+    """Span each `drawable` loop as an arch whose feet stand so far above the ground [m]."""
+    chosen = drawable(loops, poses)
+    if not chosen:
+        return np.zeros((0, 2, 3), np.float32)
+    raised = {name: pose.translation + np.array([0.0, 0.0, lift]) for name, pose in poses.items()}
+    start = np.array([raised[loop.database] for loop in chosen])
+    end = np.array([raised[loop.query] for loop in chosen])
+    return arcs(start, end, LOOP_PIECES, LOOP_RISE)
+
+
+def arch_colors(loops: Iterable[Loop], highest: float) -> UInt8[NDArray[np.uint8], "n 3"]:
+    """Colour the pieces of `arches` by the score, from 0 to the highest; wrong ones are black."""
+    drawn = list(loops)
+    scores = np.array([loop.score for loop in drawn], dtype=np.float64)
+    colors = colorize(scores, 0.0, highest, SCORE_MAP)
+    colors[[loop.wrong for loop in drawn]] = WRONG_LOOP
+    return np.repeat(colors, LOOP_PIECES, axis=0)
+
+
+def choose_arches(
+    loops: Iterable[Loop], options: WorldOptions, selected: str | None
+) -> tuple[Loop, ...]:
+    """Choose the loops to draw: those with the highest scores, and all of the selected submap.
+
+    Hundreds of arches would hide the ground and each other.
+    """
+    chosen: list[Loop] = []
+    for accepted, wanted in ((True, options.loops), (False, options.refused)):
+        if wanted:
+            ranked = sorted(
+                (loop for loop in loops if loop.accepted is accepted), key=lambda loop: -loop.score
+            )
+            chosen += ranked[:MOST_ARCHES]
+            chosen += [loop for loop in ranked[MOST_ARCHES:] if selected in loop.pair]
+    return tuple(chosen)
+
+
+def drawable(loops: Iterable[Loop], poses: Mapping[str, Pose]) -> tuple[Loop, ...]:
+    """Keep the loops both of whose submaps have a pose."""
+    return tuple(loop for loop in loops if loop.query in poses and loop.database in poses)
+
 
 WORLD = "/world"
 SELECTED: Rgb = (235, 40, 140)
@@ -154,7 +244,7 @@ class WorldScene:
         with self._host.atomic():
             if before is None or before.dataset is not world.dataset:
                 self._origin = _middle(world.poses)
-                self._extents = {one.id: Extent.of(one) for one in world.dataset.submaps}
+                self._extents = {submap.id: Extent.of(submap) for submap in world.dataset.submaps}
                 widths = [float(extent.size[0]) for extent in self._extents.values()]
                 self._lift = LIFT * float(np.median(widths))
             scale = world_scale(surfaces, dict(world.poses), world.options.color)
@@ -166,8 +256,8 @@ class WorldScene:
                     continue
                 node.show(self._extents[submap.id], surface, world, scale, place)
             self._shown = world
-            known = drawable(world.loops, world.poses)
-            self._arches = choose_arches(known, world.options, world.selected)
+            loops = drawable(world.loops, world.poses)
+            self._arches = choose_arches(loops, world.options, world.selected)
             self._place(at)
         self._host.flush()
         return scale
@@ -234,15 +324,15 @@ class WorldScene:
 
     def _place_trajectories(self, world: World, local: Mapping[str, Pose]) -> None:
         for source, segments in self._trajectories.items():
-            known = world.trajectories.get(source)
-            if known is None or not world.options.trajectories:
+            poses = world.trajectories.get(source)
+            if poses is None or not world.options.trajectories:
                 segments.hide()
                 continue
             # The trajectory that the submaps stand on moves along with them.
             along = (
                 local
                 if source == world.options.poses
-                else {name: self._local(pose) for name, pose in known.items()}
+                else {name: self._local(pose) for name, pose in poses.items()}
             )
             points = trajectory_lines(along, self._lift)
             segments.show((points.tobytes(),), lambda points=points: points)

@@ -12,24 +12,26 @@ from app.viewer.draw.animation import Animation, ease, play
 from app.viewer.draw.cameras import set_start, set_view
 from app.viewer.draw.layers import Scale
 from app.viewer.draw.placement import UNKNOWN_CANVAS, Camera, Canvas
-from app.viewer.feature import Desk, Feature
+from app.viewer.feature import Desk, Feature, Frame, ModeSwitch
 from app.viewer.host import pages
 from app.viewer.methods import map_params
-from app.viewer.state import ViewState
+from app.viewer.state import ViewState, believed_pose
+from app.viewer.widgets.actions import on_choice, on_option, on_press_by, on_step
 from app.viewer.widgets.legend import legend_html
 from app.viewer.work import Work
-from app.viewer.world.lines import Loop
-from app.viewer.world.panel import WorldCalls, WorldPanel
-from app.viewer.world.scene import World, WorldScene
+from app.viewer.world.panel import NOTHING, WorldPanel
+from app.viewer.world.scene import Loop, World, WorldScene
 from app.viewer.world.submaps import (
+    NEEDS_INFERENCE,
     PoseSource,
+    Surface,
     WorldOptions,
-    measure,
+    figures_of,
+    inferred_surface,
     pose_sources,
     poses_of,
-    statistics_rows,
+    quick_surface,
 )
-from app.viewer.world.surfaces import NEEDS_INFERENCE, Surface, inferred_surface, quick_surface
 from gpgrad_core.arrays import Array
 from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.se2 import Pose
@@ -83,9 +85,10 @@ class _DrawnWorld:
 class WorldTab(Feature):
     """The world in which all submaps lie; drawn only while it is looked at."""
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: Desk, modes: ModeSwitch, frame: Frame) -> None:
         """Make the panel in the current container."""
         self._desk = desk
+        self._modes = modes
         self._host = desk.host
         self._lock = threading.Lock()
         self._state = desk.state
@@ -96,22 +99,18 @@ class WorldTab(Feature):
         self._made: tuple[object, dict[str, Surface]] | None = None  # quick surfaces
         self._framed: object = None  # the dataset that the cameras were brought to
         self.scene = WorldScene(desk.host)
-        self._panel = WorldPanel(
-            desk.host,
-            self._options,
-            WorldCalls(
-                on_options=lambda options: self._change(options=options),
-                on_select=self._pick,
-                on_step=self._step,
-                on_role=self._tune,
-                on_look=self._look,
-                on_all=self._show_all,
-            ),
+        panel = self.panel = WorldPanel(
+            desk.host, self._options, lambda options: self._change(options=options)
         )
+        on_choice(panel.chosen, lambda name: self._pick(None if name == NOTHING else name))
+        on_step(panel.steps, self._step)
+        on_option(panel.roles, self._tune)
+        on_press_by(panel.look, self._look)
+        on_press_by(panel.all, frame)
         self._offer()
-        self._panel.select(None, ())
+        self.panel.select(None, ())
         self._work: Work[_Drawing, _DrawnWorld] = Work(
-            self._panel.work_bar,
+            self.panel.work_bar,
             lambda job: "Making the maps" if job.infers else "",
             self._draw,
             self._on_result,
@@ -124,7 +123,7 @@ class WorldTab(Feature):
         @desk.host.scene.on_click()
         def _(event: viser.SceneClickEvent) -> None:
             if self.scene.visible:
-                self._click(event.ray_origin, event.ray_direction)
+                self.click(event.ray_origin, event.ray_direction)
 
     # What the session and the other parts tell.
 
@@ -138,7 +137,7 @@ class WorldTab(Feature):
                 self._options = replace(self._options, poses=source, color="submap")
         if before.dataset is not state.dataset:
             self._offer()
-            self._panel.select(None, ())
+            self.panel.select(None, ())
             self._submit()
         elif (before.method, before.given.map) != (state.method, state.given.map) or (
             before.params.features.max_std_ratio != state.params.features.max_std_ratio
@@ -183,7 +182,7 @@ class WorldTab(Feature):
         """Choose a submap to look at, or none."""
         with self._lock:
             self._selected = name
-        self._panel.select(name, () if name is None else self._figures(name))
+        self.panel.select(name, () if name is None else self._figures(name))
         self._submit()
 
     @property
@@ -218,7 +217,9 @@ class WorldTab(Feature):
     def _offer(self) -> None:
         dataset = self._state.dataset
         sources = pose_sources(dataset, self._correction.corrected)
-        self._panel.offer(self._options, sources, tuple(submap.id for submap in dataset.submaps))
+        self.panel.offer_world(
+            self._options, sources, tuple(submap.id for submap in dataset.submaps)
+        )
 
     def _submit(self, *, relaxing: bool = False) -> None:
         if not self.scene.visible:
@@ -249,13 +250,12 @@ class WorldTab(Feature):
             return
         query, database = state.query_id, state.database_id
         if role == "query":
-            self._desk.tune(chosen, database if database != chosen else query)
+            self._modes.tune(chosen, database if database != chosen else query)
         else:
-            self._desk.tune(query if query != chosen else database, chosen)
+            self._modes.tune(query if query != chosen else database, chosen)
 
-    def _click(
-        self, origin: tuple[float, float, float], toward: tuple[float, float, float]
-    ) -> None:
+    def click(self, origin: tuple[float, float, float], toward: tuple[float, float, float]) -> None:
+        """Choose the submap that a line of sight meets first, if it meets one."""
         hit = self.scene.pick(np.array(origin, float), np.array(toward, float))
         if hit is not None:
             self._pick(hit)
@@ -265,9 +265,6 @@ class WorldTab(Feature):
             camera = self.scene.camera_at(self._selected, self._desk.canvases.of(page))
             if camera is not None:
                 set_view(page, camera)
-
-    def _show_all(self, page: viser.ClientHandle) -> None:
-        self._desk.tell(Feature.frame, page)
 
     # What the worker does.
 
@@ -306,10 +303,10 @@ class WorldTab(Feature):
         surfaces: dict[str, Surface] = {}
         for place, submap in enumerate(submaps):
             if job.infers:
-                of_one = part(progress, place / len(submaps), (place + 1) / len(submaps))
+                share = part(progress, place / len(submaps), (place + 1) / len(submaps))
                 memo, state = self._desk.memo, job.state
-                of_map = map_params(submap, state.given, memo, of_one, state.method)
-                surfaces[submap.id] = inferred_surface(submap, of_map, memo, of_one)
+                fitted = map_params(submap, state.given, memo, share, state.method)
+                surfaces[submap.id] = inferred_surface(submap, fitted, memo, share)
             else:
                 surfaces[submap.id] = quick_surface(submap, params, self._desk.memo, len(submaps))
                 progress((place + 1) / len(submaps))
@@ -319,13 +316,13 @@ class WorldTab(Feature):
 
     def _on_result(self, job: _Drawing, drawn: _DrawnWorld, seconds: float) -> None:
         self._drawn = drawn
-        self._panel.show_summary(
+        self.panel.show_summary(
             _summary(drawn.world, self.scene.num_cells, self.scene.num_arches, seconds)
         )
-        self._panel.show_legend(legend_html(drawn.scale))
+        self.panel.legend.content = legend_html(drawn.scale)
         self._desk.canvases.scales["world"] = drawn.scale
         if job.selected is not None and job.infers:
-            self._panel.select(job.selected, self._figures(job.selected))
+            self.panel.select(job.selected, self._figures(job.selected))
         if self._framed is not job.state.dataset:
             self._framed = job.state.dataset
             camera = self.camera()
@@ -345,7 +342,7 @@ class WorldTab(Feature):
 
     def _figures(self, name: str) -> tuple[tuple[str, str], ...]:
         corrected = (self._correction.corrected or {}).get(name)
-        rows = statistics_rows(measure(self._state.dataset.submap(name), corrected))
+        rows = figures_of(self._state.dataset.submap(name), corrected)
         surface = None if self.world is None else self.world.surfaces.get(name)
         if surface is None or self._options.color not in NEEDS_INFERENCE:
             return rows
@@ -375,7 +372,7 @@ def _likeliest(name: str, loops: tuple[Loop, ...], state: ViewState) -> tuple[st
         return max(own, key=lambda loop: (loop.accepted, loop.score)).pair
     submaps = state.dataset.submaps
     ids = [submap.id for submap in submaps]
-    poses = [submap.pose_odometry or submap.pose_true for submap in submaps]
+    poses = [believed_pose(submap) for submap in submaps]
     place = ids.index(name)
     here = poses[place]
     if here is None:
@@ -399,7 +396,7 @@ def _summary(world: World, num_cells: int, num_arches: int, seconds: float) -> t
     elif shown < count:
         lines.append(f"{count - shown} of {count} submaps have no such pose and are not shown.")
     wanted = sum(
-        world.options.loops if one.accepted else world.options.refused for one in world.loops
+        world.options.loops if loop.accepted else world.options.refused for loop in world.loops
     )
     if num_arches < wanted:
         own = "" if world.selected is None else f", and all of {world.selected}"

@@ -14,8 +14,8 @@ import app.cli.inputs
 import app.cli.view
 from app.cli import FAILED, INTERRUPTED, run
 from app.cli.flags import Given, parse
-from app.viewer.opened import Opened
 from app.viewer.server import Opening
+from app.viewer.session_file import Opened
 from gpgrad_core.datasets import Outline
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.params.bounds import Bounds

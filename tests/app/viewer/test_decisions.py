@@ -15,7 +15,6 @@ from app.viewer.decisions import (
     with_verdict,
 )
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.json_files import Record
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import LoopClosure, Registration
 from tests.app.synthetic import make_dataset
@@ -85,7 +84,7 @@ def test_decisions_come_back_from_a_file_as_they_were() -> None:
     before = with_note(with_note(before, ("2", "0"), "a dune"), ("3", "1"), 'say "no"')
     before = with_motion(before, ("9", "4"), MOVED)
     text = tomli_w.dumps({"decisions": tables_of(before)})
-    back = read_decisions(Record(tomllib.loads(text), "a file").records("decisions"))
+    back = read_decisions(tomllib.loads(text)["decisions"], "a file")
     assert back.verdicts == before.verdicts
     assert back.notes == before.notes
     assert back.trusted == (("3", "0"), ("9", "4"))
@@ -106,12 +105,12 @@ def test_decisions_come_back_from_a_file_as_they_were() -> None:
 )
 def test_a_decision_that_is_none_is_refused(table: dict[str, object], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        read_decisions([Record(table, "a file, decisions[0]")])
+        read_decisions([table], "a file")
 
 
 def test_too_many_decisions_are_refused() -> None:
     with pytest.raises(InputError, match="2,000 is the most"):
-        read_decisions(2001 * [Record({"query": "2", "database": "0"}, "a file")])
+        read_decisions(2001 * [{"query": "2", "database": "0"}], "a file")
 
 
 def test_a_pair_is_named_as_it_is_compared() -> None:

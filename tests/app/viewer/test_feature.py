@@ -4,7 +4,7 @@ import pytest
 import viser
 
 from app.viewer.feature import Feature
-from app.viewer.opened import Opened
+from app.viewer.session_file import Opened
 from app.viewer.state import Probe, open_dataset, registered
 from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PipelineParams
@@ -48,7 +48,7 @@ def test_a_pair_of_a_dataset_that_has_gone_changes_nothing_and_is_told(
     desk = make_desk(server, STATE, recorder)
     desk.choose("999", "000")
     assert desk.state is STATE
-    desk.tune("999", "000")
+    desk.choose("000", "999")
     assert recorder.states == [STATE, STATE]
     desk.choose("002", "001")
     assert (desk.state.query_id, desk.state.database_id) == ("002", "001")
@@ -65,16 +65,14 @@ def test_another_dataset_keeps_the_view(server: viser.ViserServer) -> None:
     assert desk.state.options.dark
 
 
-def test_a_feature_may_answer_nothing(server: viser.ViserServer) -> None:
+def test_a_feature_may_leave_all_news_alone(server: viser.ViserServer) -> None:
     desk = make_desk(server, STATE)
     feature = desk.join(Feature())
-    desk.tell(Feature.compare_pairs)
-    desk.tell(Feature.stop_comparing)
-    desk.tell(Feature.comparing, 0.5, "")
-    desk.tell(Feature.judged, STATE.dataset, ())
-    desk.tell(Feature.turn_to, "world")
-    desk.tell(Feature.set_full_screen, True)
-    desk.tune("001", "000")
+    desk.tell(lambda feature: feature.comparing(0.5, ""))
+    desk.tell(lambda feature: feature.judged(STATE.dataset, ()))
+    desk.tell(lambda feature: feature.turned("world"))
+    desk.tell(lambda feature: feature.resized())
+    desk.choose("001", "000")
     assert (desk.state.query_id, desk.state.database_id) == ("001", "000")
     assert feature.wait_idle(60)
     feature.close()

@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,14 @@ import psutil
 import pytest
 
 from app.viewer import memory
-from app.viewer.memory import HELPER_SHARE, MemoryKeeper, default_budget, read_size, resident
+from app.viewer.memory import (
+    HELPER_SHARE,
+    MemoryKeeper,
+    default_budget,
+    group_limits,
+    read_size,
+    resident,
+)
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.helper import Answer, Helper
@@ -98,11 +106,11 @@ def test_the_default_is_a_share_of_what_there_is(
         total = machine
 
     monkeypatch.setattr(psutil, "virtual_memory", Machine)
-    monkeypatch.setattr(memory, "_limits", lambda: limits)
+    monkeypatch.setattr(memory, "group_limits", lambda: limits)
     assert default_budget() == budget
 
 
-def test_limits_of_control_groups_are_read(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limits_of_control_groups_are_read(tmp_path: Path) -> None:
     groups = tmp_path / "cgroup"
     (groups / "user" / "viewer").mkdir(parents=True)
     (groups / "user" / "memory.max").write_text("900000000\n")
@@ -112,11 +120,9 @@ def test_limits_of_control_groups_are_read(tmp_path: Any, monkeypatch: pytest.Mo
     (old / "memory.limit_in_bytes").write_text("700000000\n")
     mine = tmp_path / "mine"
     mine.write_text("0::/user/viewer\n7:cpu,cpuacct:/box\n6:memory:/box\n")
-    monkeypatch.setattr(memory, "_GROUPS", groups)
-    monkeypatch.setattr(memory, "_MINE", mine)
-    assert sorted(memory._limits()) == [700 * MB, 900 * MB]
+    assert sorted(group_limits(groups, mine)) == [700 * MB, 900 * MB]
     mine.unlink()
-    assert memory._limits() == []
+    assert group_limits(groups, mine) == []
 
 
 def test_beyond_the_budget_the_oldest_results_go_and_their_memory_too() -> None:

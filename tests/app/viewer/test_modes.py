@@ -2,29 +2,28 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pytest
 import viser
 
-from app.viewer.capacity import Capacity
 from app.viewer.demo import pages as demo_module
-from app.viewer.demo.tab import DemoTab
-from app.viewer.feature import Feature
-from app.viewer.nudge.tab import NudgeTab
-from app.viewer.opened import Opened
 from app.viewer.pair import tab as pair_module
 from app.viewer.pose_graph.tab import PoseGraphTab, result_rows
+from app.viewer.runner import Capacity
 from app.viewer.session import Session
+from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
 from app.viewer.world import tab as explore_module
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration
+from tests.app.page import ProtocolPage
 from tests.app.synthetic import NUMBERS, FakePipeline, make_dataset, make_result
-from tests.app.widgets import find, user_presses, user_sets
+from tests.app.widgets import find, said, user_presses, user_sets
+from tests.waiting import until
 
 DRIFT = SE2(0.15, -0.1, 0.025)
 """What odometry is off from each submap to the next."""
@@ -84,7 +83,7 @@ def make_true_result(state: ViewState) -> PairResult:
 
 def judge(session: Session) -> None:
     """Let the session know all pairs as judged."""
-    session.desk.tell(Feature.judged, DATASET, CLOSURES)
+    session.desk.tell(lambda feature: feature.judged(DATASET, CLOSURES))
 
 
 @pytest.fixture
@@ -98,12 +97,19 @@ def session(monkeypatch: pytest.MonkeyPatch, server: viser.ViserServer) -> Itera
     made.close()
 
 
+@pytest.fixture
+def page(server: viser.ViserServer) -> Iterator[ProtocolPage]:
+    made = ProtocolPage(f"http://127.0.0.1:{server.get_port()}")
+    yield made
+    made.close()
+
+
 def gui(session: Session) -> Any:
     return session.desk.host
 
 
 def node(session: Session, name: str) -> Any:
-    return gui(session).scene._handle_from_node_name[name]
+    return gui(session).scene.get_handle_by_name(name)
 
 
 def go(session: Session, mode: str) -> None:
@@ -115,20 +121,12 @@ def graph(session: Session) -> PoseGraphTab:
     return session.pose_graph
 
 
-F = TypeVar("F", bound=Feature)
-
-
-def feature(session: Session, kind: type[F]) -> F:
-    (found,) = (one for one in session.desk.features if isinstance(one, kind))
-    return found
-
-
 def message(session: Session) -> str:
-    return graph(session)._panel.work_bar.said
+    return said(gui(session), "graph-error") + said(gui(session), "graph-message")
 
 
 def test_the_world_is_drawn_when_it_is_looked_at(session: Session) -> None:
-    assert "/world/submaps/0" not in gui(session).scene._handle_from_node_name
+    assert node(session, "/world/submaps/0") is None
     go(session, "Explore")
     assert not node(session, "/pair").visible
     assert node(session, "/world").visible
@@ -139,15 +137,14 @@ def test_the_world_is_drawn_when_it_is_looked_at(session: Session) -> None:
     assert not node(session, "/world").visible
 
 
-def test_a_click_chooses_the_submap_under_it(session: Session) -> None:
+def test_a_click_chooses_the_submap_under_it(session: Session, page: ProtocolPage) -> None:
     go(session, "Explore")
-    explore = session.world
     position = np.array(node(session, "/world/submaps/2").position)
-    above = tuple(np.add(position, (0.0, 0.0, 20.0)))
-    explore._click(above, (0.0, 0.0, -1.0))
+    above = np.add(position, (0.0, 0.0, 20.0)).tolist()
+    page.click_scene(above, (0.0, 0.0, -1.0))
+    until(lambda: find(gui(session), "Submap").value == "002", "the click")
     assert session.wait_idle(120)
-    assert find(gui(session), "Submap").value == "002"
-    figures = explore._panel._figures.content
+    figures = said(gui(session), "submap-figures")
     assert "1,500" in figures
     assert "odometry off by" in figures
     assert node(session, "/world/selected").visible
@@ -164,11 +161,11 @@ def test_colours_that_need_maps_make_them(session: Session) -> None:
     user_sets(find(gui(session), "Colour by"), "deviation")
     assert session.wait_idle(60)
     explore = session.world
-    assert "Standard deviation" in explore._panel._legend.content
-    assert "median deviation" not in explore._panel._figures.content
+    assert "Standard deviation" in said(gui(session), "legend")
+    assert "median deviation" not in said(gui(session), "submap-figures")
     explore.select("000")
     assert session.wait_idle(120)
-    assert "median deviation" in explore._panel._figures.content
+    assert "median deviation" in said(gui(session), "submap-figures")
 
 
 def test_the_map_relaxes_by_the_accepted_closures(session: Session) -> None:
@@ -177,7 +174,7 @@ def test_the_map_relaxes_by_the_accepted_closures(session: Session) -> None:
     assert "No closure is accepted" in message(session)
     judge(session)
     assert session.wait_idle(120)
-    assert "2 closures accepted of 3 pairs" in graph(session)._panel._summary.content
+    assert "2 closures accepted of 3 pairs" in said(gui(session), "graph-summary")
     assert node(session, "/world/loops").visible
     before = np.array(node(session, "/world/submaps/3").position)
     user_presses(find(gui(session), "Optimise"))
@@ -205,10 +202,10 @@ def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> 
     user_sets(listed, listed.options[1])
     user_sets(find(gui(session), "By hand"), "refuse")
     assert [one.accepted for one in graph(session).closures] == [False, True, False]
-    assert "optimise again" in graph(session)._panel._summary.content
+    assert "optimise again" in said(gui(session), "graph-summary")
     user_presses(find(gui(session), "Undo decision"))
     assert [one.accepted for one in graph(session).closures] == [True, True, False]
-    assert "optimise again" not in graph(session)._panel._summary.content
+    assert "optimise again" not in said(gui(session), "graph-summary")
     assert find(gui(session), "Undo decision").disabled
 
 
@@ -218,7 +215,7 @@ def test_another_dataset_has_another_graph(session: Session) -> None:
     session.desk.open(Opened(make_dataset(name="other"), NUMBERS, "", None, NUMBERS))
     assert session.wait_idle(120)
     assert graph(session).closures == ()
-    assert "No closures yet" in graph(session)._panel._summary.content
+    assert "No closures yet" in said(gui(session), "graph-summary")
     assert find(gui(session), "Poses").options == ("odometry",)
 
 
@@ -232,19 +229,17 @@ def test_a_closure_glides_into_place(session: Session) -> None:
     database = np.array(node(session, "/pair/database").position)
     np.testing.assert_allclose((registered - database)[:2], [1.0, -0.5], atol=1e-6)
     user_sets(find(gui(session), "Play"), "pose graph")
-    assert (
-        "Optimise the pose graph in Explore first" in feature(session, DemoTab)._panel.work_bar.said
-    )
+    assert "Optimise the pose graph in Explore first" in said(gui(session), "demo-error")
 
 
-def test_the_query_is_nudged_and_refined(session: Session) -> None:
+def test_the_query_is_nudged_and_refined(session: Session, page: ProtocolPage) -> None:
     user_sets(find(gui(session), "Move the query"), True)
     assert session.wait_idle(120)
     gizmo = node(session, "/pair/nudge")
     start = np.array(node(session, "/pair/query").position)
-    nudge = feature(session, NudgeTab)
-    gizmo.position = tuple(np.add(gizmo.position, (0.15, -0.1, 0.0)))
-    nudge._moved()
+    place = np.add(gizmo.position, (0.15, -0.1, 0.0)).tolist()
+    page.move_gizmo("/pair/nudge", place, np.array(gizmo.wxyz).tolist())
+    until(lambda: bool(np.any(node(session, "/pair/query").position != start)), "the move")
     moved = np.array(node(session, "/pair/query").position)
     np.testing.assert_allclose((moved - start)[:2], [0.15, -0.1], atol=1e-6)
     assert find(gui(session), "Use in the pose graph").disabled
@@ -257,4 +252,4 @@ def test_the_query_is_nudged_and_refined(session: Session) -> None:
     assert (used.query_id, used.database_id, used.accepted) == ("003", "000", True)
     user_sets(find(gui(session), "Move the query"), False)
     assert session.wait_idle(120)
-    assert "/pair/nudge" not in gui(session).scene._handle_from_node_name
+    assert node(session, "/pair/nudge") is None

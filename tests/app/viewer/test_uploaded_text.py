@@ -13,7 +13,7 @@ from app.viewer.save.tab import SaveTab
 from app.viewer.session_file import LARGEST
 from app.viewer.state import open_dataset
 from gpgrad_core.pipeline import PipelineParams
-from tests.app.desk import Recorder, make_desk
+from tests.app.desk import make_desk
 from tests.app.page import ProtocolPage
 from tests.app.synthetic import make_dataset
 from tests.app.widgets import find
@@ -28,8 +28,8 @@ SLOWEST = "".join(f"k{number}{'.a' * 19} = 1\n" for number in range(2000))
 @pytest.fixture
 def pages() -> Iterator[tuple[viser.ViserServer, ProtocolPage, ProtocolPage]]:
     server, _ = open_server("127.0.0.1", 0, max_upload=1_000_000)
-    desk = make_desk(server, STATE, Recorder())
-    desk.join(SaveTab(desk))
+    desk = make_desk(server, STATE)
+    desk.join(SaveTab(desk, lambda saved: None))  # noqa: ARG005
     desk.join(PresetsTool(desk))
     server.gui.add_slider("Slider", 0, 1000, 1, 0)
     one, other = (ProtocolPage(f"http://127.0.0.1:{server.get_port()}") for _ in range(2))

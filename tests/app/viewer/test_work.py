@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 import viser
 
-from app.viewer.downloads import Downloads, safe_name
 from app.viewer.widgets.work_bar import TimeLeft, WorkBar
-from app.viewer.work import Work
+from app.viewer.work import Downloads, Work, safe_name
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress
 from tests.app.page import FakePage

@@ -15,7 +15,6 @@ import numpy as np
 import tyro
 from scipy.spatial.transform import Rotation
 
-from gpgrad_core.datasets.clouds import read_points
 from gpgrad_core.datasets.poses import pose_row
 from gpgrad_core.se2 import Pose
 
@@ -91,7 +90,7 @@ def find_map(config: Any, scans: list[Path]) -> tuple[list[Any], list[Any], int]
 
 
 def _points(path: Path) -> Any:
-    return np.array(read_points(path), np.float64)
+    return np.array(read_cloud(path).points, np.float64)
 
 
 def _write(path: Path, scans: list[Path], poses: list[Any]) -> None:

@@ -1,7 +1,6 @@
 """Every format keeps what was written; every broken file is refused in one line."""
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,9 @@ from hypothesis.extra import numpy as hnp
 
 from gpgrad_core.datasets import load_cloud
 from gpgrad_core.datasets.clouds import load_cloud_with_notes
-from gpgrad_core.datasets.ply import write_ply
+from gpgrad_core.datasets.clouds.ply import write_ply
 from tests.core.datasets.refusal import assert_refused
-
-WORLD = np.array([456_789.123456789, 5_123_456.987654321, -1234.000000123])
+from tests.core.datasets.test_formats import WORLD, by_laspy
 
 
 @pytest.fixture
@@ -24,68 +22,12 @@ def world_points() -> np.ndarray:
     return WORLD + np.random.default_rng(3).uniform(-5, 5, (40, 3))
 
 
-def as_xyz(path: Path, points: np.ndarray) -> None:
-    np.savetxt(path, points, fmt="%.17g")
-
-
-def as_csv(path: Path, points: np.ndarray) -> None:
-    np.savetxt(path, points, fmt="%.17g", delimiter=",", header="x,y,z", comments="")
-
-
-def as_npy(path: Path, points: np.ndarray) -> None:
-    np.save(path, points)
-
-
-def as_npz(path: Path, points: np.ndarray) -> None:
-    np.savez(path, points=points, colours=np.zeros((len(points), 3)))
-
-
-def as_las(path: Path, points: np.ndarray) -> None:
-    laspy = pytest.importorskip("laspy", reason="the extra 'las' is not installed")
-    header = laspy.LasHeader(point_format=0)
-    header.offsets, header.scales = np.floor(points.min(axis=0)), np.full(3, 1e-7)
-    cloud = laspy.LasData(header)
-    cloud.x, cloud.y, cloud.z = points.T
-    cloud.write(str(path))
-
-
-@pytest.mark.parametrize(
-    ("ending", "write"),
-    [
-        (".xyz", as_xyz),
-        (".csv", as_csv),
-        (".npy", as_npy),
-        (".npz", as_npz),
-        (".ply", write_ply),
-        (".NPY", as_npy),
-    ],
-)
-def test_double_formats_keep_every_bit(
-    ending: str,
-    write: Callable[[Path, np.ndarray], None],
-    world_points: np.ndarray,
-    tmp_path: Path,
-) -> None:
-    path = tmp_path / f"crater{ending}"
-    if ending == ".NPY":  # np.save would add another ending
-        with path.open("wb") as file:
-            np.save(file, world_points)
-    else:
-        write(path, world_points)
-    submap, notes = load_cloud_with_notes(path)
-    assert submap.id == "crater"
-    assert notes == ()
-    np.testing.assert_array_equal(submap.points, world_points)
-
-
-@pytest.mark.parametrize("ending", [".las", ".laz"])
-def test_las_keeps_its_steps(ending: str, world_points: np.ndarray, tmp_path: Path) -> None:
-    path = tmp_path / f"a{ending}"
-    as_las(path, world_points)
-    np.testing.assert_allclose(load_cloud(path).points, world_points, rtol=0, atol=1e-7)
-    path.write_bytes(path.read_bytes()[:300])
-    rule = "is cut short" if ending == ".las" else "not a complete LAS file"
-    assert_refused(lambda: load_cloud(path), str(path), rule)
+def test_a_cut_las(tmp_path: Path, world_points: np.ndarray) -> None:
+    for ending, rule in ((".las", "is cut short"), (".laz", "not a complete LAS file")):
+        path = tmp_path / f"a{ending}"
+        by_laspy(path, world_points)
+        path.write_bytes(path.read_bytes()[:300])
+        assert_refused(lambda path=path: load_cloud(path), str(path), rule)
 
 
 def test_las_without_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,6 +93,17 @@ def test_whole_numbers_are_points_too(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_cloud(tmp_path / "a.npy").points, points)
 
 
+def test_a_range_below_nothing(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(size=(9, 3))
+    write_ply(tmp_path / "a.ply", points, extras={"range": -np.ones(9)})
+    assert_refused(lambda: load_cloud(tmp_path / "a.ply"), "a.ply: range must be 0 m or more")
+
+
+def test_a_cut_kitti_scan(tmp_path: Path) -> None:
+    (tmp_path / "cut.bin").write_bytes(bytes(43))
+    assert_refused(lambda: load_cloud(tmp_path / "cut.bin"), "not a complete KITTI scan")
+
+
 def test_npz_takes_the_only_array_of_points(tmp_path: Path) -> None:
     points = np.random.default_rng(1).normal(size=(9, 3))
     np.savez(tmp_path / "a.npz", cloud=points, stamp=np.arange(3))
@@ -169,7 +122,7 @@ def test_a_missing_file_and_an_unknown_ending(tmp_path: Path) -> None:
     assert_refused(
         lambda: load_cloud(tmp_path / "a.e57"),
         "a.e57: unknown ending '.e57'",
-        ".ply .pcd .npz .npy .xyz .csv .las .laz .bin",
+        ".bin .csv .las .laz .npy .npz .pcd .ply .xyz",
     )
     (tmp_path / "folder.ply").mkdir()
     assert_refused(lambda: load_cloud(tmp_path / "folder.ply"), "folder.ply: cannot be read")

@@ -11,13 +11,21 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.datasets import SubmapFile, load_dataset, open_dataset, write_dataset
+from gpgrad_core.datasets import (
+    SubmapFile,
+    load_cloud,
+    load_dataset,
+    open_dataset,
+    write_dataset,
+)
 from gpgrad_core.datasets.folder import index_of
 from gpgrad_core.errors import InputError
+from gpgrad_core.gradient_map import TerrainParams, point_noise
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap
 from tests.core.datasets.refusal import assert_refused
+from tests.core.datasets.test_formats import COLORS, NOISE, POINTS, RANGES
 
 REAL_COUNTS = {"marsyard2021": 29, "sthelens": 24, "apollo15": 25}
 
@@ -210,7 +218,7 @@ def test_a_preferred_submap_that_is_not_there_is_refused(folder: Path) -> None:
 def test_places_that_hold_nothing(tmp_path: Path, folder: Path) -> None:
     assert_refused(lambda: load_dataset(tmp_path / "none"), "none: no such file or folder")
     (tmp_path / "empty").mkdir()
-    assert_refused(lambda: load_dataset(tmp_path / "empty"), "empty: holds no clouds (.ply .pcd")
+    assert_refused(lambda: load_dataset(tmp_path / "empty"), "empty: holds no clouds (.bin .csv")
     assert_refused(lambda: load_dataset(tmp_path), "it holds the datasets set; give one of them")
     for path in (folder / "submaps").iterdir():
         path.unlink()
@@ -318,3 +326,38 @@ def test_a_broken_cloud_is_found_when_a_dataset_is_opened(folder: Path) -> None:
     (folder / "submaps" / "002.ply").write_bytes(b"ply\n")
     with pytest.raises(InputError, match=r"002\.ply"):
         open_dataset(folder, most_bytes=0)
+
+
+def test_a_dataset_keeps_them(tmp_path: Path) -> None:
+    submap = Submap.from_points(POINTS, "000", noise_std=NOISE, ranges=RANGES)
+    write_dataset(Dataset("a", (submap,)), tmp_path / "a")
+    (loaded,) = load_dataset(tmp_path / "a").submaps
+    np.testing.assert_allclose(loaded.noise_std, NOISE, rtol=1e-6)
+    np.testing.assert_allclose(loaded.ranges, RANGES, rtol=1e-6)
+    assert load_cloud(tmp_path / "a" / "submaps" / "000.ply").fingerprint == loaded.fingerprint
+    grown = TerrainParams(noise_model="range", noise_std=0.02, noise_growth=0.01)
+    np.testing.assert_allclose(point_noise(submap, grown).std, 0.02 + 0.01 * RANGES**2)
+
+
+def test_colors_are_dropped_with_their_points_and_are_part_of_the_fingerprint() -> None:
+    points = POINTS.copy()
+    points[7, 2] = np.nan
+    submap = Submap.from_points(points, colors=COLORS)
+    assert submap.colors is not None
+    np.testing.assert_array_equal(submap.colors, np.delete(COLORS, 7, axis=0))
+    assert submap.fingerprint != Submap.from_points(points).fingerprint
+    assert submap.fingerprint != Submap.from_points(points, colors=COLORS[::-1]).fingerprint
+
+
+def test_images_belong_to_the_submap_of_their_folders_number(tmp_path: Path) -> None:
+    submaps = tuple(Submap.from_points(POINTS + k, f"{k:03d}", colors=COLORS) for k in range(2))
+    write_dataset(Dataset("seen", submaps), tmp_path / "seen")
+    for name in ("001/b.png", "001/a.jpg", "001/notes.txt", "005/a.png"):
+        file = tmp_path / "seen" / "images" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(b"")
+    first, second = load_dataset(tmp_path / "seen").submaps
+    assert first.images == ()
+    assert [file.name for file in second.images] == ["a.jpg", "b.png"]
+    assert second.colors is not None
+    np.testing.assert_allclose(second.colors, COLORS, atol=1e-9)

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gpgrad_core.datasets import load_cloud
-from gpgrad_core.datasets.ply import write_ply
+from gpgrad_core.datasets.clouds.ply import write_ply
 from tests.core.datasets.refusal import assert_refused
 
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
@@ -32,13 +32,6 @@ def ply(layout: str, vertex: list[str], count: int, before: str = "", after: str
         "end_header",
     ]
     return ("\n".join(lines) + "\n").encode()
-
-
-@pytest.mark.parametrize("encoding", ["ascii", "binary"])
-def test_what_trimesh_writes_is_read(encoding: str, points: np.ndarray, tmp_path: Path) -> None:
-    mesh = trimesh.Trimesh(points, [[0, 1, 2], [3, 4, 5]], process=False)
-    mesh.export(tmp_path / "a.ply", encoding=encoding)
-    np.testing.assert_allclose(load_cloud(tmp_path / "a.ply").points, points, atol=1e-7)
 
 
 def test_what_is_written_trimesh_reads(points: np.ndarray, tmp_path: Path) -> None:

@@ -17,9 +17,8 @@ from gpgrad_core.datasets import (
     simulate_into,
     write_dataset,
 )
-from gpgrad_core.datasets.endless import EndlessGround, Field
-from gpgrad_core.datasets.lanes import drive_lanes
-from gpgrad_core.datasets.rover import plan_track
+from gpgrad_core.datasets.endless_terrain import EndlessGround, Field
+from gpgrad_core.datasets.routes import drive_lanes, plan_track
 from gpgrad_core.datasets.terrain import RESOLUTION
 from gpgrad_core.errors import InputError
 from gpgrad_core.scans import simulate_recording

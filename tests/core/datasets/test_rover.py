@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 
 from gpgrad_core.datasets import SimulationParams
-from gpgrad_core.datasets.rover import (
-    ANGULAR_STEP,
-    HIGHEST_RING,
-    LOWEST_RING,
-    STEP,
-    Stop,
-    plan_track,
-    scan,
-)
+from gpgrad_core.datasets.routes import STEP, Stop, plan_track
+from gpgrad_core.datasets.rover import ANGULAR_STEP, HIGHEST_RING, LOWEST_RING, scan
 from gpgrad_core.datasets.terrain import RESOLUTION, HeightField
 from tests.core.datasets.refusal import assert_refused
 

@@ -5,18 +5,25 @@ import numpy as np
 import pytest
 
 from app.viewer.all_pairs import judging
-from app.viewer.all_pairs.cells import gather_all
-from app.viewer.all_pairs.judging import RULES, UNKNOWN, ComparedPairs, compare_pairs, judge
-from app.viewer.outcomes import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
+from app.viewer.all_pairs.judging import (
+    RULES,
+    UNKNOWN,
+    compare_pairs,
+    gather_all,
+    judge,
+)
+from app.viewer.decisions import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from app.viewer.state import open_dataset
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.evaluation.rules import Rule
+from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run import parallel
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.run.store import Store
+from gpgrad_core.types import Dataset
 from tests.app.synthetic import MISPLACED, PAIR_SCORES, make_compared, make_dataset
 
 BOX = next(iter(RULES.values()))
@@ -42,10 +49,10 @@ def test_thresholds_turn_verdicts_without_registering_anew() -> None:
 
 
 def test_outcomes_by_the_truth() -> None:
-    found = outcomes(0.5)
-    assert found["003", "000"] == RIGHT
-    assert found["002", "000"] == NO_OVERLAP  # accepted, and truly far away
-    assert found[MISPLACED] == WRONG_MOTION
+    accepting = outcomes(0.5)
+    assert accepting["003", "000"] == RIGHT
+    assert accepting["002", "000"] == NO_OVERLAP  # accepted, and truly far away
+    assert accepting[MISPLACED] == WRONG_MOTION
     assert outcomes(5.5)["003", "000"] == MISSED
     assert outcomes(5.5)["002", "000"] == REFUSED
 
@@ -123,12 +130,14 @@ def test_it_is_of_a_state_whatever_the_thresholds() -> None:
 
 
 def test_a_comparison_registers_all_pairs_and_measures_the_truth() -> None:
-    params = PipelineParams(map=replace(PipelineParams().map, resolution=0.1))
-    dataset = COMPARED.dataset
-    told: list[float] = []
-    compared = compare_pairs(dataset, params, Memo(), told.append)
-    assert isinstance(compared, ComparedPairs)
-    assert len(compared.result.closures) == 6
+    map_params = MapParams(length_scale=0.5, noise_std=0.05, resolution=0.2)
+    submaps = tuple(
+        replace(submap, pose_true=submap.pose_odometry)
+        for submap in make_dataset(num_points=200).submaps[:3]
+    )
+    dataset, told = Dataset("three", submaps), list[float]()
+    compared = compare_pairs(dataset, PipelineParams(map=map_params), Memo(), told.append)
+    assert len(compared.result.closures) == 3
     assert compared.truth is not None
     np.testing.assert_array_equal(compared.truth.box_iou, measure_pairs(dataset).box_iou)
     assert told == sorted(told)
@@ -145,9 +154,9 @@ def test_many_pairs_are_compared_in_processes_and_kept(
     monkeypatch.setattr(parallel, "WORTH_PROCESSES", 6)
     memo = Memo(store=Store(tmp_path / "store"))
     there = compare_pairs(COMPARED.dataset, params, memo)
-    for one, other in zip(here.result.closures, there.result.closures, strict=True):
-        assert (one.query_id, one.database_id) == (other.query_id, other.database_id)
-        assert one.registration.score == pytest.approx(other.registration.score)
+    for closure, other in zip(here.result.closures, there.result.closures, strict=True):
+        assert (closure.query_id, closure.database_id) == (other.query_id, other.database_id)
+        assert closure.registration.score == pytest.approx(other.registration.score)
     num_kept = sum(path.is_file() for path in (tmp_path / "store").rglob("*"))
     assert num_kept >= 6
     assert memo.num_bytes < 10_000_000  # the maps stay in the processes

@@ -9,6 +9,7 @@ from app.viewer.all_pairs import tab as all_pairs_module
 from app.viewer.all_pairs.judging import ComparedPairs
 from app.viewer.all_pairs.panel import NO_CHOICE
 from app.viewer.all_pairs.tab import AllPairsTab
+from app.viewer.feature import Desk
 from app.viewer.methods import MethodName
 from app.viewer.state import ViewState, open_dataset, with_pair, with_params
 from gpgrad_core.errors import InputError
@@ -18,16 +19,13 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.shortlist import Candidate, Candidates
 from gpgrad_core.types import Dataset
-from tests.app.desk import Recorder, make_desk
+from tests.app.desk import make_desk
 from tests.app.synthetic import make_compared, make_dataset
-from tests.app.widgets import find, user_presses, user_sets
+from tests.app.widgets import find, html_says, said, user_presses, user_sets
 
 COMPARED = make_compared()
 STATE = open_dataset(COMPARED.dataset, PipelineParams(closure=ClosureParams(0, 4.5)))
 
-
-PAGE = object.__new__(viser.ClientHandle)
-"""Which page said something does not matter here."""
 SHORTLISTS = {
     submap.id: (Candidate("another <one>", 40, 0.5), Candidate(STATE.database_id, 12, 0.25))
     for submap in STATE.dataset.submaps
@@ -70,17 +68,16 @@ def comparer(monkeypatch: pytest.MonkeyPatch) -> Comparer:
 
 
 @pytest.fixture
-def recorder() -> Recorder:
-    return Recorder()
+def desk(server: viser.ViserServer) -> Desk:
+    return make_desk(server, STATE)
 
 
 @pytest.fixture
 def tab(
-    server: viser.ViserServer,
+    desk: Desk,
     comparer: Comparer,  # noqa: ARG001
-    recorder: Recorder,
 ) -> Iterator[AllPairsTab]:
-    made = AllPairsTab(make_desk(server, STATE, recorder))
+    made = desk.join(AllPairsTab(desk))
     yield made
     made.close()
 
@@ -90,26 +87,18 @@ def run(tab: AllPairsTab, server: viser.ViserServer) -> None:
     assert tab.wait_idle(120)
 
 
-def said(tab: AllPairsTab) -> str:
-    return tab._panel.work_bar.said + "".join(
-        handle.content
-        for handle in vars(tab._panel).values()
-        if isinstance(handle, viser.GuiHtmlHandle)
-    )
-
-
-def shown(recorder: Recorder) -> tuple[str, str]:
-    return recorder.states[-1].query_id, recorder.states[-1].database_id
+def shown(desk: Desk) -> tuple[str, str]:
+    return desk.state.query_id, desk.state.database_id
 
 
 def test_all_pairs_are_run_and_told(tab: AllPairsTab, server: viser.ViserServer) -> None:
     assert not find(server, "Pair").visible
     run(tab, server)
     assert "1 loop closure in 6 pairs: 1 with the right motion, 0 with a wrong motion, " in said(
-        tab
+        server
     )
-    assert "precision is 1.000 and recall 1.000" in said(tab)
-    assert "affinity" in said(tab)
+    assert "precision is 1.000 and recall 1.000" in said(server)
+    assert "affinity" in said(server)
     assert find(server, "Run all pairs").visible
     assert not find(server, "Cancel").visible
     assert find(server, "Pair").value == "003 → 000 · 5.0 · right"  # the pair that is open
@@ -119,11 +108,11 @@ def test_thresholds_and_rules_are_followed(tab: AllPairsTab, server: viser.Viser
     run(tab, server)
     tab.follow(with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
     assert tab.wait_idle(120)
-    assert "5 loop closures in 6 pairs" in said(tab)
-    assert "run again" not in said(tab)
+    assert "5 loop closures in 6 pairs" in said(server)
+    assert "run again" not in said(server)
     user_sets(find(server, "True if"), "surface overlap > 0.2")
     assert tab.wait_idle(120)
-    assert "10 cm cells" in said(tab)
+    assert "10 cm cells" in said(server)
 
 
 def test_other_parameters_are_told_as_such(tab: AllPairsTab, server: viser.ViserServer) -> None:
@@ -131,84 +120,86 @@ def test_other_parameters_are_told_as_such(tab: AllPairsTab, server: viser.Viser
     smoother = replace(STATE.params, map=replace(STATE.params.map, length_scale=0.5))
     tab.follow(with_params(STATE, smoother))
     assert tab.wait_idle(120)
-    assert "run again" in said(tab)
+    assert "run again" in said(server)
 
 
 def test_pairs_are_chosen_and_stepped_through(
-    tab: AllPairsTab, server: viser.ViserServer, recorder: Recorder
+    tab: AllPairsTab, desk: Desk, server: viser.ViserServer
 ) -> None:
+    def choose(label: str, value: str) -> tuple[str, str]:
+        user_sets(find(server, label), value)
+        assert tab.wait_idle(120)
+        return shown(desk)
+
     run(tab, server)
     pair = find(server, "Pair")
-    user_sets(find(server, "Step pair"), "next")
-    assert shown(recorder) == ("001", "000")  # of the second-highest score
-    user_sets(pair, pair.options[-1])
-    assert shown(recorder) == ("003", "002")
-    user_sets(find(server, "Step pair"), "next")  # round the end
-    assert shown(recorder) == ("003", "000")
-    user_sets(find(server, "List"), "right")
+    assert choose("Step pair", "next") == ("001", "000")  # of the second-highest score
+    assert choose("Pair", pair.options[-1]) == ("003", "002")
+    assert choose("Step pair", "next") == ("003", "000")  # round the end
+    choose("List", "right")
     assert pair.options[1:] == ("003 → 000 · 5.0 · right",)
-    tab.follow(with_pair(STATE, query_id="002", database_id="001"))
+    desk.change(pair=("002", "001"))
     assert tab.wait_idle(120)
     assert pair.value == NO_CHOICE  # not in the list
-    assert 'data-row="2" data-column="1"' in said(tab)  # yet in the matrix
+    assert 'data-row="2" data-column="1"' in said(server)  # yet in the matrix
 
 
 def test_a_click_in_a_picture_opens_its_pair_and_nothing_else_does(
-    tab: AllPairsTab, server: viser.ViserServer, recorder: Recorder
+    tab: AllPairsTab, desk: Desk, server: viser.ViserServer
 ) -> None:
     run(tab, server)
-    hear = tab._desk.bridge._acts
-    hear["matrix"](PAGE, {"name": "all", "row": 2.0, "column": 1.0})
-    assert shown(recorder) == ("002", "001")
-    hear["matrix"](PAGE, {"name": "all", "row": 0.0, "column": 3.0})  # above the diagonal
-    assert shown(recorder) == ("003", "000")
-    hear["pair"](PAGE, {"query": "001", "database": "000"})
-    assert shown(recorder) == ("001", "000")
-    before = len(recorder.states)
+
+    def click(picture: str, **data: object) -> None:
+        html_says(desk.bridge, picture, **data)
+
+    click("matrix", name="all", row=2.0, column=1.0)
+    assert shown(desk) == ("002", "001")
+    click("matrix", name="all", row=0.0, column=3.0)  # above the diagonal
+    assert shown(desk) == ("003", "000")
+    click("pair", query="001", database="000")
+    assert shown(desk) == ("001", "000")
+    before = desk.state
     for wrong in (
         {"name": "block", "row": 0.0, "column": 0.0},
         {"name": "all", "row": 0.5, "column": 0.0},
-        {"name": "all", "row": float("inf"), "column": 0.0},
         {"name": "all", "row": "2", "column": 1.0},
         {"name": "all", "row": True, "column": 0.0},
         {"name": "all", "row": 9e9, "column": 1.0},
         {},
     ):
-        hear["matrix"](PAGE, wrong)
+        click("matrix", **wrong)
     for half in ({"query": "001"}, {"query": 1.0, "database": "000"}):
-        hear["pair"](PAGE, half)
-    assert len(recorder.states) == before
-    hear["pair"](PAGE, {"query": "gone", "database": "000"})  # of another dataset
-    assert shown(recorder) == ("001", "000")
+        click("pair", **half)
+    assert desk.state is before
+    click("pair", query="gone", database="000")  # of another dataset
+    assert shown(desk) == ("001", "000")
 
 
 def test_a_drawn_threshold_is_taken_within_its_bounds(
-    tab: AllPairsTab, server: viser.ViserServer, recorder: Recorder
+    tab: AllPairsTab, desk: Desk, server: viser.ViserServer
 ) -> None:
-    tab._desk.join(tab)
     run(tab, server)
-    draw = tab._desk.bridge._acts["threshold"]
-    draw(PAGE, {"score": 0.512})
-    assert recorder.states[-1].params.closure.min_score == 0.5
-    assert recorder.states[-1].params.map == STATE.params.map
+    html_says(desk.bridge, "threshold", score=0.512)
+    assert desk.state.params.closure.min_score == 0.5
+    assert desk.state.params.map == STATE.params.map
     assert tab.wait_idle(120)
-    assert "5 loop closures in 6 pairs" in said(tab)
-    assert "settle(0.5)" in tab._panel._threshold.content
-    before = len(recorder.states)
-    for wrong in (-1.0, 1e12, float("nan"), float("inf"), "3", True, None):
-        draw(PAGE, {"score": wrong})
-    assert len(recorder.states) == before
+    assert "5 loop closures in 6 pairs" in said(server)
+    assert "(0.5)" in tab.panel.html["threshold"].content
+    before = desk.state
+    for wrong in (-1.0, 1e12, "3", True, None):
+        html_says(desk.bridge, "threshold", score=wrong)
+    assert desk.state is before
 
 
 def test_the_histogram_is_not_drawn_anew_while_the_threshold_moves(
     tab: AllPairsTab, server: viser.ViserServer
 ) -> None:
     run(tab, server)
-    before = tab._panel._scores.content
+    before = tab.panel.html["scores"].content
     assert "data-scores" in before
     tab.follow(with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
     assert tab.wait_idle(120)
-    assert tab._panel._scores.content is before
+    assert tab.panel.html["scores"].content is before
 
 
 def test_a_run_is_cancelled_and_the_next_one_is_not(
@@ -217,20 +208,20 @@ def test_a_run_is_cancelled_and_the_next_one_is_not(
     comparer.go.clear()
     user_presses(find(server, "Run all pairs"))
     assert find(server, "Cancel").visible
-    assert "Running all pairs" in said(tab)
+    assert "Running all pairs" in said(server)
     user_presses(find(server, "Cancel"))
     assert tab.wait_idle(120)
-    assert "Cancelled" in said(tab)
+    assert "Cancelled" in said(server)
     assert find(server, "Run all pairs").visible
     comparer.go.set()
     run(tab, server)
-    assert "loop closure in 6 pairs" in said(tab)
+    assert "loop closure in 6 pairs" in said(server)
 
 
 def test_an_error_is_told(tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer) -> None:
     comparer.error = InputError("002 spans 10,000 m: raise the resolution")
     run(tab, server)
-    assert "raise the resolution" in said(tab)
+    assert "raise the resolution" in said(server)
     assert find(server, "Run all pairs").visible
 
 
@@ -243,8 +234,8 @@ def test_another_dataset_forgets_what_was_found_and_ends_what_runs(
     other: ViewState = open_dataset(make_dataset(), PipelineParams())
     tab.follow(other)
     assert tab.wait_idle(120)
-    assert "loop closure" not in said(tab)
-    assert "affinity" not in said(tab)
+    assert "loop closure" not in said(server)
+    assert "affinity" not in said(server)
     assert not find(server, "Pair").visible
 
 
@@ -253,19 +244,22 @@ def test_why_a_pair_was_looked_at_is_shown(
 ) -> None:
     run(tab, server)
     assert comparer.candidates == "automatic"
-    assert tab._panel._reasons.content == ""  # all were compared
+    assert tab.panel.html["reasons"].content == ""  # all were compared
     user_sets(find(server, "Compare with"), "the 10 best")
     run(tab, server)
     assert comparer.candidates == 10
-    shown = tab._panel._reasons.content
+    shown = tab.panel.html["reasons"].content
     assert "Why was this pair looked at?" in shown
     assert f"{STATE.database_id} is number 2 among the candidates" in shown
     assert "another &lt;one&gt;" in shown
     other = next(
-        one.id for one in STATE.dataset.submaps if one.id not in (STATE.query_id, STATE.database_id)
+        submap.id
+        for submap in STATE.dataset.submaps
+        if submap.id not in (STATE.query_id, STATE.database_id)
     )
     tab.follow(with_pair(STATE, query_id=STATE.query_id, database_id=other))
     assert tab.wait_idle(120)
     assert (
-        f"{other} is not among them, so this pair was not compared" in tab._panel._reasons.content
+        f"{other} is not among them, so this pair was not compared"
+        in tab.panel.html["reasons"].content
     )

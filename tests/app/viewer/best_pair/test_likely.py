@@ -28,8 +28,8 @@ def test_without_poses_nothing_overlaps() -> None:
     dataset = make_dataset()
     bare = tuple(replace(submap, pose_odometry=None) for submap in dataset.submaps)
     assert overlapping_pairs(Dataset("bare", bare), 5) == ()
-    one = (*bare[:3], dataset.submaps[3])
-    assert overlapping_pairs(Dataset("one", one), 5) == ()
+    posed = (*bare[:3], dataset.submaps[3])
+    assert overlapping_pairs(Dataset("one", posed), 5) == ()
 
 
 def features(descriptors: Array, positions: Array) -> Features:

@@ -1,5 +1,6 @@
 """What a session does of itself when a dataset opens on no loop closure."""
 
+import re
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -9,13 +10,10 @@ import pytest
 import viser
 
 from app.viewer.best_pair import search as search_module
-from app.viewer.best_pair.search import BestPair
-from app.viewer.capacity import Capacity
-from app.viewer.feature import Feature
-from app.viewer.opened import Opened
 from app.viewer.pair import tab as pair_module
+from app.viewer.runner import Capacity
 from app.viewer.session import Session
-from app.viewer.session_file import SavedSession
+from app.viewer.session_file import Opened, SavedSession
 from app.viewer.state import ViewState
 from gpgrad_core.errors import InputError
 from gpgrad_core.pipeline import PairResult
@@ -23,7 +21,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
 from tests.app.synthetic import NUMBERS, FakePipeline, make_compared, make_result, make_submap
-from tests.app.widgets import find, html_says, user_presses, user_sets
+from tests.app.widgets import find, html_says, said, user_presses, user_sets
 
 PLACES = ((0.0, 0.0), (2.0, 0.0), (12.0, 0.0), (12.0, 9.0), (0.8, 0.8), (0.1, 0.0), (12.0, 1.0))
 DATASET = Dataset(
@@ -86,13 +84,8 @@ def begin(
         session.close()
 
 
-def best_pair(session: Session) -> BestPair:
-    (found,) = (one for one in session.desk.features if isinstance(one, BestPair))
-    return found
-
-
 def note(session: Session) -> str:
-    return best_pair(session)._note.said
+    return said(session.desk.host, "best-pair")
 
 
 def pair(session: Session) -> tuple[str, str]:
@@ -118,8 +111,7 @@ def test_it_switches_to_the_best_closure_and_says_so(
     assert pair(session) == ("006", "002")
     assert "Switched to 006 → 002, the best loop closure so far" in note(session)
     assert "005 → 000, with which the dataset opened, is none" in note(session)
-    assert "gpgrad" in session.pair._title._script.content
-    assert "006 \\u2192 002 \\u00b7 loop" in session.pair._title._script.content
+    assert "006 \\u2192 002 \\u00b7 loop" in said(session.desk.host)  # the page's title
     page_says(session, "show-pair", query="005", database="000")
     assert session.wait_idle(120)
     assert pair(session) == OPENED  # and it stays there
@@ -152,15 +144,15 @@ def test_it_never_switches_once_somebody_has_acted(
 ) -> None:
     session, held = begin(CLOSURES)
     assert held.begun.wait(120)
-    search = best_pair(session)
     if act == "slider":
         user_sets(find(session.desk.host, "Minimum inliers"), 3)  # type: ignore[arg-type]
     elif act == "touch":
-        page_says(session, "touched", number=search._number - 1)  # of an older search
+        (number,) = re.findall(r"\)\((\d+)\)\s*\"", note(session))
+        page_says(session, "touched", number=int(number) - 1)  # of an older search
         assert "being scored" in note(session)
-        page_says(session, "touched", number=search._number)
+        page_says(session, "touched", number=int(number))
     elif act == "all pairs":
-        session.desk.tell(Feature.comparing, 0.0, "")
+        session.desk.tell(lambda feature: feature.comparing(0.0, ""))
     else:
         session.desk.change(pair=("003", "001"))
     expected = ("003", "001") if act == "pair" else OPENED
@@ -208,10 +200,11 @@ def test_the_best_of_all_pairs_is_shown_when_asked(
     button: Any = find(session.desk.host, "Show best")  # type: ignore[arg-type]
     assert button.disabled
     accepted = tuple(
-        replace(one, accepted=one.registration.score >= 3) for one in compared.result.closures
+        replace(closure, accepted=closure.registration.score >= 3)
+        for closure in compared.result.closures
     )
     session.desk.change(pair=("002", "001"))
-    session.desk.tell(Feature.judged, compared.dataset, accepted)
+    session.desk.tell(lambda feature: feature.judged(compared.dataset, accepted))
     assert not button.disabled
     user_presses(button)
     assert session.wait_idle(120)

@@ -3,8 +3,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.viewer.data.folders import check_inside, inside, list_folder
-from app.viewer.data.recent import MOST, recent_datasets, remember_dataset
+from app.viewer.data.folders import MOST_RECENT as MOST
+from app.viewer.data.folders import (
+    check_inside,
+    inside,
+    list_folder,
+    recent_datasets,
+    remember_dataset,
+)
 from gpgrad_core.errors import InputError
 
 
@@ -26,10 +32,10 @@ def root(tmp_path: Path) -> Path:
 
 
 def test_what_there_is_to_choose_is_listed_and_nothing_beyond(root: Path) -> None:
-    found = list_folder(root, Path())
-    assert found.folders == ("etna", "loop", "moon")
-    assert found.clouds == ("one.ply",)
-    assert found.is_dataset
+    listing = list_folder(root, Path())
+    assert listing.folders == ("etna", "loop", "moon")
+    assert listing.clouds == ("one.ply",)
+    assert listing.is_dataset
     etna = list_folder(root, Path("etna"))
     assert (etna.folder, etna.folders, etna.is_dataset) == (Path("etna"), ("submaps",), True)
 

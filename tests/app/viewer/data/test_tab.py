@@ -10,11 +10,10 @@ import pytest
 import viser
 
 from app.viewer.data import tab as opening_module
-from app.viewer.data.recent import recent_datasets
+from app.viewer.data.folders import recent_datasets
 from app.viewer.data.tab import DataTab
-from app.viewer.opened import Opened
 from app.viewer.permissions import Permissions
-from app.viewer.session_file import SavedSession
+from app.viewer.session_file import Opened, SavedSession
 from app.viewer.state import open_dataset
 from gpgrad_core.datasets import load_dataset, write_dataset
 from gpgrad_core.pipeline import PipelineParams
@@ -30,7 +29,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of two datasets."""
     root = tmp_path_factory.mktemp("data")
     for name in ("hills", "others"):
-        write_dataset(make_dataset(num_points=200, name=name), root / name)
+        write_dataset(make_dataset(num_points=60, name=name), root / name)
     return root
 
 
@@ -44,7 +43,7 @@ def opened(recorder: Recorder) -> list[Opened]:
     return recorder.datasets
 
 
-STATE = open_dataset(make_dataset(num_points=200), PipelineParams())
+STATE = open_dataset(make_dataset(num_points=60), PipelineParams())
 Make = Callable[..., DataTab]
 
 
@@ -66,7 +65,7 @@ def make(server: viser.ViserServer, tmp_path: Path, recorder: Recorder) -> Itera
 
 
 def said(opening: DataTab) -> str:
-    return opening._panel.work_bar.said
+    return opening.panel.work_bar.said
 
 
 def upload(server: viser.ViserServer, opening: DataTab, name: str, content: bytes) -> None:
@@ -100,13 +99,16 @@ def test_a_path_is_opened_and_remembered(
     user_sets(find(server, "Recent"), str(data / "hills"))
     assert opening.wait_idle(120)
     assert len(opened) == 2
+    user_sets(find(server, "Folder"), "  ")
+    user_sets(find(server, "Open"), "Load")
+    assert "Type the path of a dataset folder first." in said(opening)
 
 
 def test_below_a_root_folders_are_browsed_and_nothing_else_is_opened(
     make: Make, server: viser.ViserServer, data: Path, opened: list[Opened]
 ) -> None:
     opening = make(root=data / "hills")
-    assert "hills" in opening._panel._place.content
+    assert "hills" in opening.panel.place.content
     user_sets(find(server, "Browse"), "submaps/")
     assert find(server, "Browse").options == ("choose …", "↑ up", *SUBMAPS)
     user_sets(find(server, "Browse"), SUBMAPS[1])
@@ -164,8 +166,8 @@ def test_clouds_gather_in_one_dataset(
     upload(server, opening, "001.ply", b"ply\nbroken")
     assert ">001.ply: " in said(opening)
     assert_no_place_is_told(said(opening), tmp_path)
-    upload(server, opening, "001.ply", (clouds / "001.ply").read_bytes())
-    assert [[submap.id for submap in one.dataset.submaps] for one in opened] == [
+    upload(server, opening, "C:\\some\\where\\001.ply", (clouds / "001.ply").read_bytes())
+    assert [[submap.id for submap in dataset.dataset.submaps] for dataset in opened] == [
         ["000"],
         ["000", "001"],
     ]
@@ -265,7 +267,7 @@ def test_a_recording_is_told_to_be_built_first(
     bag = tmp_path / "drive.bag"
     bag.write_bytes(b"#ROSBAG V2.0\n")
     tab = make()
-    tab._open(str(bag))
+    tab.open(str(bag))
     assert tab.wait_idle(60)
     assert "build its submaps first" in said(tab)
     assert opened == []

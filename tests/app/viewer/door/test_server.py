@@ -19,15 +19,18 @@ from websockets.typing import Origin, Subprotocol
 
 from app.viewer.door.admission import Admission
 from app.viewer.door.limits import Limits
-from app.viewer.door.page import SCRIPT
 from app.viewer.door.server import Door, Told, open_server
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.look import uuid_of
 from tests.app.page import ProtocolPage
+from tests.app.widgets import find
 from tests.waiting import until
 
 LIMITS = Limits(pages=6, waiting=20, unfinished=2, idle_seconds=0.6, typing_seconds=0.15)
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 TOKEN = "a-token-to-share"
 SECRET = "what only pages may read"
+SCRIPT = fill_page_file("keep_hash.js").encode()
 
 
 @dataclass
@@ -49,11 +52,10 @@ class Served:
         return f"http://127.0.0.1:{self.port}"
 
     def uuid(self, label: str) -> str:
-        handles: Any = self.server.gui._gui_input_handle_from_uuid.values()
-        return next(one._impl.uuid for one in handles if one.label == label)
+        return uuid_of(self.widget(label))
 
     def widget(self, label: str) -> Any:
-        return self.server.gui._gui_input_handle_from_uuid[self.uuid(label)]
+        return find(self.server, label)
 
 
 def serve(admission: Admission | None = None) -> Iterator[Served]:
@@ -160,7 +162,7 @@ def test_the_page_begins_with_our_script(served: Served, coding: str) -> None:
         page = gzip.decompress(body) if headers["Content-Encoding"] == "gzip" else body
         assert (status, int(headers["Content-Length"])) == (200, len(body))
         assert (headers["Content-Encoding"] == "gzip") == ("gzip" in coding)
-        assert page.index(SCRIPT) == page.index(b"<script")
+        assert page.index(b"<script>" + SCRIPT) == page.index(b"<script")
         assert page.count(SCRIPT) == 1
     assert fetch(served, "/not_there")[0] == 404
 
@@ -287,8 +289,8 @@ def test_who_is_still_typing_is_not_interrupted(
 ) -> None:
     monkeypatch.setattr(served.door, "limits", replace(LIMITS, typing_seconds=600.0))
     page.set("Slider", 1)  # on the way to 15
-    until(lambda: served.door._late, "the first digit")
-    (refusal,) = served.door._late.values()
+    until(lambda: served.door.refusals_due, "the first digit")
+    (refusal,) = served.door.refusals_due.values()
     page.set("Slider", 15)
     until(lambda: served.values == [15], "the value")
     assert refusal.cancelled()
@@ -430,7 +432,7 @@ def test_too_large_a_file_ends_before_it_fills_the_memory(
 def now(served: Served, monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The time by which uploads are late: it stands still until a test sets it."""
     time = [0.0]
-    monkeypatch.setattr(served.door._uploads, "_clock", lambda: time[0])
+    monkeypatch.setattr(served.door.uploads, "clock", lambda: time[0])
     return time
 
 

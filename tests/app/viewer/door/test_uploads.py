@@ -4,8 +4,7 @@ from typing import Any
 
 import pytest
 
-from app.viewer.door.limits import Limits, Pace
-from app.viewer.door.uploads import RefusedUpload, Uploads
+from app.viewer.door.limits import Limits, Pace, RefusedUpload, Uploads
 
 
 class Clock:

@@ -6,7 +6,7 @@ import viser
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.viewer.demo.page import Composed, save_page
+from app.viewer.demo.pages import Composed, save_page
 from app.viewer.draw.animation import Animation
 from app.viewer.draw.cameras import blend, follow, orbit, set_view, top
 from app.viewer.draw.placement import Camera, Extent, glide, place

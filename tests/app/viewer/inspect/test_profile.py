@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from app.viewer.draw.ruler import Heights, Ruler
-from app.viewer.inspect.profile import profile_svg, ruler_rows
+from app.viewer.inspect.panel import profile_svg, ruler_rows
 
 ALONG = np.linspace(0.0, 4.0, 200)
 XY = np.column_stack([ALONG, ALONG])
@@ -23,7 +23,7 @@ def test_the_profile_has_both_submaps_with_bands_units_and_a_legend() -> None:
     for word in ("query", "database", "distance [m]", "height [m]", "2 standard deviations"):
         assert word in svg
     drawing = ElementTree.fromstring(svg[: svg.index("</svg>") + 6])
-    tags = [one.tag for one in drawing.iter()]
+    tags = [element.tag for element in drawing.iter()]
     assert tags.count("polygon") == 3  # the query has a gap
     assert tags.count("polyline") == 3
     for points in re.findall(r'points="([^"]+)"', svg):

@@ -7,6 +7,8 @@ import pytest
 import viser
 
 from app.viewer.draw.readout import reading_of
+from app.viewer.draw.ruler import Ruler
+from app.viewer.feature import Desk
 from app.viewer.inspect.flat_picture import WIDTH
 from app.viewer.inspect.panel import SEEN
 from app.viewer.inspect.tab import InspectTab, key_of, match_figures, reading_rows, title_of
@@ -22,7 +24,7 @@ from app.viewer.state import (
 from gpgrad_core.pipeline import PipelineParams
 from tests.app.desk import Recorder, make_desk
 from tests.app.synthetic import make_dataset, make_result
-from tests.app.widgets import find, html_says, user_presses, user_sets
+from tests.app.widgets import find, html_says, said, user_presses, user_sets
 
 STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
 RESULT = make_result(STATE)
@@ -39,10 +41,13 @@ def asked(recorder: Recorder) -> list[int]:
 
 
 @pytest.fixture
-def inspection(server: viser.ViserServer, recorder: Recorder) -> Iterator[InspectTab]:
-    made = InspectTab(
-        make_desk(server, STATE, recorder), pick=lambda _: None, show_ruler=lambda _: None
-    )
+def desk(server: viser.ViserServer, recorder: Recorder) -> Desk:
+    return make_desk(server, STATE, recorder)
+
+
+@pytest.fixture
+def inspection(desk: Desk) -> Iterator[InspectTab]:
+    made = InspectTab(desk, pick=lambda _: None, show_ruler=lambda _: None)
     yield made
     made.close()
 
@@ -51,22 +56,15 @@ def seeing(**options: Any) -> ViewState:
     return with_options(STATE, replace(ViewOptions(), **options))
 
 
-def said(inspection: InspectTab) -> str:
-    return "".join(
-        handle.content
-        for panel in (inspection._reading, inspection._matches)
-        for handle in vars(panel).values()
-        if isinstance(handle, viser.GuiHtmlHandle)
-    )
-
-
-def test_the_flat_picture_is_drawn_with_its_legend(inspection: InspectTab) -> None:
-    image = inspection._matches._image
+def test_the_flat_picture_is_drawn_with_its_legend(
+    server: viser.ViserServer, desk: Desk, inspection: InspectTab
+) -> None:
+    image = inspection.matches.image
     assert not image.visible
     inspection.show(STATE, RESULT)
     assert inspection.wait_idle(120)
     assert not image.visible  # nobody has it in view
-    html_says(inspection._desk.bridge, SEEN, seen=True)
+    html_says(desk.bridge, SEEN, seen=True)
     assert inspection.wait_idle(120)
     assert image.visible
     assert image.image.shape[1] == WIDTH
@@ -77,8 +75,8 @@ def test_the_flat_picture_is_drawn_with_its_legend(inspection: InspectTab) -> No
         "5 outliers (lines are off)",
         "masked",
     ):
-        assert words in said(inspection)
-    assert "2 keypoints without an association" in said(inspection)
+        assert words in said(server)
+    assert "2 keypoints without an association" in said(server)
 
 
 def test_an_association_is_chosen_by_number_and_by_step(
@@ -99,27 +97,27 @@ def test_an_association_is_chosen_by_number_and_by_step(
     assert asked(recorder) == [14, 1, 1, 11, 0, 13]
 
 
-def test_the_figures_of_an_association_have_their_units(inspection: InspectTab) -> None:
+def test_the_figures_of_an_association_have_their_units(
+    server: viser.ViserServer, inspection: InspectTab
+) -> None:
     distances = np.linspace(0.9, 0.1, len(RESULT.matches))
     result = replace(RESULT, matches=replace(RESULT.matches, distances=distances))
     inspection.show(with_match(STATE, 14), result)
-    html = said(inspection)
+    html = said(server, "match")
     assert "Association 14 of 17: outlier" in html
     assert "0.250 (rank 4)" in html
     assert "1.414 m (at most 0.3 m for an inlier)" in html
-    figures = match_figures(with_match(STATE, 2), result)
-    assert figures is not None
-    assert figures.inlier
-    assert figures.residual == pytest.approx(0.0, abs=1e-9)
+    title, rows = match_figures(with_match(STATE, 2), result)
+    assert title == "Association 2 of 17: inlier"
+    assert dict(rows)["residual"].startswith("0.000 m")
     inspection.show(with_match(STATE, 99), result)
-    assert "Association 99" not in said(inspection)
+    assert "Association 99" not in said(server)
 
 
 def test_without_a_motion_there_is_no_residual() -> None:
     lost = replace(RESULT, registration=replace(RESULT.registration, T_database_query=None))
-    figures = match_figures(with_match(STATE, 1), lost)
-    assert figures is not None
-    assert figures.residual is None
+    _, rows = match_figures(with_match(STATE, 1), lost)
+    assert dict(rows)["residual"] == "unknown: no motion was found"
     assert "above the database" not in title_of(
         seeing(layout="registered", layer="difference"), lost
     )
@@ -130,7 +128,7 @@ def test_a_place_is_read_with_all_its_values(
 ) -> None:
     state = with_probe(STATE, Probe("query", 0.4, -0.6))
     inspection.show(state, RESULT)
-    html = said(inspection)
+    html = said(server)
     for words in ("query 003", "0.400 m, -0.600 m", " ± ", "slope", "°", "query minus database"):
         assert words in html
     reading = reading_of(state, MAPS)
@@ -139,22 +137,47 @@ def test_a_place_is_read_with_all_its_values(
     user_presses(find(server, "Clear the reading"))
     assert [state.probe for state in recorder.states] == [None]
     inspection.show(STATE, RESULT)
-    assert "Hold Shift and click" in said(inspection)
+    assert "Hold Shift and click" in said(server)
     page: Any = None
     up = viser.SceneClickEvent(page, 1, (0.0, 0.0, 9.0), (0.0, 0.0, 1.0), (0.5, 0.5), "shift")
     inspection.clicked(up)
-    assert "There is no surface" in said(inspection)
+    assert "There is no surface" in said(server)
 
 
-def test_a_masked_place_is_told(inspection: InspectTab) -> None:
+def test_clicks_read_a_place_or_measure_between_two(server: viser.ViserServer, desk: Desk) -> None:
+    probes = [Probe("database", x, 0.2) for x in (-0.5, -0.5, 0.5)]
+    clicks, rulers = iter(probes), list[Ruler | None]()
+    tab = desk.join(InspectTab(desk, pick=lambda _: next(clicks), show_ruler=rulers.append))
+    tab.show(STATE, RESULT)
+    page: Any = None
+    click = viser.SceneClickEvent(page, 1, (0.0, 0.0, 9.0), (0.0, 0.0, -1.0), (0.5, 0.5), "shift")
+    tab.clicked(click)
+    assert desk.state.probe == probes[0]
+    user_sets(find(server, "Ruler"), True)
+    tab.clicked(click)
+    assert "click the second place" in said(server)
+    tab.clicked(click)
+    assert desk.state.probe == probes[0]  # while the ruler is on, nothing is read
+    ruler = rulers[-1]
+    assert ruler is not None
+    assert ruler.length == pytest.approx(1.0)
+    for words in ("1.000 m, in the plane", "height difference", 'data-testid="profile"'):
+        assert words in said(server, "ruler")
+    user_presses(find(server, "Clear the ruler"))
+    assert rulers[-1] is None
+    assert said(server, "ruler") == ""
+    tab.close()
+
+
+def test_a_masked_place_is_told(server: viser.ViserServer, inspection: InspectTab) -> None:
     inspection.show(with_probe(STATE, Probe("database", 2.3, 2.3)), RESULT)
-    assert "variance mask rejects this place" in said(inspection)
-    assert "only one of them saw" in said(inspection)
+    assert "variance mask rejects this place" in said(server)
+    assert "only one of them saw" in said(server)
 
 
 @pytest.mark.parametrize("compare", ["both", "query", "database", "swipe", "blink"])
 def test_every_picture_says_what_it_is(compare: str) -> None:
     state = seeing(layout="registered", compare=compare)
     assert title_of(state, RESULT) != title_of(STATE, RESULT)
-    colors = [line.color for line in key_of(state, RESULT)]
+    colors = [color for color, _ in key_of(state, RESULT)]
     assert len(colors) == len(set(colors))

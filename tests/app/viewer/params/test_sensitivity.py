@@ -1,12 +1,11 @@
 from collections.abc import Iterator
-from dataclasses import replace
 
 import pytest
 import viser
 
+from app.viewer.feature import Desk
 from app.viewer.params import sensitivity as module
-from app.viewer.params.sensitivity import SensitivityTool
-from app.viewer.params.sweep import Tried, summary, sweep_html, values_of
+from app.viewer.params.sensitivity import SensitivityTool, Tried, summary, sweep_html, values_of
 from app.viewer.params.tab import MAIN_PARAMETERS, SWEPT
 from app.viewer.state import ViewState, open_dataset
 from app.viewer.widgets.commands import Commands
@@ -22,24 +21,28 @@ START = with_path(with_path(PipelineParams(), "map.length_scale", 0.3), "map.noi
 STATE = open_dataset(make_dataset(), START)
 
 
-def found(state: ViewState) -> PairResult:
+def judge(state: ViewState) -> PairResult:
     """More inliers for a longer length-scale."""
     return make_result(state, num_inliers=int(20 * (state.params.map.length_scale or 0)))
 
 
 @pytest.fixture
 def pipeline(monkeypatch: pytest.MonkeyPatch) -> FakePipeline:
-    fake = FakePipeline(found)
+    fake = FakePipeline(judge)
     monkeypatch.setattr(module, "register_pair", fake)
     return fake
 
 
 @pytest.fixture
-def tool(server: viser.ViserServer, pipeline: FakePipeline) -> Iterator[SensitivityTool]:
+def desk(server: viser.ViserServer) -> Desk:
+    return make_desk(server, STATE)
+
+
+@pytest.fixture
+def tool(desk: Desk, pipeline: FakePipeline) -> Iterator[SensitivityTool]:
     del pipeline
-    desk = make_desk(server, STATE)
     names = {path: MAIN_PARAMETERS[path] for path in SWEPT}
-    made = desk.join(SensitivityTool(desk, Commands(server), names))
+    made = desk.join(SensitivityTool(desk, Commands(desk.host), names))
     yield made
     made.close()
 
@@ -92,15 +95,15 @@ def test_no_verdict_on_all_values_before_all_were_tried() -> None:
 
 
 def test_a_sweep_is_drawn_and_a_click_sets_the_value(
-    tool: SensitivityTool, server: viser.ViserServer, pipeline: FakePipeline
+    tool: SensitivityTool, desk: Desk, server: viser.ViserServer, pipeline: FakePipeline
 ) -> None:
     user_presses(find(server, "Sweep"))
     assert tool.wait_idle(120)
-    picture = tool._panel._picture
+    picture = tool.picture
     assert "loop closure" in picture.content
     assert {params.map.noise_std for params in pipeline.calls} == {0.02}
     assert len({params.map.length_scale for params in pipeline.calls}) == len(pipeline.calls) >= 10
-    desk, value = tool._desk, pipeline.calls[-1].map.length_scale
+    value = pipeline.calls[-1].map.length_scale
     assert value is not None
     html_says(desk.bridge, "sweep-value", value=value)
     assert desk.state.params.map.length_scale == value
@@ -110,28 +113,29 @@ def test_a_sweep_is_drawn_and_a_click_sets_the_value(
     assert desk.state.params.map.length_scale == value
 
 
-def test_what_changes_meanwhile_is_told(tool: SensitivityTool, server: viser.ViserServer) -> None:
+def test_what_changes_meanwhile_is_told(
+    tool: SensitivityTool, desk: Desk, server: viser.ViserServer
+) -> None:
     user_presses(find(server, "Sweep"))
     assert tool.wait_idle(120)
-    desk = tool._desk
     desk.change(params=with_path(desk.state.params, "map.noise_std", 0.05))
-    assert "Sweep again" in tool._panel._picture.content
+    assert "Sweep again" in tool.picture.content
     desk.change(pair=(STATE.database_id, STATE.query_id))
-    assert tool._panel._picture.content == ""
+    assert tool.picture.content == ""
 
 
 def test_another_parameter_begins_anew(tool: SensitivityTool, server: viser.ViserServer) -> None:
     user_presses(find(server, "Sweep"))
     assert tool.wait_idle(120)
     user_sets(find(server, "Of"), "Noise")
-    assert tool._panel._picture.content == ""
+    assert tool.picture.content == ""
 
 
 def test_a_failure_is_told(
-    tool: SensitivityTool, server: viser.ViserServer, pipeline: FakePipeline
+    tool: SensitivityTool, desk: Desk, server: viser.ViserServer, pipeline: FakePipeline
 ) -> None:
     pipeline.error = InputError("000: too few points")
     user_presses(find(server, "Sweep"))
     assert tool.wait_idle(120)
-    assert "000: too few points" in tool._panel.work_bar.said
-    assert replace(STATE).params == tool._desk.state.params
+    assert "000: too few points" in tool.work_bar.said
+    assert STATE.params == desk.state.params

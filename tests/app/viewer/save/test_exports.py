@@ -1,7 +1,7 @@
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -9,9 +9,10 @@ import pytest
 import viser
 
 from app.viewer.draw.layers import Scale
-from app.viewer.opened import Opened
-from app.viewer.save import exports as exports_module
-from app.viewer.save.exports import CLOSURES, MAPS, PICTURE_PIXELS, Exports
+from app.viewer.feature import Desk
+from app.viewer.save import tab as save_module
+from app.viewer.save.tab import CLOSURES, MAPS, PICTURE_PIXELS, Exports
+from app.viewer.session_file import Opened
 from app.viewer.state import open_dataset
 from gpgrad_core.loop_closure import classify
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
@@ -20,8 +21,9 @@ from gpgrad_core.types import Dataset
 from tests.app.desk import make_desk
 from tests.app.page import FakePage
 from tests.app.synthetic import make_compared, make_dataset, make_map
-from tests.app.widgets import find, user_presses
+from tests.app.widgets import find, said, user_presses, user_sets
 
+Order: TypeAlias = Callable[..., FakePage]
 STATE = open_dataset(make_dataset(), PipelineParams())
 
 
@@ -48,9 +50,9 @@ def go(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
         del dataset
         return DetectionResult(closures, result.seconds)
 
-    monkeypatch.setattr(exports_module, "detect_loop_closures", detect)
+    monkeypatch.setattr(save_module, "detect_loop_closures", detect)
     monkeypatch.setattr(
-        exports_module,
+        save_module,
         "infer_map",
         lambda submap, params, memo, progress: make_map(submap),  # noqa: ARG005
     )
@@ -58,28 +60,38 @@ def go(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
 
 
 @pytest.fixture
-def exports(server: viser.ViserServer, go: threading.Event) -> Iterator[Exports]:
-    made = Exports(make_desk(server, STATE))
+def desk(server: viser.ViserServer) -> Desk:
+    return make_desk(server, STATE)
+
+
+@pytest.fixture
+def exports(desk: Desk, go: threading.Event) -> Iterator[Exports]:
+    made = Exports(desk)
     yield made
     go.set()
     made.close()
 
 
-def said(exports: Exports) -> str:
-    return exports._panel.work_bar.said
+@pytest.fixture
+def order(server: viser.ViserServer, exports: Exports) -> Order:
+    """Choose from lists and press a button, as a page does; gives the page with its file."""
+
+    def press(button: str, page: FakePage | None = None, **choices: str) -> FakePage:
+        page = page or FakePage()
+        for label, choice in choices.items():
+            user_sets(find(server, label.replace("_", " ")), choice)
+        user_presses(find(server, f"Export {button}"), page)
+        assert exports.wait_idle(120)
+        return page
+
+    return press
 
 
-def order(exports: Exports, page: FakePage, kind: str, *arguments: str) -> None:
-    # Through the panel's callbacks, but with a page of our own for the file to go to.
-    getattr(exports, f"_order_{kind}")(*arguments, page)
-    assert exports.wait_idle(120)
-
-
-def test_closures_in_every_format(exports: Exports) -> None:
+def test_closures_in_every_format(server: viser.ViserServer, order: Order) -> None:
     page = FakePage()
     for kind in CLOSURES:
-        order(exports, page, "closures", kind)
-        assert CLOSURES[kind] in said(exports)
+        order("closures", page, Closures_as=kind)
+        assert CLOSURES[kind] in said(server, "export-message")
     assert set(page.files) == set(CLOSURES.values())
     assert b'"num_inliers": 16' in page.files["closures.json"]
     rows = page.files["closures.csv"].decode().splitlines()
@@ -91,11 +103,11 @@ def test_closures_in_every_format(exports: Exports) -> None:
     assert page.files["graph.g2o"].startswith(b"VERTEX_SE3:QUAT 0 ")
 
 
-def test_maps_in_every_format(exports: Exports) -> None:
+def test_maps_in_every_format(order: Order) -> None:
     page = FakePage()
     for kind in MAPS:
-        order(exports, page, "map", kind, "query")
-    order(exports, page, "map", "NPZ", "database")
+        order("map", page, Map_as=kind)
+    order("map", page, Map_as="NPZ", Map_of="database")
     starts = {name: content[:4] for name, content in page.files.items()}
     assert starts == {
         "map_003.npz": b"PK\x03\x04",
@@ -107,13 +119,11 @@ def test_maps_in_every_format(exports: Exports) -> None:
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_a_picture_is_fit_for_a_slide(exports: Exports, dark: bool) -> None:
-    desk = exports._desk
+def test_a_picture_is_fit_for_a_slide(desk: Desk, order: Order, dark: bool) -> None:
     desk.change(options=replace(desk.state.options, dark=dark))
     desk.canvases.caption = {"title": "Query 003 → database 000", "line": "Loop closure"}
     desk.canvases.scales["pair"] = Scale("Elevation", "m", "viridis", -1.0, 2.0)
-    page = FakePage()
-    order(exports, page, "picture")
+    page = order("picture")
     png = np.frombuffer(page.files["view.png"], np.uint8)
     picture = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
     assert picture is not None
@@ -133,11 +143,9 @@ def test_a_picture_is_fit_for_a_slide(exports: Exports, dark: bool) -> None:
     assert np.ptp(picture[top:bottom, :left, 0]) == 0
 
 
-def test_a_page_that_gives_no_picture_is_told_of(exports: Exports) -> None:
-    page = FakePage(draws=False)
-    order(exports, page, "picture")
-    assert page.files == {}
-    assert "bring its window to the front" in said(exports)
+def test_a_page_that_gives_no_picture_is_told_of(server: viser.ViserServer, order: Order) -> None:
+    assert order("picture", FakePage(draws=False)).files == {}
+    assert "bring its window to the front" in said(server, "export-error")
 
 
 def test_an_export_is_cancelled(
@@ -145,17 +153,17 @@ def test_an_export_is_cancelled(
 ) -> None:
     page = FakePage()
     go.clear()
-    exports._order_closures("JSON", page)
+    user_presses(find(server, "Export closures"), page)
     assert find(server, "Cancel export").visible
     user_presses(find(server, "Cancel export"))
     assert exports.wait_idle(120)
     assert page.files == {}
-    assert "Cancelled" in said(exports)
+    assert "Cancelled" in said(server, "export-message")
 
 
-def test_what_cannot_be_exported_is_told(exports: Exports) -> None:
-    page = FakePage()
-    exports._desk.open(Opened(Dataset("one", STATE.dataset.submaps[:1]), PipelineParams(), ""))
-    order(exports, page, "closures", "JSON")
-    assert "needs two submaps" in said(exports)
-    assert page.files == {}
+def test_what_cannot_be_exported_is_told(
+    server: viser.ViserServer, desk: Desk, order: Order
+) -> None:
+    desk.open(Opened(Dataset("one", STATE.dataset.submaps[:1]), PipelineParams(), ""))
+    assert order("closures").files == {}
+    assert "needs two submaps" in said(server, "export-error")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.save import report
-from app.viewer.save.report import ENDINGS, ReportTool, write_report
+from app.viewer.save import tab as save_module
 from app.viewer.save.report_page import lines_below, report_html
+from app.viewer.save.tab import ENDINGS, ReportTool, write_report
 from app.viewer.state import open_dataset
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.pipeline import PipelineParams
@@ -17,6 +17,7 @@ from gpgrad_core.run.progress import silent
 from tests.app.desk import make_desk
 from tests.app.page import FakePage
 from tests.app.synthetic import make_dataset, make_result
+from tests.app.widgets import html_says
 
 STATE = open_dataset(make_dataset(), PipelineParams(), source="/maps/hills")
 RESULT = make_result(STATE)
@@ -25,7 +26,7 @@ LINK = "http://127.0.0.1:8080/#query=003&database=000"
 
 @pytest.fixture(autouse=True)
 def known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report, "register_pair", lambda *_, **__: RESULT)
+    monkeypatch.setattr(save_module, "register_pair", lambda *_, **__: RESULT)
 
 
 def test_the_page_has_all_of_it_and_asks_no_server(tmp_path: Path) -> None:
@@ -69,15 +70,16 @@ def test_lines_below_a_picture_fit_on_it() -> None:
 
 @pytest.mark.slow
 def test_a_page_is_asked_for_its_address_and_gets_the_file(server: viser.ViserServer) -> None:
-    tool, page = ReportTool(make_desk(server, STATE), Commands(server)), FakePage()
+    desk, page = make_desk(server, STATE), FakePage()
+    tool = desk.join(ReportTool(desk, Commands(server)))
     for kind in ENDINGS:
-        tool._order(page, {"kind": kind, "link": LINK})
+        html_says(desk.bridge, "here", page, kind=kind, link=LINK)
         assert tool.wait_idle(60)
     assert set(page.files) == {"report_003_000.html", "report_003_000.png"}
     assert b"query=003" in page.files["report_003_000.html"]
     for data in ({}, {"kind": "EXE", "link": LINK}, {"kind": "HTML", "link": 3.0}):
-        tool._order(page, data)
-    tool._order(page, {"kind": "HTML", "link": "javascript:alert(1)"})
+        html_says(desk.bridge, "here", page, **data)
+    html_says(desk.bridge, "here", page, kind="HTML", link="javascript:alert(1)")
     assert tool.wait_idle(60)
     assert b"javascript" not in page.files["report_003_000.html"]
     tool.close()

@@ -5,25 +5,31 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.decisions import Decisions, with_note, with_verdict
-from app.viewer.feature import Desk, Feature
-from app.viewer.outcomes import MISSED, NO_OVERLAP, RIGHT
+from app.viewer.decisions import MISSED, NO_OVERLAP, RIGHT, Decisions, with_note, with_verdict
+from app.viewer.feature import Desk
 from app.viewer.state import open_dataset
-from app.viewer.triage.listing import PASSES, list_pairs, next_undecided
+from app.viewer.triage.listing import (
+    GAP,
+    PASSES,
+    SIDE,
+    Entry,
+    Filter,
+    list_pairs,
+    next_undecided,
+    thumbnail,
+)
 from app.viewer.triage.panel import ROWS
 from app.viewer.triage.tab import TriageTab
-from app.viewer.triage.thumbnails import GAP, SIDE, thumbnail
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import LoopClosure
 from tests.app.desk import Recorder, make_desk
 from tests.app.synthetic import T_DATABASE_QUERY, make_compared, make_map
-from tests.app.widgets import find, user_presses, user_sets
+from tests.app.widgets import find, html_says, user_presses, user_sets
 
 COMPARED = make_compared()
 STATE = open_dataset(COMPARED.dataset, PipelineParams(closure=ClosureParams(0, 4.5)))
-PAGE = object.__new__(viser.ClientHandle)
 OUTCOMES = {
     ("003", "000"): RIGHT,
     ("001", "000"): MISSED,
@@ -33,13 +39,13 @@ OUTCOMES = {
 
 def judged(min_score: float) -> tuple[LoopClosure, ...]:
     return tuple(
-        replace(one, accepted=one.registration.score >= min_score)
-        for one in COMPARED.result.closures
+        replace(closure, accepted=closure.registration.score >= min_score)
+        for closure in COMPARED.result.closures
     )
 
 
-def names(entries: object, kind: str) -> list[str]:
-    return ["-".join(one.pair) for one in entries if PASSES[kind](one)]  # type: ignore[attr-defined, index]
+def names(entries: tuple[Entry, ...], kind: Filter) -> list[str]:
+    return ["-".join(entry.pair) for entry in entries if PASSES[kind](entry)]
 
 
 def test_pairs_are_listed_by_what_is_known_and_decided_of_them() -> None:
@@ -57,7 +63,7 @@ def test_pairs_are_listed_by_what_is_known_and_decided_of_them() -> None:
     assert names(entries, "wrong") == []  # refused by hand
     assert names(entries, "decided") == ["002-001", "002-000", "003-002"]
     assert names(entries, "undecided") == ["003-000", "001-000"]
-    assert [one.verdict for one in entries][2:4] == ["refused by hand", "accepted by hand"]
+    assert [entry.verdict for entry in entries][2:4] == ["refused by hand", "accepted by hand"]
 
 
 def test_the_next_undecided_pair_goes_round_the_end() -> None:
@@ -105,9 +111,9 @@ def desk(server: viser.ViserServer, recorder: Recorder) -> Desk:
 
 @pytest.fixture
 def tab(desk: Desk) -> Iterator[TriageTab]:
-    made = desk.join(TriageTab(desk, Commands(desk.host)))
-    desk.tell(Feature.checked, STATE.dataset, OUTCOMES)
-    desk.tell(Feature.judged, STATE.dataset, judged(3.0))
+    made = desk.join(TriageTab(desk, Commands(desk.host), lambda: None))
+    desk.tell(lambda feature: feature.checked(STATE.dataset, OUTCOMES))
+    desk.tell(lambda feature: feature.judged(STATE.dataset, judged(3.0)))
     assert tab_rests(made)
     yield made
     made.close()
@@ -118,25 +124,27 @@ def tab_rests(tab: TriageTab) -> bool:
 
 
 def test_the_list_has_a_row_and_a_picture_for_each_pair(tab: TriageTab) -> None:
-    content = tab._panel._list.content
+    content = tab.panel.list.content
     assert content.count('data-testid="triage-row"') == 3
     assert content.count("<img") == 3
     assert content.count('aria-pressed="true"') == 1  # the pair shown: 003 and 000
-    assert "3 pairs wait for a decision" in tab._panel._summary.content
+    assert "3 pairs wait for a decision" in tab.panel.summary.content
 
 
 def test_keys_decide_the_pair_shown_and_go_on(tab: TriageTab, desk: Desk) -> None:
-    key = desk.bridge._acts["triage-key"]
-    key(PAGE, {"key": "a"})
+    def press(key: object) -> None:
+        html_says(desk.bridge, "triage-key", key=key)
+
+    press("a")
     assert desk.decisions.verdicts == {("003", "000"): True}
-    key(PAGE, {"key": "g"})
+    press("g")
     assert (desk.state.query_id, desk.state.database_id) == ("001", "000")
-    key(PAGE, {"key": "x"})
+    press("x")
     assert desk.decisions.verdicts == {("003", "000"): True, ("001", "000"): False}
     assert tab_rests(tab)
-    assert "2 decided" in tab._panel._summary.content
-    for wrong in ({"key": "q"}, {"key": 1.0}, {}):
-        key(PAGE, wrong)
+    assert "2 decided" in tab.panel.summary.content
+    for wrong in ("q", 1.0, None):
+        press(wrong)
     assert len(desk.decisions.verdicts) == 2
     desk.take_back()
     assert desk.decisions.verdicts == {("003", "000"): True}
@@ -144,7 +152,7 @@ def test_keys_decide_the_pair_shown_and_go_on(tab: TriageTab, desk: Desk) -> Non
 
 def test_whichever_way_round_a_pair_is_shown_it_is_the_same(tab: TriageTab, desk: Desk) -> None:
     desk.choose("000", "003")
-    tab._decide(False)
+    tab.decide(False)
     assert desk.decisions.verdicts == {("003", "000"): False}
 
 
@@ -161,23 +169,27 @@ def test_a_note_is_kept_and_follows_the_pair(
     desk.choose("003", "000")
     assert box.value == "a dune"
     assert tab_rests(tab)
-    assert "a dune" in tab._panel._list.content
+    assert "a dune" in tab.panel.list.content
 
 
 def test_what_cannot_be_accepted_is_told(tab: TriageTab, desk: Desk) -> None:
     closures = tuple(
-        replace(one, registration=replace(one.registration, T_database_query=None), accepted=False)
-        for one in judged(3.0)
+        replace(
+            closure,
+            registration=replace(closure.registration, T_database_query=None),
+            accepted=False,
+        )
+        for closure in judged(3.0)
     )
-    desk.tell(Feature.judged, STATE.dataset, closures)
-    tab._decide(True)
-    assert "no motion to accept" in tab._panel._message.content
+    desk.tell(lambda feature: feature.judged(STATE.dataset, closures))
+    tab.decide(True)
+    assert "no motion to accept" in tab.panel.message.content
     assert desk.decisions.verdicts == {}
-    tab._decide(False)
+    tab.decide(False)
     assert desk.decisions.verdicts == {("003", "000"): False}
-    desk.tell(Feature.judged, STATE.dataset, closures[:1])
-    tab._decide(False)
-    assert "were not compared" in tab._panel._message.content
+    desk.tell(lambda feature: feature.judged(STATE.dataset, closures[:1]))
+    tab.decide(False)
+    assert "were not compared" in tab.panel.message.content
 
 
 def test_the_list_is_narrowed_and_rows_are_clicked(
@@ -185,19 +197,19 @@ def test_the_list_is_narrowed_and_rows_are_clicked(
 ) -> None:
     user_sets(find(server, "List of"), "wrong")
     assert tab_rests(tab)
-    assert tab._panel._list.content.count('data-testid="triage-row"') == 1
-    desk.bridge._acts["triage-open"](PAGE, {"query": "002", "database": "001"})
+    assert tab.panel.list.content.count('data-testid="triage-row"') == 1
+    html_says(desk.bridge, "triage-open", query="002", database="001")
     assert (desk.state.query_id, desk.state.database_id) == ("002", "001")
     for wrong in ({"query": "002"}, {"query": 2.0, "database": "001"}):
-        desk.bridge._acts["triage-open"](PAGE, wrong)
+        html_says(desk.bridge, "triage-open", **wrong)
     assert (desk.state.query_id, desk.state.database_id) == ("002", "001")
-    for first in (-1.0, 1e9, float("nan"), "0", None):
-        desk.bridge._acts["triage-page"](PAGE, {"first": first})
+    for first in (-1.0, 1e9, "0", None):
+        html_says(desk.bridge, "triage-page", first=first)
     user_presses(find(server, "Next undecided"))
     assert (desk.state.query_id, desk.state.database_id) == ("003", "000")
 
 
 def test_another_dataset_has_no_pairs_yet(tab: TriageTab) -> None:
     tab.follow(open_dataset(make_compared().dataset, PipelineParams()))
-    assert "No pairs yet" in tab._panel._summary.content
-    assert "triage-row" not in tab._panel._list.content
+    assert "No pairs yet" in tab.panel.summary.content
+    assert "triage-row" not in tab.panel.list.content

@@ -1,13 +1,13 @@
 import pytest
+import viser
 
 from app.viewer.draw.placement import Canvas
-from app.viewer.widgets.canvas import read_canvas
+from app.viewer.widgets.bridge import Bridge
+from app.viewer.widgets.canvas import Canvases
+from tests.app.page import FakePage
+from tests.app.widgets import html_says
 
 GOOD = {"width": 640, "height": 900.5, "left": 0, "top": 0.0, "right": 20, "bottom": 300}
-
-
-def test_a_canvas_is_read() -> None:
-    assert read_canvas(GOOD) == Canvas(640.0, 900.5, 0.0, 0.0, 20.0, 300.0)
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,13 @@ def test_a_canvas_is_read() -> None:
         {"bottom": 901},
     ],
 )
-def test_what_can_be_no_canvas_is_none(bad: dict[str, object]) -> None:
-    assert read_canvas({**GOOD, **bad}) is None  # type: ignore[arg-type]
-    assert read_canvas({}) is None
+def test_a_canvas_is_known_once_a_page_says_what_can_be_one(
+    server: viser.ViserServer, bad: dict[str, object]
+) -> None:
+    bridge, page = Bridge(server), FakePage()
+    canvases = Canvases(server, bridge)
+    html_says(bridge, "canvas", page)
+    html_says(bridge, "canvas", page, **{**GOOD, **bad})
+    assert not canvases.knows(page)
+    html_says(bridge, "canvas", page, **GOOD)
+    assert canvases.of(page) == Canvas(640.0, 900.5, 0.0, 0.0, 20.0, 300.0)

@@ -78,10 +78,7 @@ def test_every_button_is_a_command(server: viser.ViserServer) -> None:
     commands.add_buttons()
     labels = [command.label for command in commands.commands]
     assert labels[1:] == ["Known", "One", "Step: next", "Step: previous"]
-    notes: list[str] = []
-    page: Any = FakePage()
-    page.client_id = 1
-    page.add_notification = lambda title, *_, **__: notes.append(title)
+    page = FakePage()
 
     async def run(label: str) -> None:
         handle = registered(server)[label]
@@ -95,5 +92,5 @@ def test_every_button_is_a_command(server: viser.ViserServer) -> None:
     one.disabled = True
     asyncio.run(run("One"))
     assert pressed[3:] == []
-    assert notes == ["Not possible now"]
+    assert page.notes == ["Not possible now"]
     assert "Step: next" not in help_html(commands.commands)

@@ -1,18 +1,19 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import viser
 
-from app.viewer.data.panel import UP, Choices, DatasetPanel, FolderCalls
+from app.viewer.data.folders import Listing
+from app.viewer.data.panel import DatasetPanel
 from app.viewer.draw.colors import legend_uri
 from app.viewer.draw.layers import Scale
-from app.viewer.pair.choice import DatasetSummary, PairPanel
-from app.viewer.pair.panel import LAYER_NAMES, ViewPanel
+from app.viewer.pair.panel import DatasetSummary
 from app.viewer.pair.verdict import HEIGHT as CARD_HEIGHT
 from app.viewer.pair.verdict import VerdictCard, verdict_html
 from app.viewer.save.panel import command_html
-from app.viewer.state import LAYERS, NEEDS_TWO, ViewOptions, open_dataset, with_params
+from app.viewer.state import NEEDS_TWO, open_dataset, with_params
 from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.status import CANCEL, HEIGHT, StatusLine, status_html
@@ -21,7 +22,7 @@ from gpgrad_core.pipeline import PairResult, PipelineParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Dataset, Submap
 from tests.app.synthetic import make_dataset, make_result, needing
-from tests.app.widgets import find, html_says, user_presses, user_sets
+from tests.app.widgets import html_says, said
 
 STATE = open_dataset(make_dataset(), PipelineParams())
 LONE = open_dataset(replace(STATE.dataset, submaps=STATE.dataset.submaps[:1]), STATE.params)
@@ -39,10 +40,8 @@ def dataset_panel(server: viser.ViserServer, asked: list[str]) -> DatasetPanel:
         server,
         on_load=asked.append,
         on_demo=lambda: asked.append("the demo"),
-        folder=FolderCalls(
-            lambda name: asked.append(f"enter {name}"), lambda: asked.append("open here")
-        ),
-        uploaded=lambda name, content: asked.append(f"{name}: {len(content)}"),
+        on_enter=lambda name: asked.append(f"enter {name}"),
+        on_upload_file=lambda name, content: asked.append(f"{name}: {len(content)}"),
     )
     panel.work_bar.on_cancel(lambda: asked.append("cancel"))
     return panel
@@ -247,7 +246,7 @@ def test_names_cannot_bring_markup_into_the_page(server: viser.ViserServer) -> N
     summary, panel = DatasetSummary(server), dataset_panel(server, [])
     summary.show(dataset)
     panel.show(evil)
-    panel.show_folder(Choices(evil, (evil,), can_open=True, note=evil))
+    panel.show_folder(Path("root"), Listing(Path(evil), (evil,), (), is_dataset=True))
     panel.work_bar.running(evil, 0.0)
     shown = html_of(summary) + html_of(panel) + command_html(f"gpgrad detect {evil}</textarea>")
     shown += panel.work_bar.said
@@ -311,7 +310,7 @@ def test_the_status_has_one_height_whatever_it_says(server: viser.ViserServer) -
         lambda: status.error("too wide " * 50),
     ):
         say()
-        assert f"height:{HEIGHT}em" in status._handle.content
+        assert f"height:{HEIGHT}em" in said(server, "status")
 
 
 def test_a_card_that_is_out_of_date_says_so_until_the_next(server: viser.ViserServer) -> None:
@@ -322,129 +321,6 @@ def test_a_card_that_is_out_of_date_says_so_until_the_next(server: viser.ViserSe
     assert "query 003" in html_of(card)
     card.show(STATE, make_result(STATE))
     assert "out of date" not in html_of(card)
-
-
-def test_datasets_are_asked_for_in_every_way(server: viser.ViserServer) -> None:
-    asked: list[str] = []
-    panel = dataset_panel(server, asked)
-    panel.show_recent(("/data/etna", "/data/moon"))
-    panel.show_folder(Choices("/data", ("etna/", "one.ply"), can_open=True))
-    user_sets(find(server, "Folder"), "  /data/etna ")
-    user_sets(find(server, "Open"), "Load")
-    user_sets(find(server, "Open"), "Load demo")
-    user_sets(find(server, "Recent"), "/data/moon")
-    user_sets(find(server, "Browse"), "etna/")
-    user_sets(find(server, "Browse"), UP)
-    user_presses(find(server, "Use this folder"))
-    user_sets(
-        find(server, "Upload clouds"), viser.UploadedFile("C:\\some\\where\\000.ply", b"12345")
-    )
-    user_presses(find(server, "Cancel loading"))
-    assert asked == [
-        "/data/etna",
-        "the demo",
-        "/data/moon",
-        "enter etna/",
-        "enter ",
-        "open here",
-        "000.ply: 5",
-        "cancel",
-    ]
-
-
-def test_loading_is_told_and_ends(server: viser.ViserServer) -> None:
-    panel = dataset_panel(server, [])
-    panel.work_bar.running("/data/etna", 0.4)
-    assert find(server, "Cancel loading").visible
-    panel.work_bar.failed("/data/etna: no such file or folder")
-    assert "no such file" in panel.work_bar.said
-    assert not find(server, "Cancel loading").visible
-    panel.work_bar.idle()
-    panel.show("/data/hills")
-    assert "no such file" not in panel.work_bar.said
-    assert find(server, "Folder").value == "/data/hills"
-
-
-def test_what_is_open_and_what_loading_left_out_is_shown(server: viser.ViserServer) -> None:
-    summary = DatasetSummary(server)
-    summary.show(replace(STATE.dataset, notes=("003.ply: 7 rows dropped",)))
-    assert "hills · 4 submaps" in html_of(summary)
-    assert "003.ply: 7 rows dropped" in html_of(summary)
-
-
-def test_the_pair_is_chosen_and_stepped(server: viser.ViserServer) -> None:
-    chosen: list[tuple[str, str]] = []
-    panel = PairPanel(server, STATE, lambda query, database: chosen.append((query, database)))
-    user_sets(find(server, "Query"), "002")
-    user_sets(find(server, "Database"), "001")
-    user_sets(find(server, "Step query"), "next")
-    user_sets(find(server, "Step query"), "next")
-    user_sets(find(server, "Step database"), "previous")
-    assert chosen == [
-        ("002", "000"),
-        ("002", "001"),
-        ("003", "001"),
-        ("000", "001"),
-        ("000", "003"),  # 000 is the query and is passed over
-    ]
-    panel.show(open_dataset(make_dataset(), PipelineParams()))
-    assert find(server, "Query").value == "003"
-    assert len(chosen) == 5
-
-
-def test_whoever_names_the_other_of_the_pair_has_them_change_places(
-    server: viser.ViserServer,
-) -> None:
-    chosen: list[tuple[str, str]] = []
-    panel = PairPanel(server, STATE, lambda query, database: chosen.append((query, database)))
-    user_sets(find(server, "Query"), "000")
-    user_sets(find(server, "Query"), "003")
-    user_sets(find(server, "Database"), "003")
-    assert chosen == [("000", "003"), ("003", "000"), ("000", "003")]
-    assert (find(server, "Query").value, find(server, "Database").value) == ("000", "003")
-    panel.show(LONE)
-    assert not find(server, "Database").visible
-    panel.step("query", 1)
-    assert chosen[-1] == ("000", "000")
-    panel.show(STATE)
-    assert find(server, "Database").visible
-
-
-def test_every_option_of_the_view_is_reported(server: viser.ViserServer) -> None:
-    reported: list[ViewOptions] = []
-    presses: list[int] = []
-    panel = ViewPanel(server, ViewOptions(), reported.append, lambda: presses.append(1))
-    for label, value in (
-        ("Layout", "registered"),
-        ("Layer", "standard deviation"),
-        ("Colours", "turbo"),
-        ("Surfaces", False),
-        ("Point clouds", True),
-        ("Keypoints", False),
-        ("Inlier lines", False),
-        ("Outlier lines", True),
-        ("Masked cells", "grey"),
-        ("Hillshade", False),
-        ("Point size", 0.1),
-    ):
-        user_sets(find(server, label), value)
-    assert reported[-1] == panel.options
-    assert panel.options == ViewOptions(
-        layer="std",
-        color_map="turbo",
-        layout="registered",
-        surfaces=False,
-        clouds=True,
-        untrusted="grey",
-        hillshade=False,
-        keypoints=False,
-        inlier_lines=False,
-        outlier_lines=True,
-        point_size=0.1,
-    )
-    assert set(LAYER_NAMES) == set(LAYERS)
-    user_presses(find(server, "Show both submaps"))
-    assert presses == [1]
 
 
 @pytest.mark.parametrize(
@@ -470,22 +346,3 @@ def test_the_legend_stands_under_its_histogram_and_above_its_note() -> None:
     scale = Scale("Mask", "m", "viridis", 0.0, 1.0)
     html = legend_html(scale, histogram="<svg/>", note="12 cells")
     assert html.index("<svg/>") < html.index(legend_uri("viridis")) < html.index("12 cells")
-
-
-def test_comparisons_are_offered_where_they_apply(server: viser.ViserServer) -> None:
-    reported: list[ViewOptions] = []
-    panel = ViewPanel(server, ViewOptions(), reported.append, lambda: None)
-    compare, swipe = find(server, "Compare"), find(server, "Swipe")
-    assert not compare.visible
-    user_sets(find(server, "Layout"), "registered")
-    assert compare.visible
-    assert not swipe.visible
-    user_sets(compare, "swipe")
-    assert swipe.visible
-    user_sets(swipe, 0.25)
-    assert (reported[-1].compare, reported[-1].swipe) == ("swipe", 0.25)
-    panel.set(ViewOptions(layer="difference", layout="registered", compare="query"))
-    assert compare.value == "query only"
-    assert not swipe.visible
-    assert find(server, "Layer").value == "height difference"
-    assert len(reported) == 3

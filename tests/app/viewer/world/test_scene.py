@@ -4,37 +4,39 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.world.lines import (
+from app.viewer.world.scene import (
     LOOP_PIECES,
     MOST_ARCHES,
     Loop,
+    World,
+    WorldScene,
     arches,
     choose_arches,
     drawable,
     trajectory_lines,
 )
-from app.viewer.world.scene import World, WorldScene
-from app.viewer.world.submaps import PoseSource, WorldColor, WorldOptions, poses_of
-from app.viewer.world.surfaces import (
+from app.viewer.world.submaps import (
     MAX_CELLS,
+    PoseSource,
     Surface,
+    WorldColor,
+    WorldOptions,
     pick,
+    poses_of,
     quick_surface,
     submap_color,
     world_scale,
 )
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset
 from tests.app.synthetic import NUMBERS, make_dataset, make_map
+from tests.app.widgets import node
 
 DATASET = make_dataset()
 POSES = poses_of(DATASET, "odometry")
 SIGHTS = {submap.id: Surface(make_map(submap), 0.9) for submap in DATASET.submaps}
 LOOPS = (Loop("003", "000", 5.0, True), Loop("002", "000", 1.0, False))
-
-
-def node(server: viser.ViserServer, name: str) -> Any:
-    return server.scene._handle_from_node_name[name]
 
 
 def raised(position: Any, *, y: float = 0.0, z: float = 0.0) -> Any:
@@ -120,7 +122,7 @@ def test_of_many_loops_the_best_are_drawn_and_all_of_the_chosen_submap() -> None
 def test_a_submap_without_a_name_has_no_label(server: viser.ViserServer) -> None:
     scene = WorldScene(server, visible=True)
     scene.show(world(names=False))
-    assert "/world/submaps/0/name" not in server.scene._handle_from_node_name
+    assert node(server, "/world/submaps/0/name") is None
     scene.show(world())
     assert node(server, "/world/submaps/0/name").visible
     scene.show(world(names=False))
@@ -128,20 +130,18 @@ def test_a_submap_without_a_name_has_no_label(server: viser.ViserServer) -> None
 
 
 def test_a_smaller_dataset_leaves_nothing_of_the_larger(server: viser.ViserServer) -> None:
+    def frames() -> list[int]:
+        return [k for k in range(4) if node(server, f"/world/submaps/{k}") is not None]
+
     scene = WorldScene(server, visible=True)
     scene.show(world())
-    names = set(server.scene._handle_from_node_name)
-    smaller = make_dataset(name="smaller")
-    smaller = type(smaller)("smaller", smaller.submaps[:2])
+    assert frames() == [0, 1, 2, 3]
+    smaller = Dataset("smaller", make_dataset(name="smaller").submaps[:2])
     poses = poses_of(smaller, "odometry")
     scene.show(World(smaller, SIGHTS, poses, {"odometry": poses}))
-    gone = names - set(server.scene._handle_from_node_name)
-    assert {name for name in gone if name.count("/") == 3} == {
-        "/world/submaps/2",
-        "/world/submaps/3",
-    }
+    assert frames() == [0, 1]
     scene.show(world())
-    assert set(server.scene._handle_from_node_name) == names
+    assert frames() == [0, 1, 2, 3]
 
 
 def test_colours_share_one_scale() -> None:

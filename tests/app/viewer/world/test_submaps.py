@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.viewer.draw.animation import Animation, ease, frames, play
-from app.viewer.world.submaps import measure, pose_sources, poses_of, statistics_rows
+from app.viewer.world.submaps import figures_of, pose_sources, poses_of
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap
@@ -21,7 +21,7 @@ def posed(x: float, yaw: float = 0.0) -> Pose:
 
 def without_poses() -> Dataset:
     return replace(
-        DATASET, submaps=tuple(replace(one, pose_odometry=None) for one in DATASET.submaps)
+        DATASET, submaps=tuple(replace(submap, pose_odometry=None) for submap in DATASET.submaps)
     )
 
 
@@ -54,15 +54,19 @@ def test_figures_are_those_of_a_known_cloud() -> None:
     points = np.column_stack([x.ravel() + 0.05, y.ravel() + 0.05, np.zeros(x.size)])
     points[: len(points) // 2, 2] = 0.5
     cloud = Submap.from_points(points, pose_true=posed(1.0), pose_odometry=posed(1.3, 0.1))
-    figures = measure(cloud)
-    assert figures.num_points == 800
-    assert figures.area == pytest.approx(8.0)
-    assert figures.density == pytest.approx(100.0)
-    assert figures.height_std == pytest.approx(0.25)
-    rows = dict(statistics_rows(figures))
-    assert rows["density"] == "100 points/m²"
-    assert rows["odometry off by"] == "0.30 m"
-    assert "corrected" not in rows
+    assert dict(figures_of(cloud)) == {
+        "points": "800",
+        "extent": "3.9 m x 1.9 m, 0.50 m high",
+        "ground seen": "8.0 m²",
+        "density": "100 points/m²",
+        "height std": "0.250 m",
+        "true pose": "1.00, 0.00, 0.00 m; +0.0°",
+        "odometry": "1.30, 0.00, 0.00 m; +5.7°",
+        "odometry off by": "0.30 m",
+    }
+    bare = dict(figures_of(replace(cloud, pose_true=None), posed(1.0)))
+    assert [name for name in bare if "off by" in name or "pose" in name] == []
+    assert bare["corrected"] == "1.00, 0.00, 0.00 m; +0.0°"
 
 
 def test_an_animation_ends_on_its_last_moment() -> None:

@@ -1,0 +1,121 @@
+"""Charts as SVG, and pictures for pages: axes, round numbers, texts, lines and PNG addresses."""
+
+import base64
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+from math import floor, log10
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.params.bounds import DECADES_FROM
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Where values lie on a chart: evenly between two places, or in their logarithm.
+
+    Attributes:
+        low: The value at the start.
+        high: The value at the end.
+        start: Place of the low end, in the chart's units.
+        end: Place of the high end; it may lie before the start, as on an axis that points up.
+        decades: Whether equal ways are equal factors.
+    """
+
+    low: float
+    high: float
+    start: float
+    end: float
+    decades: bool = False
+
+    @classmethod
+    def over(cls, values: Iterable[float], start: float, end: float) -> "Axis":
+        """Span values, in their logarithm where factors matter and not differences."""
+        every = tuple(values)
+        low, high = min(every), max(every)
+        return cls(low, high, start, end, low > 0 and high >= DECADES_FROM * low)
+
+    def __call__(self, value: float) -> float:
+        """Give the place of a value; those beyond the ends lie at the ends."""
+        return float(self.places(np.array([float(value)]))[0])
+
+    def places(self, values: Float[Array, "n"]) -> Float[NDArray[np.float64], "n"]:
+        """Give the places of values."""
+        low, high = self.low, self.high
+        values = np.clip(values, min(low, high), max(low, high))
+        if self.decades:
+            low, high, values = np.log(low), np.log(high), np.log(values)
+        shares = (values - low) / max(high - low, 1e-12)
+        return self.start + shares * (self.end - self.start)
+
+
+def round_step(least: float) -> float:
+    """Give the smallest of 1, 2, 5, 10, 20, … that is not smaller.
+
+    >>> round_step(0.3), round_step(3), round_step(60)
+    (1, 5, 100)
+    """
+    scale = 10 ** max(floor(log10(max(least, 1.0))), 0)
+    return next(step * scale for step in (1, 2, 5, 10) if step * scale >= least)
+
+
+def round_length(longest: float) -> float:
+    """Give the largest of 1, 2, 5, 10, … and of 0.5, 0.2, 0.1, … that is not larger.
+
+    >>> round_length(4.7), round_length(0.3)
+    (2.0, 0.2)
+    """
+    power = 10.0 ** np.floor(np.log10(longest))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= longest))
+
+
+def round_marks(low: float, high: float) -> list[float]:
+    """Choose three to eight round numbers within a range.
+
+    >>> round_marks(0.0, 4.0)
+    [0.0, 1.0, 2.0, 3.0, 4.0]
+    """
+    step = round_length((high - low) / 3)
+    first, last = int(np.ceil(low / step)), int(np.floor(high / step))
+    return [float(f"{number * step:.6g}") for number in range(first, last + 1)]
+
+
+def text(x: float, y: float, words: str, anchor: str = "start") -> str:
+    """Write words whose start, middle or end is at a place of a chart."""
+    where = "" if anchor == "start" else f' text-anchor="{anchor}"'
+    return f'<text x="{_short(x)}" y="{_short(y)}"{where}>{escape(words)}</text>'
+
+
+def upright_text(x: float, y: float, words: str, anchor: str = "middle") -> str:
+    """Write words from below upwards."""
+    where = f"translate({_short(x)} {_short(y)}) rotate(-90)"
+    return f'<text transform="{where}" text-anchor="{anchor}">{escape(words)}</text>'
+
+
+def grid_line(path: str, opacity: float = 0.5) -> str:
+    """Draw a thin line of the page's own colour, which steps back from what the chart shows."""
+    return f'<path d="{path}" fill="none" stroke="currentColor" stroke-opacity="{opacity:g}"/>'
+
+
+def points_of(places: Iterable[Sequence[float]]) -> str:
+    """Write places as the ``points`` of a line.
+
+    >>> points_of([(1.0, 2.25), (3.0, 4.0)])
+    '1,2.2 3,4'
+    """
+    return " ".join(f"{_short(x)},{_short(y)}" for x, y in places)
+
+
+def png_uri(pixels: UInt8[NDArray[np.uint8], "rows columns channels"]) -> str:
+    """Write a picture, RGB or RGBA, as a ``data:`` address of a PNG."""
+    order = [2, 1, 0, 3][: pixels.shape[-1]]
+    _, png = cv2.imencode(".png", np.ascontiguousarray(pixels[..., order]))
+    return "data:image/png;base64," + base64.b64encode(png.tobytes()).decode("ascii")
+
+
+def _short(number: float) -> str:
+    return f"{round(number, 1):g}"

@@ -1,0 +1,29 @@
+// Screen readers hear of a slider, and of a button with a picture, only what it is called. An arrow
+// key that moves a slider must not fly the camera as well, which listens to the whole page.
+(() => {
+  if (window.gpgradReach) return;
+  window.gpgradReach = true;
+  setInterval(() => {
+    for (const thumb of document.querySelectorAll(VISER_SLIDER_THUMB)) {
+      if (thumb.getAttribute('aria-label')) continue;
+      const root = thumb.closest(VISER_SLIDER);
+      const label = root && document.querySelector(`label[for="${root.id}"]`);
+      if (!label) continue;
+      thumb.setAttribute('aria-label', label.textContent);
+      const typed = root.parentElement.querySelector(VISER_TYPED_BOX);
+      if (typed) typed.setAttribute('aria-label', label.textContent + ', typed');
+    }
+    for (const pressed of document.querySelectorAll(VISER_ICON_BUTTON)) {
+      if (pressed.getAttribute('aria-label') || pressed.textContent.trim()) continue;
+      const icon = pressed.querySelector('svg')?.getAttribute('class') ?? '';
+      const kind = icon.split(VISER_ICON_CLASS)[1]?.split(' ')[0] ?? 'more';
+      const names = {'list-search': 'Commands', 'adjustments': 'Settings of the page'};
+      pressed.setAttribute('aria-label', names[kind] ?? kind.replaceAll('-', ' '));
+    }
+  }, 700);
+  const keys = ['ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown'];
+  document.body.addEventListener('keydown', event => {
+    const over = event.target.closest && event.target.closest('[role=slider],input,select');
+    if (over && keys.includes(event.key)) event.stopPropagation();
+  });
+})()
