@@ -8,14 +8,13 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.libraries import load_library
-from gpgrad_core.methods.cloud_detector import CloudDetector
 from gpgrad_core.methods.described_clouds import (
     DescribedCloud,
     mutual_matches,
     register_by_ransac,
     thinned,
 )
-from gpgrad_core.methods.outcome import outcome, seen_from_above
+from gpgrad_core.methods.rival import CloudDetector, seen_from_above, unchecked
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
@@ -65,7 +64,7 @@ def register_by_fgr(
     """
     pairs = mutual_matches(query, database)
     if len(pairs) < 3:
-        return outcome(None, np.zeros(len(pairs), bool))
+        return unchecked(None, np.zeros(len(pairs), bool))
     radius = params.registration.radius(None)
     o3d: Any = load_library("open3d")
     option = o3d.pipelines.registration.FastGlobalRegistrationOption(
@@ -79,11 +78,11 @@ def register_by_fgr(
     )
     with _open3d_random:  # Open3D has one random generator for the whole process
         o3d.utility.random.seed(params.registration.seed)
-        found = o3d.pipelines.registration.registration_fgr_based_on_correspondence(*arguments)
-    motion = np.array(found.transformation, dtype=np.float64)
+        solution = o3d.pipelines.registration.registration_fgr_based_on_correspondence(*arguments)
+    motion = np.array(solution.transformation, dtype=np.float64)
     moved = query.points[pairs[:, 0]] @ motion[:3, :3].T + motion[:3, 3]
     inliers = np.linalg.norm(moved - database.points[pairs[:, 1]], axis=1) <= radius
-    return outcome(seen_from_above(motion, query.middle), inliers)
+    return unchecked(seen_from_above(motion, query.middle), inliers)
 
 
 def _cloud(points: Float[Array, "n 3"]) -> Any:

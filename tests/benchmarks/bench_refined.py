@@ -41,7 +41,7 @@ from gpgrad_core.evaluation import (
 )
 from gpgrad_core.methods import METHODS, Method, find_method
 from gpgrad_core.methods.described_clouds import height_between
-from gpgrad_core.methods.outcome import seen_from_above
+from gpgrad_core.methods.rival import seen_from_above
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.parallel import workers

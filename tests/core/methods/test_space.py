@@ -9,11 +9,15 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.methods.cshot import color_shot, describe_cshot
-from gpgrad_core.methods.curvature import curved_keypoints, surface_variation
-from gpgrad_core.methods.outcome import seen_from_above
-from gpgrad_core.methods.rigid_ransac import fit_rigid, ransac_se3
-from gpgrad_core.methods.shot import shot
+from gpgrad_core.methods.described_clouds import fit_rigid, ransac_se3
+from gpgrad_core.methods.rival import seen_from_above
+from gpgrad_core.methods.shot import (
+    color_shot,
+    curved_keypoints,
+    describe_cshot,
+    shot,
+    surface_variation,
+)
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Submap
