@@ -66,22 +66,22 @@ from gpgrad_core.slam import (
     GraphParams,
     JoinedDatasets,
     LoopCloser,
+    MapCoordinates,
     MapErrors,
     MergeParams,
-    PlacedMap,
     Solution,
     SolverParams,
     check_solver,
+    find_coordinates,
     join_datasets,
     measure_errors,
     odometry_poses,
-    place_map,
     solution_files,
     solve_datasets,
     true_poses,
     write_merged,
-    write_places,
     write_solution,
+    write_track,
 )
 from gpgrad_core.types import LoopClosure
 
@@ -179,9 +179,9 @@ class Slam:
             solution = solve_datasets(joined, closures, graph, solver, trusted=trusted)
             with progress_bar("judge") as progress:
                 errors = measure_errors(solution, progress)
-            placed = self._write(folder, solution, errors, georeference, params)
-        if placed is not None:
-            say(_placed(placed))
+            coordinates = self._write(folder, solution, errors, georeference, params)
+        if coordinates is not None:
+            say(_placed(coordinates))
         for line in (*_corrected(solution, errors), str(self.out)):
             say(line)
 
@@ -192,25 +192,27 @@ class Slam:
         errors: MapErrors,
         georeference: Georeference | None,
         params: PipelineParams,
-    ) -> PlacedMap | None:
+    ) -> MapCoordinates | None:
         """Write the results; gives where the map lies, if that was asked for."""
-        joined, placed = solution.joined, None
+        joined, coordinates = solution.joined, None
         if georeference is not None:
             # The origin is the first dataset's; the truth of others may have another frame.
             first = set(next(iter(joined.traverses.values())))
             known = true_poses(joined.outline.dataset)
             true = {name: pose for name, pose in known.items() if name in first}
-            placed = place_map(solution.result.poses, true, georeference)
-            write_places(folder, joined.traverses, solution.result.poses, placed)
+            coordinates = find_coordinates(solution.result.poses, true, georeference)
+            write_track(folder, joined.traverses, solution.result.poses, coordinates)
         with progress_bar("write") as progress:
-            write_solution(folder, solution, errors, progress, placed=placed)
+            write_solution(folder, solution, errors, progress, coordinates=coordinates)
         if self.merge:
             merged, terrain = self.merged.over(MergeParams()), params.map.terrain
             with progress_bar("merge") as progress:
-                notes = write_merged(folder, solution, terrain, merged, progress, placed=placed)
+                notes = write_merged(
+                    folder, solution, terrain, merged, progress, coordinates=coordinates
+                )
             for note in notes:
                 warn(note)
-        return placed
+        return coordinates
 
     def _names(self, joined: JoinedDatasets) -> tuple[str, ...]:
         """Name the files that this run may write; the last one is written last."""
@@ -299,13 +301,13 @@ class Slam:
         return closures
 
 
-def _placed(placed: PlacedMap) -> str:
+def _placed(coordinates: MapCoordinates) -> str:
     """Say in which coordinates the map is, and what places it."""
-    by = "the true positions" if placed.by_truth else "odometry's frame, x east and y north"
-    longitude, latitude, height = placed.georeference.origin
+    by = "the true positions" if coordinates.by_truth else "odometry's frame, x east and y north"
+    system = coordinates.georeference
+    longitude, latitude, height = system.origin
     return (
-        f"in {placed.georeference.name}, origin {latitude:.7f}, {longitude:.7f}, {height:.2f} m, "
-        f"placed by {by}"
+        f"in {system.name}, origin {latitude:.7f}, {longitude:.7f}, {height:.2f} m, placed by {by}"
     )
 
 

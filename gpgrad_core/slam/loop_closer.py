@@ -29,8 +29,8 @@ from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.se2 import Pose
 from gpgrad_core.shortlist import Candidate, Candidates, Shortlist, num_wanted
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
-from gpgrad_core.slam.joining import place_traverses
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
+from gpgrad_core.slam.traverses import place_traverses
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 
 BYTES_IN_MEMORY = 1_000_000_000
@@ -195,8 +195,8 @@ class LoopCloser:
         extracted = side_by_side(detector.extract, [made], None, part(progress, 0.4, 0.5))[0]
         earlier = [
             other.id
-            for other, of_traverse in zip(self._submaps, self._traverses, strict=True)
-            if of_traverse != number or self._near(predicted, self._poses[other.id])
+            for other, traverse in zip(self._submaps, self._traverses, strict=True)
+            if traverse != number or self._near(predicted, self._poses[other.id])
         ]
         shortlist = None
         if isinstance(detector, SearchableDetector):
@@ -206,16 +206,16 @@ class LoopCloser:
                 shortlist = self._shortlist.candidates(keypoints, wanted, earlier)
                 chosen = {candidate.id for candidate in shortlist}
                 earlier = [name for name in earlier if name in chosen]
-        found = side_by_side(
+        registrations = side_by_side(
             _Comparison(extracted, detector.compare, self._extracted.get),
             earlier,
             self._executor,
             part(progress, 0.5, 1.0),
         )
-        known = {one.id: one for one in self._submaps}
+        by_id = {other.id: other for other in self._submaps}
         closures = tuple(
-            judge_pair(submap, known[name], registration, self._params, self._images)
-            for name, registration in zip(earlier, found, strict=True)
+            judge_pair(submap, by_id[name], registration, self._params, self._images)
+            for name, registration in zip(earlier, registrations, strict=True)
         )
         self._extracted.put(submap.id, extracted)
         if isinstance(detector, SearchableDetector) and self._candidates != "all":

@@ -34,7 +34,7 @@ from gpgrad_core.slam import (
 )
 from gpgrad_core.types import Dataset, LoopClosure, Submap
 from tests.core.ground import Ground
-from tests.core.slam.traverses import simulate
+from tests.core.slam.simulated import simulate
 from tests.end_to_end.process import ROOT, environment
 
 SETS = ("marsyard2021", "sthelens", "apollo15")

@@ -9,7 +9,7 @@ import pytest
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.slam import build_pose_graph, optimise_pose_graph, read_graph, write_graph
-from tests.core.slam.traverses import simulate
+from tests.core.slam.simulated import simulate
 
 
 def test_what_is_written_reads_back_in(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import GraphParams, SolverParams, build_pose_graph, optimise_pose_graph
-from tests.core.slam.traverses import Traverse, simulate, with_odometry
+from tests.core.slam.simulated import Traverse, simulate, with_odometry
 
 
 def error(traverse: Traverse, poses: dict[str, Pose]) -> float:

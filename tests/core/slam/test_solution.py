@@ -30,7 +30,7 @@ from gpgrad_core.slam import (
 from gpgrad_core.slam.solution import used_graph
 from gpgrad_core.types import Dataset, LoopClosure, Submap
 from tests.core.ground import Ground
-from tests.core.slam.traverses import closure
+from tests.core.slam.simulated import closure
 
 GROUND = Ground.random(11, shortest=1.0, std=0.2)
 PLACES = [  # all within one tile of the merged map

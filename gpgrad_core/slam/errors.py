@@ -1,6 +1,10 @@
-"""True poses, and the absolute and relative trajectory error by them, as `evo` defines them."""
+"""How good a trajectory and a map are.
 
-from collections.abc import Mapping
+The absolute and relative errors of a trajectory are those of `evo`, by the true poses. How well
+submaps lie on one another needs no truth.
+"""
+
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -9,11 +13,15 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation.overlap import compare_footprints, make_footprint
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.types import Array, Dataset
+from gpgrad_core.types import Array, Dataset, Submap
 
 LEAST_SPREAD = 1.0
 """Root mean square distance from the middle [m] from which positions tell a direction."""
+FEWEST_SHARE = 0.2
+"""Share of the smaller submap's cells that must be common. A smaller overlap is an edge that both
+submaps saw from far away."""
 
 
 @dataclass(frozen=True)
@@ -41,20 +49,40 @@ class TrajectoryError:
     relative_turn: float | None
 
 
+@dataclass(frozen=True)
+class Consistency:
+    """Differences in height where submaps overlap.
+
+    Attributes:
+        count: Number of pairs of submaps that share more than a fifth of their 10 cm cells.
+        median: Median of the pairs' median height differences [m]; None if there is no such pair.
+        high: 95th percentile of them [m]; None if there is no such pair.
+    """
+
+    count: int
+    median: float | None
+    high: float | None
+
+
 def true_poses(dataset: Dataset) -> dict[str, Pose]:
     """Give the true pose of every submap that has one, by id, in the dataset's order."""
     poses = {submap.id: submap.pose_true for submap in dataset.submaps}
     return {name: pose for name, pose in poses.items() if pose is not None}
 
 
+def positions(names: Iterable[str], poses: Mapping[str, Pose]) -> Float[Array, "n 3"]:
+    """List the positions of named poses (n, 3) [m]."""
+    return np.array([poses[name].translation for name in names]).reshape(-1, 3)
+
+
 def trajectory_error(
-    true: Mapping[str, Pose], found: Mapping[str, Pose], *, positions_only: bool = False
+    true: Mapping[str, Pose], estimated: Mapping[str, Pose], *, positions_only: bool = False
 ) -> TrajectoryError:
     """Compare two trajectories, pose by pose.
 
     Args:
         true: True poses by id, in the order of the traverse.
-        found: Estimated poses by id; submaps that have only one of the two poses are left out.
+        estimated: Estimated poses by id; submaps that have only one of the two are left out.
         positions_only: Whether the true poses have positions only, and their headings must not be
             used; see `Dataset.positions_only`.
 
@@ -64,33 +92,31 @@ def trajectory_error(
     Raises:
         InputError: If fewer than two submaps have both.
     """
-    names = [name for name in true if name in found]
+    names = [name for name in true if name in estimated]
     if len(names) < 2:
         raise InputError(
             f"a trajectory error needs two or more poses with a true pose, found {len(names)}"
         )
-    truth = np.array([true[name].translation for name in names])
-    places = np.array([found[name].translation for name in names])
+    truth, places = positions(names, true), positions(names, estimated)
     distances = np.linalg.norm(align_points(places, truth) - truth, axis=1)
-    unaligned = np.linalg.norm(places - truth, axis=1)
     steps = [
-        (true[a].inverse() @ true[b]).inverse() @ (found[a].inverse() @ found[b])
+        (true[a].inverse() @ true[b]).inverse() @ (estimated[a].inverse() @ estimated[b])
         for a, b in pairwise(names)
     ]
     turns = [
         2 * np.arctan2(np.linalg.norm(step.quaternion[:3]), step.quaternion[3]) for step in steps
     ]
-    offsets = [np.linalg.norm(step.translation) for step in steps]
+    offsets = np.array([np.linalg.norm(step.translation) for step in steps])
     if positions_only:
-        lengths = [np.linalg.norm(np.diff(one, axis=0), axis=1) for one in (truth, places)]
-        offsets = list(lengths[1] - lengths[0])
+        driven, drawn = (np.linalg.norm(np.diff(way, axis=0), axis=1) for way in (truth, places))
+        offsets = drawn - driven
     return TrajectoryError(
         count=len(names),
         absolute=_rms(distances),
         absolute_median=float(np.median(distances)),
         absolute_most=float(distances.max()),
-        absolute_unaligned=_rms(unaligned),
-        relative=_rms(np.array(offsets)),
+        absolute_unaligned=_rms(np.linalg.norm(places - truth, axis=1)),
+        relative=_rms(offsets),
         relative_turn=None if positions_only else _rms(np.array(turns)),
     )
 
@@ -127,6 +153,33 @@ def level_motion(places: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Po
     offset = aim[:2] - turn.apply(middle[None, :2])[0]
     motion = SE2(float(offset[0]), float(offset[1]), turn.yaw)
     return Pose.from_planar(motion, float(aim[2] - middle[2]))
+
+
+def measure_consistency(submaps: Iterable[Submap], poses: Mapping[str, Pose]) -> Consistency:
+    """Compare the heights of all submaps that overlap.
+
+    Args:
+        submaps: Any iterable; it is iterated once, and only the 10 cm cells are kept in memory.
+        poses: ``T_world_submap`` by id; submaps without a pose are left out.
+    """
+    footprints = [
+        make_footprint(poses[submap.id].apply(submap.points))
+        for submap in submaps
+        if submap.id in poses
+    ]
+    differences: list[float] = []
+    low = np.array([footprint.low for footprint in footprints]).reshape(-1, 2)
+    high = np.array([footprint.high for footprint in footprints]).reshape(-1, 2)
+    for k in range(1, len(footprints)):
+        meeting = np.all((low[:k] < high[k]) & (high[:k] > low[k]), axis=1)
+        for other in np.flatnonzero(meeting):
+            _, overlap, difference = compare_footprints(footprints[k], footprints[other])
+            if overlap > FEWEST_SHARE and np.isfinite(difference):
+                differences.append(difference)
+    if not differences:
+        return Consistency(0, None, None)
+    median, high_end = np.median(differences), np.quantile(differences, 0.95)
+    return Consistency(len(differences), float(median), float(high_end))
 
 
 def _rms(values: Float[NDArray[np.floating], "n"]) -> float:

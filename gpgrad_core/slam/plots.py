@@ -1,9 +1,8 @@
-"""Figures of the traverse before and after, by matplotlib's objects without its global state."""
+"""Plots of the traverse before and after."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
@@ -13,9 +12,8 @@ from matplotlib.lines import Line2D
 
 from gpgrad_core.evaluation.figures.style import COLOURS, FALSE, new_figure
 from gpgrad_core.se2 import Pose
+from gpgrad_core.slam.errors import align_points, positions
 from gpgrad_core.slam.optimise import OptimisedGraph
-from gpgrad_core.slam.truth import align_points
-from gpgrad_core.types import Array
 
 TRUE_PATH = "#999999"
 MOST_NAMES = 60
@@ -48,7 +46,7 @@ def draw_trajectories(
         (panels[1], result.poses, "after: with loop closures"),
     ):
         for number, names in enumerate(traverses):
-            _draw_truth(panel, [one for one in names if one in true], true, result.poses)
+            _draw_truth(panel, [name for name in names if name in true], true, result.poses)
             _draw_path(panel, names, poses, COLOURS[number % len(COLOURS)])
         _draw_loops(panel, poses, result, shade)
         panel.set_title(title)
@@ -88,21 +86,17 @@ def draw_errors(name: str, before: Mapping[str, float], after: Mapping[str, floa
     return figure
 
 
-def _places(names: Sequence[str], poses: Mapping[str, Pose]) -> Float[Array, "n 3"]:
-    return np.array([poses[name].translation for name in names]).reshape(-1, 3)
-
-
 def _draw_truth(
-    panel: Axes, names: Sequence[str], true: Mapping[str, Pose], found: Mapping[str, Pose]
+    panel: Axes, names: Sequence[str], true: Mapping[str, Pose], corrected: Mapping[str, Pose]
 ) -> None:
     if len(names) < 2:
         return
-    x, y, _ = align_points(_places(names, true), _places(names, found)).T
+    x, y, _ = align_points(positions(names, true), positions(names, corrected)).T
     panel.plot(x, y, "-", color=TRUE_PATH, linewidth=3, alpha=0.6, zorder=1)
 
 
 def _draw_path(panel: Axes, names: Sequence[str], poses: Mapping[str, Pose], colour: str) -> None:
-    x, y, _ = _places(names, poses).T
+    x, y, _ = positions(names, poses).T
     panel.plot(x, y, "o-", color=colour, linewidth=1.0, markersize=3, zorder=3)
     if len(poses) <= MOST_NAMES:
         for k, name in enumerate(names):
@@ -114,7 +108,7 @@ def _draw_loops(
 ) -> None:
     for kept, dashes in ((True, "-"), (False, ":")):
         fits = [fit for fit in result.loops if (fit.weight >= 0.5) == kept]
-        lines = [_places([fit.edge.start, fit.edge.end], poses)[:, :2] for fit in fits]
+        lines = [positions([fit.edge.start, fit.edge.end], poses)[:, :2] for fit in fits]
         colours = [
             shade.to_rgba(np.array(fit.edge.score or 0.0)) if kept else FALSE for fit in fits
         ]

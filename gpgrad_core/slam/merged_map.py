@@ -1,8 +1,13 @@
-"""One cloud and one elevation map of all submaps, tile by tile, in bounded memory."""
+"""One cloud and one elevation map of all submaps, tile by tile, in bounded memory.
+
+The points of all submaps are sorted into one file per tile of ground, which is then read tile by
+tile.
+"""
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Annotated
 
@@ -25,10 +30,11 @@ from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
-from gpgrad_core.slam.tiling import Tile, TileStore
 from gpgrad_core.types import Array, Grid, Submap
 
 Floats = NDArray[np.float32]
+Tile = tuple[int, int]
+"""Index of a square of ground along x and y."""
 
 TILE_SIDE = 40.0
 """Side of a tile, in length-scales."""
@@ -69,6 +75,75 @@ class MergeParams:
     def __post_init__(self) -> None:
         """Check the bounds."""
         check_bounds(self)
+
+
+@dataclass(frozen=True, eq=False)
+class TileStore:
+    """Rows of numbers that begin with x and y [m], one file per square tile.
+
+    Attributes:
+        folder: Where the files are; the caller removes it.
+        side: Side of a tile [m].
+        columns: Number of values in a row.
+    """
+
+    folder: Path
+    side: float
+    columns: int
+
+    def add(self, rows: Float[Array, "n columns"]) -> None:
+        """Put rows into the tiles that they lie in."""
+        tiles = np.floor(rows[:, :2] / self.side).astype(np.int64)
+        order = np.lexsort((tiles[:, 0], tiles[:, 1]))
+        rows, tiles = rows[order], tiles[order]
+        starts = np.flatnonzero(np.r_[True, np.any(np.diff(tiles, axis=0) != 0, axis=1)])
+        for start, stop in zip(starts, [*starts[1:], len(rows)], strict=True):
+            with self._file((int(tiles[start, 0]), int(tiles[start, 1]))).open("ab") as file:
+                file.write(np.ascontiguousarray(rows[start:stop]).tobytes())
+
+    @property
+    def tiles(self) -> list[Tile]:
+        """The tiles that hold rows, sorted by y and then by x."""
+        names = [file.stem.split("_") for file in self.folder.glob("*.rows")]
+        return sorted(((int(x), int(y)) for x, y in names), key=_by_row)
+
+    def read(self, tile: Tile) -> Float[Array, "n columns"]:
+        """Read a tile's rows, in the order in which they were added."""
+        file = self._file(tile)
+        if not file.exists():
+            return np.empty((0, self.columns))
+        return np.fromfile(file, dtype=np.float64).reshape(-1, self.columns)
+
+    def read_around(self, tile: Tile, margin: float) -> Float[Array, "n columns"]:
+        """Read the rows in a tile and within a margin [m] around it.
+
+        The margin must not be larger than a tile's side.
+        """
+        x, y = tile
+        low = np.array([x, y]) * self.side - margin
+        high = (np.array([x, y]) + 1) * self.side + margin
+        pieces = [
+            self.read((x + right, y + above)) for right, above in product((-1, 0, 1), repeat=2)
+        ]
+        rows = np.concatenate(pieces)
+        inside = np.all((rows[:, :2] >= low) & (rows[:, :2] < high), axis=1)
+        return rows[inside]
+
+    def neighbourhoods(self) -> Iterator[Tile]:
+        """Yield the tiles that hold rows, and all tiles next to them."""
+        near = {
+            (x + right, y + above)
+            for x, y in self.tiles
+            for right, above in product((-1, 0, 1), repeat=2)
+        }
+        yield from sorted(near, key=_by_row)
+
+    def _file(self, tile: Tile) -> Path:
+        return self.folder / f"{tile[0]}_{tile[1]}.rows"
+
+
+def _by_row(tile: Tile) -> Tile:
+    return tile[1], tile[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +276,7 @@ def merge_maps(
         on_multiples=True,
     )
     sums = {name: _on_disk(folder / f"{name}.npy", grid.shape) for name in (*LAYERS, "weight")}
-    known = replace(
+    settled = replace(
         terrain,
         signal_std=gathered.signal_std,
         noise_model="file",
@@ -213,7 +288,7 @@ def merge_maps(
     tiles = list(store.neighbourhoods())
     for k, tile in enumerate(tiles):
         report = part(progress, 0.95 * k / len(tiles), 0.95 * (k + 1) / len(tiles))
-        notes += _add_tile(store, tile, grid, known, sums, report)
+        notes += _add_tile(store, tile, grid, settled, sums, report)
         report(1.0)
     _settle(sums, params.max_std_ratio * gathered.signal_std)
     progress(1.0)

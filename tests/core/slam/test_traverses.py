@@ -18,7 +18,7 @@ from gpgrad_core.slam import (
 )
 from gpgrad_core.slam.graph import build_pose_graph
 from gpgrad_core.types import Dataset, LoopClosure
-from tests.core.slam.traverses import Traverse, simulate
+from tests.core.slam.simulated import Traverse, simulate
 
 FRAME = Pose.from_planar(SE2(300.0, -50.0, 2.0), 12.0)
 

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.slam.errors import trajectory_error, true_poses
 from gpgrad_core.slam.graph import odometry_poses
-from gpgrad_core.slam.truth import trajectory_error, true_poses
-from tests.core.slam.traverses import simulate
+from tests.core.slam.simulated import simulate
 
 
 def theirs(poses: dict[str, Pose]) -> trajectory.PosePath3D:

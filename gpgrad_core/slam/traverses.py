@@ -17,7 +17,7 @@ deviations of the odometry between them."""
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedGraph:
     """A graph whose traverses lie in one frame, as far as closures join them.
 
     Attributes:
@@ -92,11 +92,11 @@ def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
     traverses = {
         name: tuple(submap.id for submap in part) for name, part in zip(names, parts, strict=True)
     }
-    sensors = tuple(one.sensor(k) for one in outlines for k in range(len(one.clouds)))
+    sensors = tuple(outline.sensor(k) for outline in outlines for k in range(len(outline.clouds)))
     return JoinedDatasets(Outline(dataset, clouds, sensors), traverses, numbers)
 
 
-def place_traverses(graph: PoseGraph) -> Placed:
+def place_traverses(graph: PoseGraph) -> PlacedGraph:
     """Bring all traverses into the frame of the first, before the graph is solved.
 
     Each closure between two traverses tells how one frame lies in the other, but some closures are
@@ -121,7 +121,7 @@ def place_traverses(graph: PoseGraph) -> Placed:
         placed.add(candidate)
         waiting.remove(candidate)
     alone = tuple(traverses[k][0] for k in sorted(waiting))
-    return Placed(replace(graph, poses=poses), support, alone)
+    return PlacedGraph(replace(graph, poses=poses), support, alone)
 
 
 def _best_closure(

@@ -10,16 +10,16 @@ import pytest
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import TerrainParams, fit_terrain
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.slam.merge import (
+from gpgrad_core.slam.merged_map import (
     BLEND,
     Gathered,
     MergedMap,
     MergeParams,
+    TileStore,
     gather,
     merge_clouds,
     merge_maps,
 )
-from gpgrad_core.slam.tiling import TileStore
 from gpgrad_core.types import Submap
 from tests.core.ground import Ground
 
