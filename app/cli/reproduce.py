@@ -26,8 +26,8 @@ from app.cli.outputs import Overwrite
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import EvaluationParams, Protocol, check_directory
-from gpgrad_core.evaluation.protocol import as_in_paper
 from gpgrad_core.evaluation.reproduction import TITLES, Subject, check_method, study
+from gpgrad_core.evaluation.sections import as_in_paper
 from gpgrad_core.methods import METHODS, Method, find_method
 from gpgrad_core.outputs import check_apart
 from gpgrad_core.params.bounds import SEEDS
@@ -128,7 +128,7 @@ class Reproduce:
                         )
                 tell_damaged(store)
                 # Imported here because Matplotlib takes half a second to load.
-                from gpgrad_core.evaluation.reproduction.page import write_figures  # noqa: PLC0415
+                from gpgrad_core.evaluation.plots.paper import write_figures  # noqa: PLC0415
 
                 drawing = part(progress, OF_PAIRS, 1.0)
                 notes = write_figures(folder, subjects, numbers, self.command, drawing)

@@ -3,7 +3,6 @@
 from gpgrad_core.evaluation.bootstrap import Interval
 from gpgrad_core.evaluation.calibration import Calibration, calibrate, describe_calibration
 from gpgrad_core.evaluation.experiment import read_rivals, run_methods
-from gpgrad_core.evaluation.image_verdicts import describe_images
 from gpgrad_core.evaluation.judge import (
     Accepted,
     Evaluation,
@@ -23,14 +22,13 @@ from gpgrad_core.evaluation.precision_recall import (
     precision_recall,
     recall_at_full_precision,
 )
-from gpgrad_core.evaluation.problems import (
+from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
+from gpgrad_core.evaluation.registration_benchmark import (
     Problem,
     check_problems,
     describe_problems,
     read_problems,
 )
-from gpgrad_core.evaluation.protocol import Protocol, describe_protocol
-from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
 from gpgrad_core.evaluation.report import (
     Section,
     check_directory,
@@ -38,6 +36,7 @@ from gpgrad_core.evaluation.report import (
     write_report,
 )
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
+from gpgrad_core.evaluation.sections import Protocol, describe_images, describe_protocol
 
 __all__ = [
     "Accepted",

@@ -1,16 +1,16 @@
 """Judges detections by the true poses: the function `evaluate`."""
 
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import count
 from math import radians
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.bootstrap import Interval, Resamples, draw_weights, resample
+from gpgrad_core.evaluation.names import file_names
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.pose_error import (
     Bin,
@@ -51,6 +51,17 @@ class Summary:
 
     value: float
     interval: Interval | None = None
+
+    def text(self, *, sign: Literal["", "+"] = "") -> str:
+        """Write the figure, and its interval if there is one; with ``+`` a sign before each.
+
+        >>> Summary(0.5).text(), Summary(0.5, Interval(0.25, 0.75)).text(sign="+")
+        ('0.500', '+0.500 [+0.25, +0.75]')
+        """
+        if self.interval is None:
+            return f"{self.value:{sign}.3f}"
+        low, high = self.interval.low, self.interval.high
+        return f"{self.value:{sign}.3f} [{low:{sign}.2f}, {high:{sign}.2f}]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,17 +186,14 @@ class Evaluation:
     @property
     def file_names(self) -> tuple[str, ...]:
         """Names of the methods as parts of file names, all different."""
-        names: list[str] = []
-        for method in self.methods:
-            plain = re.sub(r"[^\w-]+", "_", method.name).strip("_") or "method"
-            name = next(one for one in _numbered(plain) if one not in names)
-            names.append(name)
-        return tuple(names)
+        return file_names((method.name for method in self.methods), "method")
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was left out or assumed, one line each."""
-        return self.pairs.notes + tuple(note for one in self.methods for note in one.ranking.notes)
+        return self.pairs.notes + tuple(
+            note for method in self.methods for note in method.ranking.notes
+        )
 
 
 def evaluate(
@@ -324,8 +332,3 @@ def _judge(
         by_overlap=break_down(rule.measured(pairs), OVERLAP_EDGES, touching, accepted, errors),
         by_yaw=break_down(np.abs(pairs.relative_yaw), YAW_EDGES, positive, accepted, errors),
     )
-
-
-def _numbered(name: str) -> Iterator[str]:
-    yield name
-    yield from (f"{name}_{k}" for k in count(2))

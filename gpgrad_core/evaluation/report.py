@@ -5,6 +5,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from math import degrees
 from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
 
@@ -13,12 +14,23 @@ import numpy as np
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict, RuleVerdict
 from gpgrad_core.evaluation.overlap import TruePairs
+from gpgrad_core.evaluation.pages import TEMPLATES, cell, render
 from gpgrad_core.evaluation.precision_recall import PrecisionRecall
 from gpgrad_core.evaluation.rules import Labels, Rule
-from gpgrad_core.evaluation.text import describe
 from gpgrad_core.outputs import ClosureReport, replacing, write_closures
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.version import VERSION
+
+SHOWN_INLIERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20)
+UNKNOWN = "n/a"
+CAPTIONS = {
+    "precision_recall_by_inliers": "Like the paper's Fig. 8: the threshold is n = 1 to 20 inliers.",
+    "precision_recall": "Precision over recall of all methods. A star marks what a method accepts.",
+    "precision_by_inliers": "Like the paper's Fig. 9: precision and recall against n.",
+    "affinity_": "The true overlap of all pairs, and the scores of a method.",
+    "loops_": "The loop closures of a method on the true traverse.",
+}
+"""Captions of figures by the beginning of their names; the first that fits is used."""
 
 
 @runtime_checkable
@@ -111,7 +123,7 @@ def write_report(
         InputError: If the folder cannot be made or written to.
     """
     # Imported here because Matplotlib takes half a second to load.
-    from gpgrad_core.evaluation.figures import draw_figures  # noqa: PLC0415
+    from gpgrad_core.evaluation.plots.report import draw_report  # noqa: PLC0415
 
     directory = check_directory(directory)
     directory.mkdir(exist_ok=True)
@@ -121,7 +133,7 @@ def write_report(
         if method.name in closures:
             written.append(directory / f"closures_{name}.json")
             write_closures(written[-1], closures[method.name])
-    figures: dict[str, Picture] = dict(draw_figures(evaluation))
+    figures: dict[str, Picture] = dict(draw_report(evaluation))
     for section in sections:
         figures.update(section.figures)
     for k, (name, figure) in enumerate(figures.items()):
@@ -129,9 +141,9 @@ def write_report(
         with replacing(written[-1]) as unfinished:
             figure.savefig(unfinished)
         progress((k + 1) / len(figures))
-    text = "\n".join([describe(evaluation, list(figures)), *(part.text for part in sections)])
+    text = describe(evaluation, list(figures), sections)
     with replacing(directory / "report.md") as unfinished:
-        unfinished.write_text(text.rstrip() + "\n", encoding="utf-8")
+        unfinished.write_text(text, encoding="utf-8")
     content = report_evaluation(evaluation)
     content |= {section.key: _plain(section.content) for section in sections}
     content["figures"] = [f"{name}.png" for name in figures]
@@ -141,6 +153,43 @@ def write_report(
             encoding="utf-8",
         )
     return (*written, directory / "report.md", directory / "report.json")
+
+
+def describe(
+    evaluation: Evaluation, figures: Sequence[str] = (), sections: Sequence[Section] = ()
+) -> str:
+    """Write the text of the report in Markdown.
+
+    Args:
+        evaluation: The results to report.
+        figures: Names of the pictures beside it, without their ending.
+        sections: Additional sections.
+    """
+    text = render(
+        TEMPLATES / "report.md",
+        evaluation=evaluation,
+        judged=[
+            (rule, labels, [(method.name, method.rules[k]) for method in evaluation.methods])
+            for k, (rule, labels) in enumerate(
+                zip(evaluation.rules, evaluation.labels, strict=True)
+            )
+        ],
+        figures=[(name, _caption(name)) for name in figures],
+        sections=sections,
+        shown_inliers=SHOWN_INLIERS,
+        version=VERSION,
+        cell=cell,
+        share=lambda value: f"{value:.2f}" if math.isfinite(value) else UNKNOWN,
+        percent=lambda share: UNKNOWN if share is None else f"{100 * share:.1f} %",
+        centimetres=lambda metres: UNKNOWN if metres is None else f"{100 * metres:.1f} cm",
+        turn=lambda radians: UNKNOWN if radians is None else f"{degrees(radians):.2f}°",
+        degrees=degrees,
+    )
+    return text.rstrip() + "\n"
+
+
+def _caption(name: str) -> str:
+    return next((text for start, text in CAPTIONS.items() if name.startswith(start)), name)
 
 
 def report_evaluation(evaluation: Evaluation) -> dict[str, Any]:
@@ -201,8 +250,8 @@ def _verdict(verdict: RuleVerdict) -> dict[str, Any]:
         "missed": verdict.missed,
         "near": verdict.near,
         "pose_error": asdict(verdict.pose_error),
-        "by_overlap": [asdict(one) for one in verdict.by_overlap],
-        "by_yaw": [asdict(one) for one in verdict.by_yaw],
+        "by_overlap": [asdict(pairs) for pairs in verdict.by_overlap],
+        "by_yaw": [asdict(pairs) for pairs in verdict.by_yaw],
         "ranked": None,
     }
     ranked = verdict.ranked
@@ -255,11 +304,11 @@ def _pairs(pairs: TruePairs, evaluation: Evaluation) -> list[dict[str, Any]]:
 def _plain(value: object) -> object:
     """Convert to what JSON has: numbers of nine digits, and null for those that are not finite."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in cast("Mapping[Any, object]", value).items()}
+        return {str(key): _plain(item) for key, item in cast("Mapping[Any, object]", value).items()}
     if isinstance(value, np.ndarray):
         return _plain(cast("object", value.tolist()))
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in cast("Sequence[object]", value)]
+        return [_plain(item) for item in cast("Sequence[object]", value)]
     if isinstance(value, np.generic):
         return _plain(cast("object", value.item()))
     if isinstance(value, float):

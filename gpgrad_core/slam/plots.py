@@ -10,7 +10,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from gpgrad_core.evaluation.figures.style import COLOURS, FALSE, new_figure
+from gpgrad_core.evaluation.plots.style import COLOURS, FALSE, colour_of, new_figure
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.errors import align_points, positions
 from gpgrad_core.slam.optimise import OptimisedGraph
@@ -47,7 +47,7 @@ def draw_trajectories(
     ):
         for number, names in enumerate(traverses):
             _draw_truth(panel, [name for name in names if name in true], true, result.poses)
-            _draw_path(panel, names, poses, COLOURS[number % len(COLOURS)])
+            _draw_path(panel, names, poses, colour_of(number))
         _draw_loops(panel, poses, result, shade)
         panel.set_title(title)
         panel.set_aspect("equal")

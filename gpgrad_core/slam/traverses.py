@@ -7,6 +7,7 @@ import numpy as np
 
 from gpgrad_core.datasets.folder import Outline, index_of
 from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation.names import different_names
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, PoseGraph
 from gpgrad_core.types import Dataset, Submap
@@ -66,7 +67,7 @@ def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
     """
     if not outlines:
         raise InputError("give one dataset or more")
-    names = _different([outline.dataset.name for outline in outlines])
+    names = different_names(outline.dataset.name for outline in outlines)
     alone = len(outlines) == 1
     parts = [
         tuple(
@@ -278,19 +279,3 @@ class _Odometry:
 
 def _length(motion: Pose) -> float:
     return float(np.linalg.norm(motion.translation))
-
-
-def _different(names: list[str]) -> list[str]:
-    """Make equal names different by adding a number.
-
-    >>> _different(["yard", "crater", "yard"])
-    ['yard', 'crater', 'yard-2']
-    """
-    given: list[str] = []
-    for name in names:
-        count, made = 1, name
-        while made in given:
-            count += 1
-            made = f"{name}-{count}"
-        given.append(made)
-    return given

@@ -12,7 +12,7 @@ import app.cli.evaluate
 from gpgrad_core.datasets import write_dataset
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
-from tests.core.evaluation.test_problems import found, write, yard
+from tests.core.evaluation.test_registration_benchmark import found, write, yard
 from tests.end_to_end.process import Run, run_here, run_on_terminal
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,7 +8,7 @@ import pytest
 import gpgrad_core as gg
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import Accepted, EvaluationParams, evaluate, report_evaluation
-from gpgrad_core.evaluation.text import describe
+from gpgrad_core.evaluation.report import describe
 from gpgrad_core.pipeline import DetectionResult
 from gpgrad_core.types import Dataset
 from tests.core.evaluation.conftest import record, report
@@ -160,4 +160,4 @@ def test_the_report_tells_right_motions_from_wrong_ones(
     told = report_evaluation(judged)["methods"][0]
     assert (told["accepted"], told["accepted_right"]) == (3, 2)
     assert (told["accepted_wrong_motion"], told["accepted_no_overlap"]) == (0, 1)
-    assert "| mine | 3 | 2 | 0 | 1 |" in describe(judged, [])
+    assert "| mine | 3 | 2 | 0 | 1 |" in describe(judged)

@@ -1,9 +1,9 @@
-"""How figures for a paper look: a column's width, small type, colours that all can tell."""
+"""How all plots look: the colours, those of a report, and those of a paper's columns."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypedDict
 
 import matplotlib as mpl
 import numpy as np
@@ -17,9 +17,14 @@ from matplotlib.image import AxesImage
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import Grid
 
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31")
+DASHES = ("-", "--", "-.", ":")
+TRUE, FALSE, GREY, MISSED = "#009E73", "#D7191C", "#E69F00", "#0072B2"
+RANDOM = "#777777"
+
 COLUMN, PAGE = 3.5, 7.16
 """Width of a column, and of both columns and the gap between them [inches]: IEEE's."""
-DPI = 300
+PRINTED_DPI = 300
 QUERY, DATABASE = "#d7191c", "#0072b2"
 """Red and blue, as in the paper; this blue and this red differ in brightness too."""
 INLIER, OUTLIER, REST = "#e69f00", "#56b4e9", "#bdbdbd"
@@ -49,6 +54,59 @@ RULES: dict[Any, Any] = {
 }
 
 
+class LineStyle(TypedDict):
+    """The style of one method's line."""
+
+    color: str
+    linestyle: str
+    linewidth: float
+
+
+def colour_of(number: int) -> str:
+    """Give each method or dataset a colour, again from the first when all are used up."""
+    return COLOURS[number % len(COLOURS)]
+
+
+def line_of(number: int) -> LineStyle:
+    """Give each method of a report a line, with other dashes when the colours are used up.
+
+    The first method's line is wider, so that it can be seen below another.
+    """
+    dashes = DASHES[number // len(COLOURS) % len(DASHES)]
+    width = 4.0 if number == 0 else 1.6
+    return {"color": colour_of(number), "linestyle": dashes, "linewidth": width}
+
+
+def printed_line_of(number: int) -> LineStyle:
+    """Give each method of a printed figure a line with its own dashes, as paper may be grey."""
+    width = 2.0 if number == 0 else 1.1
+    dashes = DASHES[number % len(DASHES)]
+    return {"color": colour_of(number), "linestyle": dashes, "linewidth": width}
+
+
+def new_figure(
+    width: float,
+    height: float,
+    title: str = "",
+    *,
+    layout: Literal["constrained", "compressed", "none"] = "constrained",
+) -> Figure:
+    """Make an empty figure that draws itself without a screen.
+
+    Args:
+        width: Width [inches of 110 pixels].
+        height: Height [inches of 110 pixels].
+        title: Title above all panels, if there is one.
+        layout: How the panels find their places. Compressed moves panels together that keep their
+            shape; with none, `add_panel` gives the places.
+    """
+    figure = Figure(figsize=(width, height), dpi=110, layout=layout)
+    FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title, fontsize=13)
+    return figure
+
+
 @contextmanager
 def in_print() -> Generator[None]:
     """Let figures that are drawn and saved in the block look the same on every machine."""
@@ -58,17 +116,10 @@ def in_print() -> Generator[None]:
         yield
 
 
-def new_figure(width: float, height: float, *, layout: bool = True) -> Figure:
-    """Make an empty figure, which needs no screen.
-
-    Args:
-        width: Width [inches].
-        height: Height [inches].
-        layout: Whether the panels find their places; otherwise `add_panel` gives them.
-    """
-    figure = Figure((width, height), layout="constrained" if layout else None, facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
+def save_printed(figure: Figure, path: Path) -> None:
+    """Save a figure as fine as print needs; the ending of the path chooses the format."""
+    metadata = {"Date": None} if path.suffix == ".svg" else None
+    figure.savefig(path, dpi=PRINTED_DPI, metadata=metadata)
 
 
 def add_panel(
@@ -91,12 +142,6 @@ def shape_of(*grids: Grid) -> float:
     return float(np.clip((sizes[:, 0] / sizes[:, 1]).max(), 0.4, 1.4))
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Save a figure; the ending of the path chooses the format."""
-    metadata = {"Date": None} if path.suffix == ".svg" else None
-    figure.savefig(path, dpi=DPI, metadata=metadata)
-
-
 def show_field(
     panel: Axes,
     grid: Grid,
@@ -105,11 +150,7 @@ def show_field(
 ) -> AxesImage:
     """Draw a field of a map in metres; ``options`` are those of `imshow`."""
     image = panel.imshow(
-        field,
-        origin="lower",
-        extent=extent_of(grid),
-        interpolation="nearest",
-        **options,
+        field, origin="lower", extent=extent_of(grid), interpolation="nearest", **options
     )
     in_metres(panel)
     return image
@@ -139,7 +180,11 @@ def add_bar(image: ScalarMappable, panel: Axes, label: str) -> None:
 
 
 def letter(k: int) -> str:
-    """Give the letter of a panel: (a), (b) …; after (z) comes (aa)."""
+    """Give the letter of a panel: (a), (b) …; after (z) comes (aa).
+
+    >>> letter(0), letter(25), letter(26)
+    ('(a)', '(z)', '(aa)')
+    """
     name = ""
     k += 1
     while k:

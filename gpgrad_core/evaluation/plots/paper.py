@@ -1,25 +1,38 @@
-"""The figures of the paper that can be made of datasets, each with its caption."""
+"""The figures of the paper that can be made of datasets, each with its caption, and their page."""
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from gpgrad_core.evaluation.reproduction.closure import draw_check, draw_session
-from gpgrad_core.evaluation.reproduction.curves import (
-    draw_precision_by_inliers,
-    draw_precision_recall,
-    inlier_curve,
-)
-from gpgrad_core.evaluation.reproduction.subject import Shown, Subject, poses_of
-from gpgrad_core.evaluation.reproduction.terrain import (
+from gpgrad_core.evaluation.names import file_names
+from gpgrad_core.evaluation.pages import TEMPLATES, render
+from gpgrad_core.evaluation.plots.curves import draw_figure_8, draw_figure_9, inlier_curve
+from gpgrad_core.evaluation.plots.style import in_print, save_printed
+from gpgrad_core.evaluation.plots.submaps import (
     aligning_poses,
-    draw_map,
-    draw_matching_maps,
+    draw_figure_1,
+    draw_figure_3,
+    draw_figure_4,
+    draw_figure_6,
+    draw_figure_10,
 )
-from gpgrad_core.evaluation.reproduction.tracks import draw_tracks
+from gpgrad_core.evaluation.reproduction import (
+    TITLES,
+    ShownPair,
+    ShownSubmap,
+    Subject,
+    poses_of,
+)
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.types import Dataset
+from gpgrad_core.version import VERSION
 
+PAGE = "index.html"
+PIXELS_AN_INCH = 110
+"""How large a figure is on a screen, by its size on paper."""
 NOT_MADE = (
     "Figs. 2 and 5 of the paper are a diagram and photographs. Its Fig. 7 judges single camera "
     "images, which submaps do not replace."
@@ -35,12 +48,68 @@ class PaperFigure:
         name: Name of its files, without the ending.
         caption: What it shows.
         draw: Draws it.
+        shown: What that is given.
     """
 
     number: int
     name: str
     caption: str
-    draw: Callable[[], Figure]
+    draw: Callable[..., Figure]
+    shown: tuple[object, ...]
+
+
+def write_figures(
+    directory: Path,
+    subjects: Sequence[Subject],
+    numbers: frozenset[int],
+    command: Callable[[frozenset[int]], str],
+    progress: Progress = silent,
+) -> tuple[str, ...]:
+    """Draw all figures that can be made, and write the page.
+
+    Args:
+        directory: An existing folder.
+        subjects: The datasets, each with what its figures need.
+        numbers: Numbers of the wanted figures in the paper.
+        command: Gives the command that makes the figures of these numbers.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        What is left out and why, one line each.
+    """
+    figures, notes = list_figures(subjects, numbers)
+    widths: dict[str, str] = {}
+    for k, figure in enumerate(figures):
+        with in_print():
+            drawn = figure.draw(*figure.shown)
+            for ending in (".png", ".svg"):
+                save_printed(drawn, directory / f"{figure.name}{ending}")
+        widths[figure.name] = f"{drawn.get_figwidth() * PIXELS_AN_INCH:.0f}"
+        progress((k + 1) / len(figures))
+    evaluations = [subject.evaluation for subject in subjects if subject.evaluation]
+    summaries = [
+        ranked.average_precision
+        for evaluation in evaluations
+        for method in evaluation.methods
+        if (ranked := method.rules[0].ranked) is not None
+    ]
+    page = render(
+        TEMPLATES / "reproduction.html",
+        title=f"The paper's figures from {', '.join(subject.dataset.name for subject in subjects)}",
+        method=subjects[0].method.name,
+        command=command(numbers),
+        notes=[*notes, NOT_MADE],
+        chapters=[
+            (number, TITLES[number], list(drawn), command(frozenset({number})))
+            for number, drawn in groupby(figures, key=_number)
+        ],
+        widths=widths,
+        evaluations=evaluations,
+        with_intervals=any(summary.interval is not None for summary in summaries),
+        version=VERSION,
+    )
+    (directory / PAGE).write_text(page, encoding="utf-8")
+    return tuple(notes)
 
 
 def list_figures(
@@ -57,39 +126,44 @@ def list_figures(
     """
     figures: list[PaperFigure] = []
     notes = [note for subject in subjects for note in subject.notes]
-    for subject, name in zip(subjects, _file_names(subjects), strict=True):
+    names = file_names((subject.dataset.name for subject in subjects), "dataset")
+    for subject, name in zip(subjects, names, strict=True):
         made = _figures_of(subject, name, numbers, notes)
         figures += [figure for figure in made if figure.number in numbers]
     figures += _figures_of_all(subjects, numbers, notes)
-    return sorted(figures, key=lambda figure: figure.number), notes
+    return sorted(figures, key=_number), notes
+
+
+def _number(figure: PaperFigure) -> int:
+    return figure.number
 
 
 def _figures_of(
     subject: Subject, name: str, numbers: frozenset[int], notes: list[str]
 ) -> list[PaperFigure]:
     """List the figures of one dataset, and note those that it cannot have."""
-    shown, dataset = subject.shown, subject.dataset
+    shown, pair, dataset = subject.shown, subject.pair, subject.dataset
     if shown is None:
         return []
     figures = [
-        PaperFigure(3, f"figure_3_{name}", _caption_of_map(subject, shown), lambda: draw_map(shown))
+        PaperFigure(3, f"figure_3_{name}", _caption_of_map(dataset, shown), draw_figure_3, (shown,))
     ]
-    if shown.closure is None:
+    if pair is None:
         if wanted := numbers & {1, 4, 10}:
             why = "one submap makes no pair" if len(dataset.submaps) < 2 else "no pair has a motion"
             notes.append(f"{dataset.name}: {_figs(wanted)} left out: {why}")
         return figures
-    assert shown.database is not None
-    pair = _caption_of_pair(subject, shown)
-    _, aligned = aligning_poses(dataset, shown)
+    verdict = _caption_of_pair(subject.method.name, pair)
+    _, aligned = aligning_poses(dataset, pair)
     figures += [
         PaperFigure(
             1,
             f"figure_1_{name}",
             f"{dataset.name}: (a) and (c) point clouds of two submaps, (b) and (d) their gradient "
             f"maps, (e) both clouds aligned by {aligned}, the query in red and the database "
-            f"submap in blue. {pair}",
-            lambda: draw_matching_maps(dataset, shown),
+            f"submap in blue. {verdict}",
+            draw_figure_1,
+            (dataset, pair),
         ),
         PaperFigure(
             4,
@@ -97,20 +171,23 @@ def _figures_of(
             f"{dataset.name}: the check of a loop closure. Top: the gradient maps of both submaps, "
             "with their variance in red and blue, which is full where the variance mask rejects "
             f"keypoints. Middle: the associations, and among them the inliers. Bottom: both maps "
-            f"aligned by the motion found, with both variances. {pair}",
-            lambda: draw_check(shown),
+            f"aligned by the motion found, with both variances. {verdict}",
+            draw_figure_4,
+            (pair,),
         ),
     ]
+    query, database = pair.query.submap.id, pair.database.submap.id
     poses, frame = poses_of(dataset)
-    if shown.query.id in poses and shown.database.id in poses:
+    if query in poses and database in poses:
         figures.append(
             PaperFigure(
                 10,
                 f"figure_10_{name}",
-                f"{dataset.name}: submaps {shown.query.id} (red) and {shown.database.id} (blue) "
+                f"{dataset.name}: submaps {query} (red) and {database} (blue) "
                 f"among all others (grey), aligned by {frame}. Numbers name the submaps, and a "
-                f"'+' marks the origin of each. {pair}",
-                lambda: draw_session(dataset, shown),
+                f"'+' marks the origin of each. {verdict}",
+                draw_figure_10,
+                (dataset, pair),
             )
         )
     elif 10 in numbers:
@@ -124,27 +201,27 @@ def _figures_of_all(
     """List the figures of several datasets, and note those that are not in them."""
     figures: list[PaperFigure] = []
     if 6 in numbers:
-        tracked = [one.dataset for one in subjects if poses_of(one.dataset)[0]]
+        tracked = [subject.dataset for subject in subjects if poses_of(subject.dataset)[0]]
         notes += [
-            f"{one.dataset.name}: not in Fig. 6: fewer than two submaps have a pose"
-            for one in subjects
-            if one.dataset not in tracked
+            f"{subject.dataset.name}: not in Fig. 6: fewer than two submaps have a pose"
+            for subject in subjects
+            if subject.dataset not in tracked
         ]
         if tracked:
-            frames = "; ".join(f"{one.name} by {poses_of(one)[1]}" for one in tracked)
+            frames = "; ".join(f"{dataset.name} by {poses_of(dataset)[1]}" for dataset in tracked)
             caption = (
                 "The tracks of the rover, through the origins of the submaps, coloured by their "
                 "order in time. A red circle marks the start and a red square the end. Positions: "
                 f"{frames}."
             )
-            figures.append(PaperFigure(6, "figure_6", caption, lambda: draw_tracks(tracked)))
-    judged = [one.evaluation for one in subjects if one.evaluation is not None]
+            figures.append(PaperFigure(6, "figure_6", caption, draw_figure_6, (tracked,)))
+    judged = [subject.evaluation for subject in subjects if subject.evaluation is not None]
     if curves := numbers & {8, 9}:
         notes += [
-            f"{one.dataset.name}: not in {_figs(curves)}: fewer than two submaps have a true pose "
-            "(poses_gt.txt)"
-            for one in subjects
-            if one.evaluation is None
+            f"{subject.dataset.name}: not in {_figs(curves)}: fewer than two submaps have a true "
+            "pose (poses_gt.txt)"
+            for subject in subjects
+            if subject.evaluation is None
         ]
     if not judged:
         return figures
@@ -157,10 +234,13 @@ def _figures_of_all(
             "as the paper does, n goes from 1 to 20 and every n has a dot; of the others, the "
             "threshold is each method's own score. The dotted line is a random classifier. "
             f"{rule}",
-            lambda: draw_precision_recall(judged),
+            draw_figure_8,
+            (judged,),
         )
     )
-    ranked = [one for one in judged if inlier_curve(one.methods[0]) is not None]
+    ranked = [
+        evaluation for evaluation in judged if inlier_curve(evaluation.methods[0]) is not None
+    ]
     if ranked:
         mean = "; the mean is over those of which a pair passes" if len(ranked) > 1 else ""
         figures.append(
@@ -170,7 +250,8 @@ def _figures_of_all(
                 f"Precision of {leading} on every dataset, as a function of the least number of "
                 f"inliers n{mean}. A line ends where no pair passes. {_first_full(subjects)} "
                 f"{rule}",
-                lambda: draw_precision_by_inliers(ranked),
+                draw_figure_9,
+                (ranked,),
             )
         )
     elif 9 in numbers:
@@ -191,29 +272,28 @@ def _first_full(subjects: Sequence[Subject]) -> str:
     return f"From n = {least} on, all pairs that pass are true."
 
 
-def _caption_of_map(subject: Subject, shown: Shown) -> str:
-    made = shown.query_map
+def _caption_of_map(dataset: Dataset, shown: ShownSubmap) -> str:
     return (
-        f"{subject.dataset.name}, submap {shown.query.id}: (a) and (d) the point cloud "
-        f"({shown.query.num_points:,} points) from two sides, (b) elevation and (c) its variance, "
+        f"{dataset.name}, submap {shown.submap.id}: (a) and (d) the point cloud "
+        f"({shown.submap.num_points:,} points) from two sides, (b) elevation and (c) its variance, "
         "Eqs. (2) and (3), (e) the slope along x, Eq. (4), and (f) the gradient map. Length-scale "
-        f"{made.length_scale:.3g} m, signal {made.signal_std:.3g} m, {made.grid.resolution:g} m "
-        "per pixel."
+        f"{shown.map.length_scale:.3g} m, signal {shown.map.signal_std:.3g} m, "
+        f"{shown.map.grid.resolution:g} m per pixel."
     )
 
 
-def _caption_of_pair(subject: Subject, shown: Shown) -> str:
+def _caption_of_pair(method: str, pair: ShownPair) -> str:
     """Say what was found of the pair, and whether that is right."""
-    assert shown.closure is not None
-    verdict = "accepts" if shown.closure.accepted else "refuses"
+    closure = pair.closure
+    verdict = "accepts" if closure.accepted else "refuses"
     truth = {
         None: "",
         True: " By the true poses this is right.",
         False: " By the true poses the pair or its motion is wrong.",
-    }[shown.right if shown.closure.accepted else None]
+    }[pair.right if closure.accepted else None]
     return (
-        f"The method {subject.method.name} {verdict} the pair {shown.closure.query_id}, "
-        f"{shown.closure.database_id}: {shown.closure.reason}.{truth}"
+        f"The method {method} {verdict} the pair {closure.query_id}, {closure.database_id}: "
+        f"{closure.reason}.{truth}"
     )
 
 
@@ -225,16 +305,3 @@ def _figs(numbers: frozenset[int] | set[int]) -> str:
     """
     *some, last = (str(number) for number in sorted(numbers))
     return f"Figs. {', '.join(some)} and {last}" if some else f"Fig. {last}"
-
-
-def _file_names(subjects: Sequence[Subject]) -> list[str]:
-    """Give the datasets' names as parts of file names, all different."""
-    names: list[str] = []
-    for subject in subjects:
-        plain = re.sub(r"[^\w-]+", "_", subject.dataset.name).strip("_") or "dataset"
-        name, k = plain, 1
-        while name in names:
-            k += 1
-            name = f"{plain}_{k}"
-        names.append(name)
-    return names

@@ -11,7 +11,7 @@ centroid c, of ``|p_found - p_true| / |p_true - c|``.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from gpgrad_core.datasets.cpet import pose_of_matrix
 from gpgrad_core.datasets.poses import parse_numbers
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation
+from gpgrad_core.evaluation.pages import TEMPLATES, cell, render
 from gpgrad_core.evaluation.report import Section
 from gpgrad_core.reading.text import lines_of, read_text
 from gpgrad_core.se2 import SE2, Pose
@@ -109,8 +110,8 @@ def check_problems(problems: Sequence[Problem], dataset: Dataset, path: Path) ->
     Raises:
         InputError: If no problem has both of its clouds there, with true poses.
     """
-    known = {submap.id for submap in dataset.submaps if submap.pose_true is not None}
-    if not any(one.source in known and one.target in known for one in problems):
+    placed = {submap.id for submap in dataset.submaps if submap.pose_true is not None}
+    if not any({problem.source, problem.target} <= placed for problem in problems):
         raise InputError(
             f"{path}: none of its {len(problems):,} problems has both clouds, such as "
             f"{problems[0].source} and {problems[0].target}, with true poses in {dataset.name}"
@@ -134,45 +135,47 @@ def describe_problems(
         path: The file of the problems, for the text.
     """
     submaps = {submap.id: submap for submap in dataset.submaps}
-    ids = evaluation.pairs.ids
-    rows = {
-        (ids[query], ids[database]): k
-        for k, (query, database) in enumerate(
-            zip(evaluation.pairs.query, evaluation.pairs.database, strict=True)
-        )
-    }
+    pairs = evaluation.pairs
     judged: list[_Judged] = []
-    for one in problems:
-        ahead = (one.source, one.target) in rows
-        both = (one.source, one.target) if ahead else (one.target, one.source)
-        if both not in rows:
+    for problem in problems:
+        row = pairs.rows.get(frozenset((problem.source, problem.target)))
+        if row is None:
             continue
-        source, target = submaps[one.source], submaps[one.target]
+        source, target = submaps[problem.source], submaps[problem.target]
+        ahead = pairs.ids[pairs.query[row]] == source.id
         solutions: dict[str, _Solution] = {}
         for method in evaluation.methods:
-            motion = method.ranking.T_database_query[rows[both]]
+            motion = method.ranking.T_database_query[row]
             if motion is not None and not ahead:
                 motion = motion.inverse()
             solutions[method.name] = _Solution(
-                accepted=bool(method.ranking.accepted[rows[both]]),
-                right=bool(method.errors.near[rows[both]]),
+                accepted=bool(method.ranking.accepted[row]),
+                right=bool(method.errors.near[row]),
                 error=None if motion is None else _error(source, target, motion),
             )
+        misplaced = _error_misplaced(source, problem.misplacement)
         judged.append(
-            _Judged(
-                one.id,
-                *(one.source, one.target, one.overlap),
-                _error_misplaced(source, one.misplacement),
-                solutions,
-            )
+            _Judged(problem.id, source.id, target.id, problem.overlap, misplaced, solutions)
         )
     content = {
         "file": path.name,
         "problems": len(problems),
         "held": len(judged),
-        "pairs": [asdict(one) for one in judged],
+        "pairs": [asdict(pair) for pair in judged],
     }
-    text = _text(judged, len(problems), path.name, evaluation)
+    text = render(
+        TEMPLATES / "registration_benchmark.md",
+        judged=judged,
+        num_problems=len(problems),
+        file=path.name,
+        params=evaluation.params,
+        methods={
+            method.name: [pair.methods[method.name] for pair in judged]
+            for method in evaluation.methods
+        },
+        median=_median,
+        cell=cell,
+    )
     return Section("registration_benchmark", content, text)
 
 
@@ -197,12 +200,12 @@ class _Judged:
     methods: dict[str, _Solution]
 
 
-def _error(source: Submap, target: Submap, found: SE2) -> float:
+def _error(source: Submap, target: Submap, motion: SE2) -> float:
     """Give the benchmark's error of a motion ``T_target_source`` in the plane."""
     assert source.pose_true is not None
     assert target.pose_true is not None
     true = source.pose_true.apply(source.points)
-    placed = (target.pose_true.planar @ found).apply(source.points[:, :2])
+    placed = (target.pose_true.planar @ motion).apply(source.points[:, :2])
     return _mean_ratio(np.linalg.norm(placed - true[:, :2], axis=1), true)
 
 
@@ -218,37 +221,9 @@ def _mean_ratio(distances: Float[Array, "n"], true: Float[Array, "n 3"]) -> floa
     return float(np.mean(distances / np.maximum(weights, 1e-9)))
 
 
-def _text(judged: Sequence[_Judged], num_problems: int, name: str, evaluation: Evaluation) -> str:
-    misplaced = _median([one.error_misplaced for one in judged])
-    lines = [
-        "## Registration benchmark",
-        "",
-        f"{len(judged)} of the {num_problems} problems of {name} have both clouds in this dataset. "
-        "The error is the benchmark's: the mean over the source's points of their distance from "
-        "the true place, divided by their distance from the centroid. It is that in the plane; "
-        "heights and tilt are taken as true. *Placed right* is within "
-        f"{evaluation.params.max_offset_error:g} m and {evaluation.params.max_turn_error:g}° of "
-        f"the true motion. The median error of the sources as the file misplaces them is "
-        f"{misplaced}.",
-        "",
-        "| method | problems | placed right | accepted | accepted and right | median error |",
-        "| --- | ---: | ---: | ---: | ---: | ---: |",
-    ]
-    lines += [_row(method.name, judged) for method in evaluation.methods]
-    return "\n".join([*lines, ""])
-
-
-def _row(method: str, judged: Sequence[_Judged]) -> str:
-    found = [one.methods[method] for one in judged]
-    right = sum(one.right for one in found)
-    accepted = sum(one.accepted for one in found)
-    both = sum(one.right and one.accepted for one in found)
-    error = _median([np.inf if one.error is None else one.error for one in found])
-    name = method.replace("|", "/")
-    return f"| {name} | {len(found)} | {right} | {accepted} | {both} | {error} |"
-
-
-def _median(values: Sequence[float]) -> str:
+def _median(errors: Iterable[float | None]) -> str:
+    """Write the median; no error, None, is above all others."""
+    values = [np.inf if error is None else error for error in errors]
     # The value above, because between a number and infinity there is no middle.
     middle = float(np.quantile(values, 0.5, method="higher"))
     return f"{middle:.3g}" if np.isfinite(middle) else "none found"

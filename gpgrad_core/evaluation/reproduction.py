@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.experiment import detect_kept
 from gpgrad_core.evaluation.judge import Evaluation, evaluate
@@ -19,8 +20,16 @@ from gpgrad_core.pipeline.all_pairs import SearchableDetector
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
-from gpgrad_core.se2 import Pose
-from gpgrad_core.types import Dataset, GradientMap, LoopClosure, Matches, Submap
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.types import (
+    Dataset,
+    Features,
+    GradientMap,
+    LoopClosure,
+    LoopDetector,
+    Matches,
+    Submap,
+)
 
 TITLES = {
     1: "Two submaps of one place, and their gradient maps",
@@ -39,28 +48,48 @@ DETAILS = frozenset({1, 3, 4, 10})
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """The pair that the figures show, or one submap if there is no pair.
+class ShownSubmap:
+    """A submap that a figure shows.
+
+    Attributes:
+        submap: The submap.
+        map: Its gradient map.
+        mask: The threshold of the variance mask, as in `GradientMap.trusted`.
+    """
+
+    submap: Submap
+    map: GradientMap
+    mask: float
+
+    def trusted_range(
+        self, values: Float[Array, "rows columns"], low: float, high: float
+    ) -> tuple[float, float]:
+        """Give percentiles of a field over the trusted cells, or over all if there are none."""
+        trusted = self.map.trusted(self.mask)
+        some = values[trusted] if trusted.any() else values.ravel()
+        first, last = np.percentile(some, [low, high])
+        return float(first), float(max(last, np.nextafter(first, np.inf)))
+
+
+@dataclass(frozen=True, eq=False)
+class ShownPair:
+    """The pair of submaps that the figures show.
 
     Attributes:
         query: The query submap.
-        query_map: Its gradient map.
-        mask: The threshold of the variance mask, as in `GradientMap.trusted`.
-        database: The database submap; None if there is no pair.
-        database_map: Its gradient map.
+        database: The database submap.
         matches: The associations of their keypoints.
         closure: The verdict on the pair.
+        motion: ``T_database_query``.
         right: Whether the true poses say that the pair is true and its motion right; None if they
             are not known.
     """
 
-    query: Submap
-    query_map: GradientMap
-    mask: float
-    database: Submap | None = None
-    database_map: GradientMap | None = None
-    matches: Matches | None = None
-    closure: LoopClosure | None = None
+    query: ShownSubmap
+    database: ShownSubmap
+    matches: Matches
+    closure: LoopClosure
+    motion: SE2
     right: bool | None = None
 
 
@@ -71,7 +100,9 @@ class Subject:
     Attributes:
         dataset: The dataset.
         method: The first method, whose maps are shown.
-        shown: The pair that is shown; None if no figure needs it.
+        shown: A submap that is shown, the query of the pair if there is one; None if no figure
+            needs it.
+        pair: The pair that is shown; None if no figure needs it, or if no pair has a motion.
         evaluation: The methods, judged by the true poses; None if these are not known, or if no
             figure needs it.
         notes: What was left out and why, one line each.
@@ -79,14 +110,10 @@ class Subject:
 
     dataset: Dataset
     method: Method
-    shown: Shown | None = None
+    shown: ShownSubmap | None = None
+    pair: ShownPair | None = None
     evaluation: Evaluation | None = None
     notes: tuple[str, ...] = ()
-
-
-def has_truth(dataset: Dataset) -> bool:
-    """Tell whether at least two submaps have a true pose."""
-    return sum(submap.pose_true is not None for submap in dataset.submaps) >= 2
 
 
 def poses_of(dataset: Dataset) -> tuple[dict[str, Pose], str]:
@@ -96,13 +123,15 @@ def poses_of(dataset: Dataset) -> tuple[dict[str, Pose], str]:
         The true poses by id if there are two or more, or else those of odometry, or none; and
         their name.
     """
-    true = {one.id: one.pose_true for one in dataset.submaps if one.pose_true is not None}
-    if len(true) >= 2:
-        return true, "true poses"
-    odometry = {
-        one.id: one.pose_odometry for one in dataset.submaps if one.pose_odometry is not None
-    }
-    return (odometry, "odometry") if len(odometry) >= 2 else ({}, "")
+    submaps = dataset.submaps
+    for name, poses in (
+        ("true poses", {submap.id: submap.pose_true for submap in submaps}),
+        ("odometry", {submap.id: submap.pose_odometry for submap in submaps}),
+    ):
+        measured = {submap: pose for submap, pose in poses.items() if pose is not None}
+        if len(measured) >= 2:
+            return measured, name
+    return {}, ""
 
 
 def check_method(method: Method) -> None:
@@ -111,16 +140,12 @@ def check_method(method: Method) -> None:
     Raises:
         InputError: If it has none.
     """
-    if not _has_maps(method):
+    detector = method.detector(method.ready(PipelineParams()), Memo())
+    if not isinstance(detector, SearchableDetector):
         raise InputError(
             f"--method {method.name}: has no gradient maps, and the first method must have them; "
             "name paper, gradient, elevation or smoothed first"
         )
-
-
-def _has_maps(method: Method) -> bool:
-    detector = method.detector(method.ready(PipelineParams()), Memo())
-    return isinstance(detector, SearchableDetector)
 
 
 def study(
@@ -154,7 +179,7 @@ def study(
     if not numbers & VERDICTS:
         progress(1.0)
         return Subject(dataset, leading)
-    judged = has_truth(dataset)
+    judged = sum(submap.pose_true is not None for submap in dataset.submaps) >= 2
     wanted = [leading, *(others if judged and 8 in numbers else ())]
     fits, notes = Memo(store=store), list[str]()
     results: dict[str, DetectionResult] = {}
@@ -183,12 +208,17 @@ def study(
             seed=params.registration.seed,
         )
         notes += [f"{dataset.name}: {note}" for note in evaluation.pairs.notes]
-    shown = None
+    shown = pair = None
     if numbers & DETAILS:
         closure = choose(dataset, results[leading.name].closures, evaluation)
-        shown = _show(dataset, leading, settled, closure, evaluation, store)
+        detector = leading.detector(settled, Memo(store=store))
+        if closure is None:
+            shown, _ = _show(dataset.submaps[0], detector, settled)
+        else:
+            pair = _show_pair(dataset, closure, evaluation, detector, settled)
+            shown = pair.query
     progress(1.0)
-    return Subject(dataset, leading, shown, evaluation, tuple(notes))
+    return Subject(dataset, leading, shown, pair, evaluation, tuple(notes))
 
 
 def choose(
@@ -207,16 +237,15 @@ def choose(
     place = {submap.id: k for k, submap in enumerate(dataset.submaps)}
 
     def worth(closure: LoopClosure) -> tuple[object, ...]:
-        found = closure.registration
         return (
             is_right(closure, evaluation) or False,
             closure.accepted,
             place[closure.query_id] - place[closure.database_id] > 1,
-            found.num_inliers,
-            found.score,
+            closure.registration.num_inliers,
+            closure.registration.score,
         )
 
-    moved = [one for one in closures if one.registration.T_database_query is not None]
+    moved = [closure for closure in closures if closure.registration.T_database_query is not None]
     return max(moved, key=worth, default=None)  # of equals, the first
 
 
@@ -232,40 +261,32 @@ def is_right(closure: LoopClosure, evaluation: Evaluation | None) -> bool | None
     return bool(overlap > evaluation.rules[0].threshold and near)
 
 
-def _show(
+def _show_pair(
     dataset: Dataset,
-    method: Method,
-    params: PipelineParams,
-    closure: LoopClosure | None,
+    closure: LoopClosure,
     evaluation: Evaluation | None,
-    store: Store | None,
-) -> Shown:
-    detector = method.detector(params, Memo(store=store))
-    assert isinstance(detector, SearchableDetector)
-    mask = params.features.max_std_ratio
-    if closure is None:
-        submap = dataset.submaps[0]
-        return Shown(submap, _map_of(detector.infer(submap)), mask)
-    query, database = dataset.submap(closure.query_id), dataset.submap(closure.database_id)
-    inferred = [detector.infer(submap) for submap in (query, database)]
-    keypoints = [detector.keypoints(detector.extract(one)) for one in inferred]
-    query_map, database_map = map(_map_of, inferred)
-    matches = match_features(keypoints[0], keypoints[1], params.matching)
-    assert len(matches) == len(closure.registration.inliers)
+    detector: LoopDetector,
+    params: PipelineParams,
+) -> ShownPair:
+    (query, query_features), (database, database_features) = (
+        _show(dataset.submap(name), detector, params)
+        for name in (closure.query_id, closure.database_id)
+    )
+    matches = match_features(query_features, database_features, params.matching)
+    registration = closure.registration
+    assert len(matches) == len(registration.inliers)
+    assert registration.T_database_query is not None  # of a pair that was chosen
     right = is_right(closure, evaluation)
-    return Shown(query, query_map, mask, database, database_map, matches, closure, right)
+    return ShownPair(query, database, matches, closure, registration.T_database_query, right)
 
 
-def _map_of(inferred: Any) -> GradientMap:
-    """Give the gradient map of what a detector infers: the map alone, or more with it."""
-    return inferred if isinstance(inferred, GradientMap) else inferred.gradient_map
-
-
-def trusted_range(
-    gradient_map: GradientMap, values: np.ndarray, mask: float, low: float, high: float
-) -> tuple[float, float]:
-    """Give percentiles of a field over the trusted cells, or over all if there are none."""
-    trusted = gradient_map.trusted(mask)
-    some = values[trusted] if trusted.any() else values.ravel()
-    first, last = np.percentile(some, [low, high])
-    return float(first), float(max(last, np.nextafter(first, np.inf)))
+def _show(
+    submap: Submap, detector: LoopDetector, params: PipelineParams
+) -> tuple[ShownSubmap, Features]:
+    """Make a submap's map again, from the store, and give its keypoints too."""
+    assert isinstance(detector, SearchableDetector)
+    inferred = detector.infer(submap)
+    # The map alone, or more with it.
+    made = inferred if isinstance(inferred, GradientMap) else inferred.gradient_map
+    shown = ShownSubmap(submap, made, params.features.max_std_ratio)
+    return shown, detector.keypoints(detector.extract(inferred))

@@ -1,17 +1,18 @@
-"""The paper's protocol (Secs. VI and VII) beside ours, as a section of the report."""
+"""Sections of the report: the paper's protocol (Secs. VI, VII) beside ours, and what images say."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from gpgrad_core.evaluation.judge import Evaluation, evaluate
+from gpgrad_core.evaluation.pages import TEMPLATES, cell, render
 from gpgrad_core.evaluation.report import Section
 from gpgrad_core.evaluation.rules import EvaluationParams
 from gpgrad_core.outputs import ClosureReport
 from gpgrad_core.pipeline import DetectionResult
-from gpgrad_core.types import Dataset
+from gpgrad_core.types import Dataset, ImageSays
 
 Protocol = Literal["gpgrad", "paper"]
 
@@ -19,25 +20,6 @@ MIN_OVERLAPS = (0.3, 0.1)
 """Smallest overlap of a true pair in the paper: on Etna, and in Morocco (Sec. VII-A)."""
 SURE_INLIERS = 5
 """From so many inliers on, all pairs of the paper were right (Sec. VII-C)."""
-
-INTRODUCTION = """\
-## The paper's protocol
-
-In the paper, every pair of submaps is judged, neighbours too. A pair is true if the boxes'
-intersection over union is above 0.3 (Etna) or 0.1 (Morocco), and every other pair is false.
-Nothing is left out: that two submaps overlap a little counts as false. Pairs are ranked by their
-number of inliers *n* alone. Our protocol leaves out neighbours and pairs that overlap too little to
-be true, and its rules are those above. The table has both, ranked by *n*.
-
-- **right from n**: the smallest *n* from which no pair is false; *none* if there is no such *n*.
-- **false from 5**: the paper found that all pairs with *n* of five or more are right. This is how
-  many are false here; of these, *placed right* are within {offset:g} m and {turn:g}° of the true
-  motion, so that only their overlap is too small.
-
-| protocol | method | true | false | left out | AP by n | R100 by n | right from n | n >= 4: P (R) \
-| n >= 5: P (R) | false from 5 | placed right |
-| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
-"""
 
 
 @dataclass(frozen=True)
@@ -103,10 +85,7 @@ def describe_protocol(
         rows += _rows(judged, f"paper's, {judged.rules[0].name}", 0)
     for k, rule in enumerate(evaluation.rules):
         rows += _rows(evaluation, f"ours, {rule.name}", k)
-    introduction = INTRODUCTION.format(
-        offset=evaluation.params.max_offset_error, turn=evaluation.params.max_turn_error
-    )
-    text = introduction + "".join(f"{_line(row)}\n" for row in rows)
+    text = render(TEMPLATES / "protocols.md", rows=rows, params=evaluation.params, cell=cell)
     return Section("protocols", {"by_inliers": [asdict(row) for row in rows]}, text)
 
 
@@ -137,29 +116,30 @@ def _rows(evaluation: Evaluation, protocol: str, rule: int) -> list[ByInliers]:
     return rows
 
 
-def _line(row: ByInliers) -> str:
-    cells = (
-        row.protocol,
-        row.method.replace("|", "/"),
-        row.true,
-        row.false,
-        row.left_out,
-        _share(row.average_precision),
-        _share(row.recall_at_full_precision),
-        "none" if row.right_from is None else row.right_from,
-        _precision(row.found_from_4, row.true),
-        _precision(row.found_from_5, row.true),
-        row.found_from_5[1],
-        row.false_placed_right,
-    )
-    return f"| {' | '.join(map(str, cells))} |"
+def describe_images(
+    reports: Mapping[str, ClosureReport], evaluation: Evaluation
+) -> tuple[Section, ...]:
+    """Count by the truth what camera images say of the pairs that the terrain accepted.
 
+    Args:
+        reports: What each method found, by its name.
+        evaluation: How it was judged; its first rule says which pairs are true.
 
-def _share(value: float | None) -> str:
-    return "n/a" if value is None else f"{value:.3f}"
-
-
-def _precision(found: tuple[int, int], true: int) -> str:
-    if true == 0 or sum(found) == 0:
-        return "n/a"
-    return f"{found[0] / sum(found):.2f} ({found[0] / true:.2f})"
+    Returns:
+        The section; none if no method asked images.
+    """
+    labels = evaluation.labels[0]
+    content: dict[str, dict[str, dict[str, int]]] = {}
+    for name, report in reports.items():
+        counts = {word: {"true": 0, "false": 0, "left_out": 0} for word in get_args(ImageSays)}
+        for pair in report.pairs:
+            row = evaluation.pairs.rows.get(frozenset((pair.query, pair.database)))
+            if pair.images is not None and row is not None:
+                true, false = labels.positive[row], labels.negative[row]
+                truth = "true" if true else "false" if false else "left_out"
+                counts[pair.images.verdict][truth] += 1
+                content[name] = counts
+    if not content:
+        return ()
+    text = render(TEMPLATES / "images.md", methods=content, rule=evaluation.rules[0], cell=cell)
+    return (Section("images", content, text),)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.evaluation import evaluate, measure_pairs, read_problems
-from gpgrad_core.evaluation.problems import check_problems, describe_problems
+from gpgrad_core.evaluation.registration_benchmark import check_problems, describe_problems
 from gpgrad_core.outputs import ClosureReport, PairRecord
 from gpgrad_core.pipeline import detect_loop_closures
 from gpgrad_core.se2 import SE2, Pose
