@@ -8,7 +8,7 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given
-from app.cli.outputs import Overwrite
+from app.cli.inputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
 from app.ending import reason_of
 from gpgrad_core.outputs import check_apart

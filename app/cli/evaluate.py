@@ -1,7 +1,7 @@
 """``gpgrad evaluate``: judge methods by the true poses."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -15,13 +15,14 @@ from app.cli.inputs import (
     AllParams,
     Cache,
     CandidatesFlag,
+    Overwrite,
     ParamsFile,
-    base_params,
+    SeedFlag,
+    asked_params,
     load,
     open_store,
     tell_damaged,
 )
-from app.cli.outputs import Overwrite
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.evaluation import (
     Evaluation,
@@ -92,11 +93,7 @@ class Evaluate:
         ),
         tyro.conf.arg(metavar="FILE.txt", help_behavior_hint="(default: all pairs)"),
     ] = None
-    seed: Annotated[
-        int | None,
-        Doc("Seed of all random choices."),
-        tyro.conf.arg(help_behavior_hint="(default: the registration's seed)"),
-    ] = None
+    seed: SeedFlag = None
     candidates: CandidatesFlag = "automatic"
     protocol: Annotated[
         Protocol,
@@ -129,12 +126,14 @@ class Evaluate:
         problems = () if self.pairs is None else read_problems(self.pairs)
         store = open_store(self.cache)
         dataset = load(self.dataset)
-        params = self.pipeline.over(base_params(dataset, self.params))
-        if self.seed is not None:
-            params = replace(params, registration=replace(params.registration, seed=self.seed))
+        params = asked_params(dataset, self.params, self.pipeline, self.seed)
         if self.pairs is not None:
             check_problems(problems, dataset, self.pairs)
-        only = None if self.pairs is None else {(one.source, one.target) for one in problems}
+        only = (
+            None
+            if self.pairs is None
+            else {(problem.source, problem.target) for problem in problems}
+        )
         pairs = measure_pairs(dataset, only=only)
         for name, report in rivals.items():
             rank_pairs(report, dataset, pairs, name)  # refuses a wrong file before the work

@@ -9,8 +9,15 @@ import numpy as np
 import tyro
 from typing_extensions import Doc
 
-from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, base_params, load
-from app.cli.outputs import Overwrite
+from app.cli.inputs import (
+    ALL_PARAMS,
+    AllParams,
+    DatasetPath,
+    Overwrite,
+    ParamsFile,
+    asked_params,
+    load,
+)
 from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import check_vacant, write_dataset
 from gpgrad_core.datasets.dem import read_elevation_model
@@ -119,7 +126,7 @@ class Locate:
                 submaps,
                 windows,
                 cell,
-                self.pipeline.over(base_params(dataset, self.params)),
+                asked_params(dataset, self.params, self.pipeline),
                 self.map_noise,
                 progress,
             )

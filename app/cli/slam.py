@@ -5,20 +5,13 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 from typing_extensions import Doc
 
-from app.cli.comparing import (
-    SchedulerFlag,
-    compare,
-    kept_in_memory,
-    shared,
-    workers_for,
-)
+from app.cli.comparing import SchedulerFlag, compare
 from app.cli.coordinates import CrsFlag, OriginFlag, georeference_of
 from app.cli.flags import Given
 from app.cli.inputs import (
@@ -27,14 +20,13 @@ from app.cli.inputs import (
     AllParams,
     Cache,
     CandidatesFlag,
+    Overwrite,
     ParamsFile,
-    base_params,
-    load_sources,
+    asked_params,
     open_store,
     settled,
     tell_damaged,
 )
-from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
 from app.recordings import built_first
 from gpgrad_core.datasets import outline_dataset
@@ -53,15 +45,13 @@ from gpgrad_core.outputs import (
 from gpgrad_core.pipeline import (
     DetectionResult,
     PipelineParams,
-    at_least_for_now,
-    check_affordable,
 )
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.run.whole import whole_folder
-from gpgrad_core.shortlist import Candidates, num_wanted, read_candidates
+from gpgrad_core.shortlist import Candidates, read_candidates
 from gpgrad_core.slam import (
     GraphParams,
     JoinedDatasets,
@@ -159,7 +149,7 @@ class Slam:
         given = None if report is None else restore_closures(report)
         check_solver()
         georeference = georeference_of(self.origin, self.crs, dataset.origin)
-        params = self.pipeline.over(base_params(dataset, self.params))
+        params = asked_params(dataset, self.params, self.pipeline)
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
         some = [joined.load(k)[0] for k in representative(len(dataset.submaps))]
         params = settled(params, some, dataset.name, Memo(store=store))
@@ -171,7 +161,15 @@ class Slam:
                     warn(note)
                 closures = given
             elif self.search_radius is None:
-                closures = self._compare(joined, params, folder, candidates, store)
+                closures = compare(
+                    joined.outline,
+                    params,
+                    folder / "closures.json",
+                    method=find_method("gradient"),
+                    store=store,
+                    candidates=candidates,
+                    scheduler=self.scheduler,
+                ).accepted
             else:
                 closures = self._detect(joined, params, graph, solver, folder, candidates, store)
             tell_damaged(store)
@@ -224,37 +222,6 @@ class Slam:
         check_apart(
             [self.out / name for name in names], [*self.datasets, self.closures, self.params]
         )
-
-    def _compare(
-        self,
-        joined: JoinedDatasets,
-        params: PipelineParams,
-        folder: Path,
-        candidates: Candidates,
-        store: Store | None,
-    ) -> tuple[LoopClosure, ...]:
-        """Find the closures as `gpgrad detect` does, and write them beside the results."""
-        count_all = len(joined.outline.clouds)
-        num_pairs = sum(num_wanted(candidates, k) for k in range(count_all))
-        with (
-            at_least_for_now(store, count_all) as room,
-            workers_for(self.scheduler, num_pairs) as executor,
-        ):
-            kept = shared(room, executor, joined.outline)
-            check = partial(check_affordable, params=params)
-            dataset, sources = load_sources(
-                joined.outline, check, most_bytes=kept_in_memory(kept, executor)
-            )
-            return compare(
-                dataset,
-                sources,
-                params,
-                folder / "closures.json",
-                method=find_method("gradient"),
-                store=kept,
-                candidates=candidates,
-                executor=executor,
-            ).accepted
 
     def _detect(
         self,

@@ -277,7 +277,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for place in (
         *("gpgrad_core.datasets.simulate.run_jobs", "app.cli.comparing.detect_loop_closures"),
-        *("app.cli.detect.settled", "app.cli.evaluate.run_methods", "app.cli.slam.settled"),
+        *("app.cli.comparing.settled", "app.cli.evaluate.run_methods", "app.cli.slam.settled"),
         "app.cli.reproduce.study",
         *("app.cli.fit.fit_parameters", "app.cli.map.infer_gradient_map"),
         *("gpgrad_core.scans.simulate.make_terrain", "gpgrad_core.scans.build.open_recording"),
