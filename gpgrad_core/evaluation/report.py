@@ -179,13 +179,29 @@ def describe(
         shown_inliers=SHOWN_INLIERS,
         version=VERSION,
         cell=cell,
-        share=lambda value: f"{value:.2f}" if math.isfinite(value) else UNKNOWN,
-        percent=lambda share: UNKNOWN if share is None else f"{100 * share:.1f} %",
-        centimetres=lambda metres: UNKNOWN if metres is None else f"{100 * metres:.1f} cm",
-        turn=lambda radians: UNKNOWN if radians is None else f"{degrees(radians):.2f}°",
+        share=_share,
+        percent=_percent,
+        centimetres=_centimetres,
+        turn=_turn,
         degrees=degrees,
     )
     return text.rstrip() + "\n"
+
+
+def _share(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else UNKNOWN
+
+
+def _percent(share: float | None) -> str:
+    return UNKNOWN if share is None else f"{100 * share:.1f} %"
+
+
+def _centimetres(metres: float | None) -> str:
+    return UNKNOWN if metres is None else f"{100 * metres:.1f} cm"
+
+
+def _turn(radians: float | None) -> str:
+    return UNKNOWN if radians is None else f"{degrees(radians):.2f}°"
 
 
 def _caption(name: str) -> str:

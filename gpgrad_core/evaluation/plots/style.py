@@ -18,7 +18,7 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import Grid
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31")
-DASHES = ("-", "--", "-.", ":")
+DASHES: tuple[Literal["-", "--", "-.", ":"], ...] = ("-", "--", "-.", ":")
 TRUE, FALSE, GREY, MISSED = "#009E73", "#D7191C", "#E69F00", "#0072B2"
 RANDOM = "#777777"
 
@@ -58,7 +58,7 @@ class LineStyle(TypedDict):
     """The style of one method's line."""
 
     color: str
-    linestyle: str
+    linestyle: Literal["-", "--", "-.", ":"]
     linewidth: float
 
 
@@ -89,7 +89,7 @@ def new_figure(
     height: float,
     title: str = "",
     *,
-    layout: Literal["constrained", "compressed", "none"] = "constrained",
+    layout: Literal["constrained", "compressed"] | None = "constrained",
 ) -> Figure:
     """Make an empty figure that draws itself without a screen.
 
@@ -98,7 +98,7 @@ def new_figure(
         height: Height [inches of 110 pixels].
         title: Title above all panels, if there is one.
         layout: How the panels find their places. Compressed moves panels together that keep their
-            shape; with none, `add_panel` gives the places.
+            shape; with None, `add_panel` gives the places.
     """
     figure = Figure(figsize=(width, height), dpi=110, layout=layout)
     FigureCanvasAgg(figure)

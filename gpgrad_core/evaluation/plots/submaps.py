@@ -61,7 +61,7 @@ def draw_figure_1(dataset: Dataset, pair: ShownPair) -> Figure:
     """Draw the clouds of a loop closure, their gradient maps, and both clouds aligned: Fig. 1."""
     width, room = 1.3, 2.0  # of a panel of the left, and of the panel on the right
     height = width * shape_of(pair.query.map.grid, pair.database.map.grid)
-    figure = new_figure(PAGE, 2 * height + 1.15, layout="none")
+    figure = new_figure(PAGE, 2 * height + 1.15, layout=None)
     high = _steepest(pair)
     for row, (letters, role, shown) in enumerate(
         (("ab", "query", pair.query), ("cd", "database", pair.database))
@@ -95,7 +95,7 @@ def draw_figure_3(shown: ShownSubmap) -> Figure:
     """Draw a cloud from two sides, and its map: elevation, variance, slope and gradient: Fig. 3."""
     made, width = shown.map, 1.45
     height = width * shape_of(made.grid)
-    figure = new_figure(PAGE, 2 * height + 0.95, layout="none")
+    figure = new_figure(PAGE, 2 * height + 0.95, layout=None)
     for row, (view, title) in enumerate(
         zip(VIEWS, ("(a) the cloud from one side", "(d) from the other side"), strict=True)
     ):
@@ -152,7 +152,7 @@ def draw_figure_4(pair: ShownPair) -> Figure:
         (COLUMN - 0.1) * shape_of(_joined(query.grid, beside)),
         wide * shape_of(grid),
     )
-    figure = new_figure(COLUMN, sum(heights) + 1.75, layout="none")
+    figure = new_figure(COLUMN, sum(heights) + 1.75, layout=None)
     for role, shown, left, colour in (
         ("query", pair.query, 0.4, QUERY),
         ("database", pair.database, COLUMN - 0.05 - narrow, DATABASE),
