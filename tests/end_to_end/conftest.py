@@ -1,16 +1,9 @@
-"""A small traverse on disk, and the command as a process."""
+"""A small traverse on disk."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-from tests.end_to_end.process import Run, run_gpgrad
-
-
-@pytest.fixture(scope="session")
-def gpgrad() -> Run:
-    return run_gpgrad
 
 
 def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from gpgrad_core.run.whole import JUST_MADE, TemporaryFolder
 from gpgrad_core.scans import simulate_recording
 from tests.core.scans.test_build import contents
 from tests.end_to_end.conftest import POSES
-from tests.end_to_end.process import ROOT, environment, interruptible, run_here, start
+from tests.end_to_end.process import ROOT, environment, gpgrad, interruptible, start
 
 TINY = ("--num-submaps", "2", "--spacing", "1", "--extent", "16", "--max-range", "3")
 linux = pytest.mark.skipif(sys.platform != "linux", reason="looks at signals and /proc")
@@ -54,7 +54,7 @@ def test_simulate_scans_leaves_no_part_of_a_recording(tmp_path: Path, kill: int)
         _, said = process.communicate(timeout=60)
     if kill == signal.SIGKILL:
         assert names(tmp_path) == [".drive.part"]
-        refused = run_here("build", unfinished, "--out", tmp_path / "data").refusal
+        refused = gpgrad("build", unfinished, "--out", tmp_path / "data").refusal
         assert "is a recording that is not finished" in refused
         assert run(["simulate", str(out), "--scans", "3", *TINY]) == 0
         assert names(tmp_path) == ["drive"]  # what was left is gone
@@ -261,7 +261,7 @@ def test_slam_replaces_only_what_it_is_told_to(
 def test_an_incomplete_copy_of_a_recording_is_refused(tmp_path: Path) -> None:
     assert run(["simulate", str(tmp_path / "drive"), "--scans", "5", *TINY]) == 0
     next((tmp_path / "drive" / "scans").iterdir()).unlink()
-    refused = run_here("build", tmp_path / "drive", "--out", tmp_path / "data").refusal
+    refused = gpgrad("build", tmp_path / "drive", "--out", tmp_path / "data").refusal
     assert "times.txt: holds 5 times for 4 scans; the recording is not complete" in refused
 
 
@@ -290,17 +290,17 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_simulate_refuses_at_once(tmp_path: Path, flags: tuple[str, ...]) -> None:
     """It worked for 50 seconds first."""
     (tmp_path / "mine.txt").touch()
-    assert "is not empty" in run_here("simulate", tmp_path, *flags).refusal
+    assert "is not empty" in gpgrad("simulate", tmp_path, *flags).refusal
     taken = tmp_path / "mine.txt"
-    assert "is a file" in run_here("simulate", taken, *flags).refusal
+    assert "is a file" in gpgrad("simulate", taken, *flags).refusal
 
 
 def test_a_route_that_fits_nowhere_is_told_so(tmp_path: Path) -> None:
     """It asked for an extent of 402 m, where 240 m is the most allowed."""
     flags = ("--route", "winding", "--num-submaps", "200")
-    line = run_here("simulate", tmp_path / "data", *flags).refusal
+    line = gpgrad("simulate", tmp_path / "data", *flags).refusal
     assert "need an extent of 402 m, more than the 240 m allowed; lower num_submaps" in line
-    line = run_here("simulate", tmp_path / "data", "--route", "winding").refusal
+    line = gpgrad("simulate", tmp_path / "data", "--route", "winding").refusal
     assert "extent must be 62 m or more for 24 submaps" in line
 
 
@@ -334,7 +334,7 @@ def test_what_can_be_known_is_refused_before_the_work(
     for name in there:
         (tmp_path / name).write_text("old")
     places = {"data": traverse, "tmp": tmp_path}
-    line = run_here(*(argument.format(**places) for argument in arguments)).refusal
+    line = gpgrad(*(argument.format(**places) for argument in arguments)).refusal
     assert said in line
     assert names(tmp_path) == there
 
@@ -388,7 +388,7 @@ def test_an_output_never_replaces_an_input(data: Path, tmp_path: Path, arguments
     (tmp_path / "x.ply").write_bytes(b"ply")
     (tmp_path / "report.json").write_text("{}")
     before = contents(tmp_path)
-    line = run_here(*arguments.format(data=data, tmp=tmp_path).split()).refusal
+    line = gpgrad(*arguments.format(data=data, tmp=tmp_path).split()).refusal
     assert "input" in line
     assert contents(tmp_path) == before
 
@@ -425,7 +425,7 @@ def test_nothing_else_is_ever_replaced(tmp_path: Path, there: str) -> None:
     out = tmp_path / "data"
     out.mkdir()
     (out / there).mkdir()
-    line = run_here("simulate", out, "--overwrite", *TINY).refusal
+    line = gpgrad("simulate", out, "--overwrite", *TINY).refusal
     assert ("holds mine.txt" if there == "mine.txt" else "gpgrad did not make") in line
     assert names(out) == [there]
 
@@ -436,7 +436,7 @@ def test_build_replaces_what_was_built(tmp_path: Path) -> None:
     arguments = ["build", str(tmp_path / "drive"), "--out", str(tmp_path / "data")]
     assert run(arguments) == 0
     before = contents(tmp_path / "data")
-    assert "is not empty" in run_here(*arguments).refusal
+    assert "is not empty" in gpgrad(*arguments).refusal
     assert run([*arguments, "--overwrite", "--voxel-size", "0.2"]) == 0
     assert contents(tmp_path / "data") != before
     assert names(tmp_path) == ["data", "drive"]

@@ -13,7 +13,7 @@ from gpgrad_core.datasets import write_dataset
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
 from tests.core.evaluation.test_registration_benchmark import found, write, yard
-from tests.end_to_end.process import Run, run_here, run_on_terminal
+from tests.end_to_end.process import gpgrad, run_on_terminal
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -28,7 +28,7 @@ def known(traverse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def report(gpgrad: Run, known: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(known: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("out") / "report"
     finished = gpgrad("evaluate", known, "--out", folder, "--seed", "3", "--num-resamples", "10")
     assert finished.code == 0, finished.err
@@ -52,7 +52,7 @@ def test_the_revisit_is_judged(report: Path) -> None:
 
 @pytest.mark.slow
 def test_what_was_found_can_be_judged_again_otherwise(
-    gpgrad: Run, known: Path, report: Path, tmp_path: Path
+    known: Path, report: Path, tmp_path: Path
 ) -> None:
     found = json.loads((report / "closures_gradient.json").read_text())
     assert found["params"]["registration"]["seed"] == 3
@@ -78,9 +78,7 @@ def test_what_was_found_can_be_judged_again_otherwise(
 
 
 @pytest.mark.slow
-def test_the_least_file_of_the_leaderboard_is_judged(
-    gpgrad: Run, known: Path, tmp_path: Path
-) -> None:
+def test_the_least_file_of_the_leaderboard_is_judged(known: Path, tmp_path: Path) -> None:
     page = (ROOT / "assets" / "guide" / "leaderboard.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"^```json\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
     mine = tmp_path / "mine.json"
@@ -92,14 +90,6 @@ def test_the_least_file_of_the_leaderboard_is_judged(
     assert finished.code == 0, finished.err
     assert finished.err == "gpgrad: a tool of mine lists 1 of 6 pairs: the others rank last\n"
     assert finished.out.startswith("a tool of mine: AP ")
-
-
-def test_missing_truth_says_which_file_is_needed(
-    gpgrad: Run, traverse: Path, tmp_path: Path
-) -> None:
-    said = gpgrad("evaluate", traverse, "--out", tmp_path / "r").refusal
-    assert "add poses_gt.txt" in said
-    assert not (tmp_path / "r").exists()
 
 
 def test_an_interrupt_leaves_nothing(known: Path, tmp_path: Path) -> None:
@@ -124,7 +114,7 @@ def test_the_command_compares_only_the_listed_pairs(
 
     monkeypatch.setattr(app.cli.evaluate, "run_methods", noted)
     out = ("--out", tmp_path / "report", "--pairs", file)
-    finished = run_here("evaluate", tmp_path / "yard", *out)
+    finished = gpgrad("evaluate", tmp_path / "yard", *out)
     assert finished.code == 0, finished.err
     assert asked == [{("yard_002", "yard_000")}]
     assert "only the 1 listed of 3 pairs are compared and judged" in finished.err

@@ -11,7 +11,7 @@ import cv2
 import pytest
 
 from tests.core.scans.test_build import contents
-from tests.end_to_end.process import Finished, run_here
+from tests.end_to_end.process import Finished, gpgrad
 
 pytestmark = pytest.mark.slow  # paper's maps are fine: seconds for each run
 OF_ONE = {1, 3, 4, 10}
@@ -34,7 +34,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def reproduce(cache: Path, *arguments: str | Path) -> Finished:
-    finished = run_here("reproduce", *arguments, "--cache", cache)
+    finished = gpgrad("reproduce", *arguments, "--cache", cache)
     assert finished.code == 0, finished.err
     return finished
 
@@ -111,7 +111,7 @@ def test_another_run_compares_nothing_and_replaces_what_was_there(
     (out / "figure_1_gone.png").touch()
     (out / "mine.txt").touch()
     arguments = (known, "--out", out, "--method", "paper", "chance")
-    assert "holds index.html of an earlier run" in run_here("reproduce", *arguments).refusal
+    assert "holds index.html of an earlier run" in gpgrad("reproduce", *arguments).refusal
     reproduce(cache, *arguments, "--overwrite")
     assert names(out) == names(whole) | {"mine.txt"}
     made, before = contents(out), contents(whole)
