@@ -117,7 +117,7 @@ class Build:
             pose_topic=self.pose_topic,
             gnss_topic=self.gnss_topic,
             world_frame=self.world_frame,
-            keep=tuple(parse_condition(one) for one in self.keep),
+            keep=tuple(parse_condition(condition) for condition in self.keep),
         )
         check_apart([self.out], [self.scans, self.poses, self.truth, self.times, self.mount])
         try:

@@ -143,7 +143,7 @@ class Evaluate:
         with whole_folder(self.out, earlier=REPORT) as folder:
             self._check_out(names)  # another process may just have ended
             with progress_bar("evaluate") as progress, workers(num_workers(), num_jobs) as executor:
-                found = run_methods(
+                detected = run_methods(
                     dataset,
                     methods,
                     params,
@@ -156,24 +156,26 @@ class Evaluate:
             tell_damaged(store)
             evaluation = evaluate(
                 dataset,
-                found | rivals,
+                detected | rivals,
                 self.evaluation.over(EvaluationParams()),
                 pairs=pairs,
                 seed=params.registration.seed,
             )
-            sections = self._sections(dataset, params) + describe_images(found | rivals, evaluation)
+            sections = self._sections(dataset, params) + describe_images(
+                detected | rivals, evaluation
+            )
             if self.protocol == "paper":
-                sections = (*sections, describe_protocol(dataset, found | rivals, evaluation))
+                sections = (*sections, describe_protocol(dataset, detected | rivals, evaluation))
             if self.pairs is not None:
                 listed = describe_problems(problems, dataset, evaluation, self.pairs)
                 sections = (*sections, listed)
             with progress_bar("figures") as progress:
                 write_report(
-                    folder, evaluation, closures=found, sections=sections, progress=progress
+                    folder, evaluation, closures=detected, sections=sections, progress=progress
                 )
         for note in evaluation.notes:
             warn(note)
-        for line in (*_summary(evaluation, found | rivals), str(self.out / "report.md")):
+        for line in (*_summary(evaluation, detected | rivals), str(self.out / "report.md")):
             say(line)
 
     def _check_out(self, methods: Sequence[str]) -> None:

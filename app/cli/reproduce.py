@@ -154,8 +154,8 @@ class Reproduce:
             SEEDS.check("--seed", self.seed)
         for number in self.figure:
             if number not in TITLES:
-                known = ", ".join(map(str, TITLES))
-                raise InputError(f"--figure {number}: there is no such figure; known: {known}")
+                numbers = ", ".join(map(str, TITLES))
+                raise InputError(f"--figure {number}: there is no such figure; known: {numbers}")
         if not self.datasets:
             raise InputError("missing: DATASET; name at least one dataset")
         places = [path.resolve() for path in self.datasets]

@@ -196,8 +196,8 @@ class Slam:
         if georeference is not None:
             # The origin is the first dataset's; the truth of others may have another frame.
             first = set(next(iter(joined.traverses.values())))
-            known = true_poses(joined.outline.dataset)
-            true = {name: pose for name, pose in known.items() if name in first}
+            truth = true_poses(joined.outline.dataset)
+            true = {name: pose for name, pose in truth.items() if name in first}
             coordinates = find_coordinates(solution.result.poses, true, georeference)
             write_track(folder, joined.traverses, solution.result.poses, coordinates)
         with progress_bar("write") as progress:

@@ -1,6 +1,5 @@
 """Evaluates detectors against true poses: precision and recall, and the errors of the motions."""
 
-from gpgrad_core.evaluation.bootstrap import Interval
 from gpgrad_core.evaluation.calibration import Calibration, calibrate, describe_calibration
 from gpgrad_core.evaluation.experiment import read_rivals, run_methods
 from gpgrad_core.evaluation.judge import (
@@ -15,6 +14,7 @@ from gpgrad_core.evaluation.judge import (
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.pose_error import PoseErrors, pose_errors
 from gpgrad_core.evaluation.precision_recall import (
+    Interval,
     PrecisionRecall,
     average_precision,
     best_f1,

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation.bootstrap import Interval, Resamples, draw_weights, resample
 from gpgrad_core.evaluation.names import file_names
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.pose_error import (
@@ -22,12 +21,16 @@ from gpgrad_core.evaluation.pose_error import (
     summarise_errors,
 )
 from gpgrad_core.evaluation.precision_recall import (
+    Interval,
     PrecisionRecall,
+    Resamples,
     average_precision,
     best_f1,
+    draw_weights,
     precision_by_inliers,
     precision_recall,
     recall_at_full_precision,
+    resample,
 )
 from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule

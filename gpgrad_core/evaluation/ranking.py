@@ -70,7 +70,7 @@ def rank_pairs(
         InputError: If a pair names a submap that the dataset does not have, pairs a submap with
             itself, is listed twice, or has a score that is not a finite number.
     """
-    known = {submap.id for submap in dataset.submaps}
+    ids = {submap.id for submap in dataset.submaps}
     score = np.full(len(pairs), -np.inf)
     num_inliers = np.zeros(len(pairs), dtype=np.intp)
     accepted = np.zeros(len(pairs), dtype=np.bool_)
@@ -78,7 +78,7 @@ def rank_pairs(
     listed: set[frozenset[str]] = set()
     for verdict in _verdicts(detection):
         both = frozenset((verdict.query, verdict.database))
-        _check(verdict, both, known, listed, dataset.name, name)
+        _check(verdict, both, ids, listed, dataset.name, name)
         listed.add(both)
         row = pairs.rows.get(both)
         if row is None:
@@ -100,13 +100,13 @@ def rank_pairs(
 def _check(
     verdict: _Verdict,
     both: frozenset[str],
-    known: set[str],
+    ids: set[str],
     listed: set[frozenset[str]],
     dataset: str,
     name: str,
 ) -> None:
     pair = f"{name}: pair {verdict.query}, {verdict.database}"
-    for strange in sorted(both - known):
+    for strange in sorted(both - ids):
         raise InputError(
             f"{pair}: {dataset} has no submap {strange!r}; evaluate it on the dataset that it was "
             "made from"
@@ -137,12 +137,12 @@ def _of_record(pair: PairRecord) -> _Verdict:
 
 
 def _of_closure(closure: LoopClosure) -> _Verdict:
-    found = closure.registration
+    registration = closure.registration
     return _Verdict(
         closure.query_id,
         closure.database_id,
-        found.score,
-        found.num_inliers,
+        registration.score,
+        registration.num_inliers,
         closure.accepted,
-        found.T_database_query,
+        registration.T_database_query,
     )
