@@ -151,7 +151,7 @@ class Slam:
         georeference = georeference_of(self.origin, self.crs, dataset.origin)
         params = asked_params(dataset, self.params, self.pipeline)
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
-        some = [joined.load(k)[0] for k in representative(len(dataset.submaps))]
+        some = [joined.outline.load(k)[0] for k in representative(len(dataset.submaps))]
         params = settled(params, some, dataset.name, Memo(store=store))
         with whole_folder(self.out, earlier=self._names(joined)) as folder:
             self._check_out(joined)  # another process may just have ended
@@ -251,7 +251,7 @@ class Slam:
             ) as closer,
         ):
             for k in range(total):
-                submap, notes = joined.load(k)
+                submap, notes = joined.outline.load(k)
                 for note in notes:
                     warn(note)
                 sizes[submap.id] = len(submap.points)
@@ -259,7 +259,6 @@ class Slam:
                     submap,
                     part(progress, (k / total) ** 2, ((k + 1) / total) ** 2),
                     starts_traverse=submap.id in joined.starts,
-                    solve=True,
                 )
             closures = closer.closures
         seconds = {"total": time.perf_counter() - start}

@@ -1,6 +1,6 @@
 """Brings a method's verdicts into the order of the true pairs."""
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float, Int
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.overlap import TruePairs
-from gpgrad_core.outputs import ClosureReport, PairRecord
+from gpgrad_core.outputs import ClosureReport
 from gpgrad_core.pipeline import DetectionResult
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Array, Dataset, LoopClosure, read_only
+from gpgrad_core.types import Array, Dataset, read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,30 +119,15 @@ def _check(
         raise InputError(f"{pair}: the score must be a finite number, got {verdict.score!r}")
 
 
-def _verdicts(detection: DetectionResult | ClosureReport) -> Iterable[_Verdict]:
+def _verdicts(detection: DetectionResult | ClosureReport) -> Iterator[_Verdict]:
     if isinstance(detection, ClosureReport):
-        return map(_of_record, detection.pairs)
-    return map(_of_closure, detection.closures)
-
-
-def _of_record(pair: PairRecord) -> _Verdict:
-    return _Verdict(
-        pair.query,
-        pair.database,
-        pair.score,
-        pair.num_inliers,
-        pair.accepted,
-        pair.T_database_query,
-    )
-
-
-def _of_closure(closure: LoopClosure) -> _Verdict:
-    registration = closure.registration
-    return _Verdict(
-        closure.query_id,
-        closure.database_id,
-        registration.score,
-        registration.num_inliers,
-        closure.accepted,
-        registration.T_database_query,
-    )
+        for pair in detection.pairs:
+            motion = pair.T_database_query
+            ends = pair.query, pair.database
+            yield _Verdict(*ends, pair.score, pair.num_inliers, pair.accepted, motion)
+        return
+    for closure in detection.closures:
+        registration, ends = closure.registration, (closure.query_id, closure.database_id)
+        score, num_inliers = registration.score, registration.num_inliers
+        motion = registration.T_database_query
+        yield _Verdict(*ends, score, num_inliers, closure.accepted, motion)

@@ -4,10 +4,10 @@ import json
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from math import degrees
 from pathlib import Path
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import cast
 
 import numpy as np
 
@@ -33,15 +33,6 @@ CAPTIONS = {
 """Captions of figures by the beginning of their names; the first that fits is used."""
 
 
-@runtime_checkable
-class Picture(Protocol):
-    """Something that can be saved as a picture, such as a figure of matplotlib."""
-
-    def savefig(self, fname: Path) -> None:
-        """Write the picture; the ending of the name chooses the format."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class Section:
     """An additional section of the report, which does not come from the ranking of pairs.
@@ -50,13 +41,11 @@ class Section:
         key: Its key in ``report.json``.
         content: Its value there: numbers, texts, lists and tables by name.
         text: Its Markdown, which begins with a heading.
-        figures: Its pictures by file name without the ending.
     """
 
     key: str
-    content: Mapping[str, Any]
+    content: Mapping[str, object]
     text: str
-    figures: Mapping[str, Picture] = field(default_factory=dict[str, Picture])
 
 
 def check_directory(
@@ -133,9 +122,7 @@ def write_report(
         if method.name in closures:
             written.append(directory / f"closures_{name}.json")
             write_closures(written[-1], closures[method.name])
-    figures: dict[str, Picture] = dict(draw_report(evaluation))
-    for section in sections:
-        figures.update(section.figures)
+    figures = draw_report(evaluation)
     for k, (name, figure) in enumerate(figures.items()):
         written.append(directory / f"{name}.png")
         with replacing(written[-1]) as unfinished:
@@ -208,10 +195,10 @@ def _caption(name: str) -> str:
     return next((text for start, text in CAPTIONS.items() if name.startswith(start)), name)
 
 
-def report_evaluation(evaluation: Evaluation) -> dict[str, Any]:
+def report_evaluation(evaluation: Evaluation) -> dict[str, object]:
     """Make the content of ``report.json``: metres, radians, and null for unknown."""
     return cast(
-        "dict[str, Any]",
+        "dict[str, object]",
         _plain(
             {
                 "dataset": evaluation.dataset,
@@ -230,7 +217,7 @@ def report_evaluation(evaluation: Evaluation) -> dict[str, Any]:
     )
 
 
-def _rule(rule: Rule, labels: Labels) -> dict[str, Any]:
+def _rule(rule: Rule, labels: Labels) -> dict[str, object]:
     return {
         "name": rule.name,
         "measure": rule.measure,
@@ -242,7 +229,7 @@ def _rule(rule: Rule, labels: Labels) -> dict[str, Any]:
     }
 
 
-def _method(evaluation: Evaluation, method: MethodVerdict) -> dict[str, Any]:
+def _method(evaluation: Evaluation, method: MethodVerdict) -> dict[str, object]:
     return {
         "name": method.name,
         "seconds": method.ranking.seconds,
@@ -257,8 +244,8 @@ def _method(evaluation: Evaluation, method: MethodVerdict) -> dict[str, Any]:
     }
 
 
-def _verdict(verdict: RuleVerdict) -> dict[str, Any]:
-    content: dict[str, Any] = {
+def _verdict(verdict: RuleVerdict) -> dict[str, object]:
+    content: dict[str, object] = {
         "accepted_true": verdict.accepted_true,
         "accepted_false": verdict.accepted_false,
         "accepted_grey": verdict.accepted_grey,
@@ -285,7 +272,7 @@ def _verdict(verdict: RuleVerdict) -> dict[str, Any]:
     return content
 
 
-def _curve(curve: PrecisionRecall) -> dict[str, Any]:
+def _curve(curve: PrecisionRecall) -> dict[str, object]:
     return {
         "thresholds": curve.thresholds,
         "precision": curve.precision,
@@ -293,7 +280,7 @@ def _curve(curve: PrecisionRecall) -> dict[str, Any]:
     }
 
 
-def _pairs(pairs: TruePairs, evaluation: Evaluation) -> list[dict[str, Any]]:
+def _pairs(pairs: TruePairs, evaluation: Evaluation) -> list[dict[str, object]]:
     return [
         {
             "query": pairs.ids[pairs.query[k]],
@@ -320,7 +307,9 @@ def _pairs(pairs: TruePairs, evaluation: Evaluation) -> list[dict[str, Any]]:
 def _plain(value: object) -> object:
     """Convert to what JSON has: numbers of nine digits, and null for those that are not finite."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in cast("Mapping[Any, object]", value).items()}
+        return {
+            str(key): _plain(item) for key, item in cast("Mapping[object, object]", value).items()
+        }
     if isinstance(value, np.ndarray):
         return _plain(cast("object", value.tolist()))
     if isinstance(value, list | tuple):

@@ -51,9 +51,9 @@ def thinned(submap: Submap, voxel: float, normal_radius: float) -> Any:
     Returns:
         An Open3D cloud.
     """
-    o3d: Any = load_library("open3d")
+    o3d = load_library("open3d")
     points = np.array(submap.points)  # Open3D refuses arrays that are read-only
-    cloud: Any = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     if submap.colors is not None:
         cloud.colors = o3d.utility.Vector3dVector(np.array(submap.colors))
     cloud = cloud.voxel_down_sample(voxel)

@@ -1,7 +1,6 @@
 """Fast point feature histograms with RANSAC, or with fast global registration (Open3D)."""
 
 from threading import Lock
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -43,7 +42,7 @@ def describe_fpfh(submap: Submap, params: PipelineParams) -> DescribedCloud:
     """Describe every voxel of a submap."""
     voxel = VOXEL * params.map.terrain.length_scale
     cloud = thinned(submap, voxel, NORMAL_RADIUS * voxel)
-    o3d: Any = load_library("open3d")
+    o3d = load_library("open3d")
     search = o3d.geometry.KDTreeSearchParamHybrid(
         radius=FEATURE_RADIUS * voxel, max_nn=FEATURE_NEIGHBOURS
     )
@@ -66,7 +65,7 @@ def register_by_fgr(
     if len(pairs) < 3:
         return unchecked(None, np.zeros(len(pairs), bool))
     radius = params.registration.radius(None)
-    o3d: Any = load_library("open3d")
+    o3d = load_library("open3d")
     option = o3d.pipelines.registration.FastGlobalRegistrationOption(
         use_absolute_scale=True, maximum_correspondence_distance=radius
     )
@@ -85,6 +84,6 @@ def register_by_fgr(
     return unchecked(seen_from_above(motion, query.middle), inliers)
 
 
-def _cloud(points: Float[Array, "n 3"]) -> Any:
-    o3d: Any = load_library("open3d")
+def _cloud(points: Float[Array, "n 3"]) -> object:
+    o3d = load_library("open3d")
     return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(points)))

@@ -1,7 +1,5 @@
 """Rivals that are packages of their own, of the extra ``peers``: KISS-Matcher and MapClosures."""
 
-from typing import Any
-
 import numpy as np
 
 from gpgrad_core.libraries import load_library
@@ -27,7 +25,7 @@ def kiss_matcher_detector(params: PipelineParams, memo: Memo) -> CloudDetector[S
 
 def _register_by_kiss(query: Submap, database: Submap, params: PipelineParams) -> Registration:
     """Associate and solve; the score is the number of the final inliers."""
-    package: Any = load_library("kiss_matcher", "gpgrad[peers]")
+    package = load_library("kiss_matcher", "gpgrad[peers]")
     # Quatro rotates about the vertical only, because both clouds are gravity-aligned.
     config = package.KISSMatcherConfig(
         KISS_VOXEL * params.map.terrain.length_scale, use_quatro=True
@@ -51,7 +49,7 @@ def map_closures_detector(params: PipelineParams, memo: Memo) -> CloudDetector[S
 
 def _register_by_density(query: Submap, database: Submap, params: PipelineParams) -> Registration:
     """Search for the query in a database of one map; the score is the number of inliers."""
-    module: Any = load_library("map_closures.map_closures", "gpgrad[peers]")
+    module = load_library("map_closures.map_closures", "gpgrad[peers]")
     config = module.MapClosuresConfig(
         density_map_resolution=DENSITY_CELL * params.map.terrain.length_scale
     )
@@ -61,7 +59,7 @@ def _register_by_density(query: Submap, database: Submap, params: PipelineParams
     if not candidates:
         return unchecked(None, np.zeros(0, bool))
     # The package's pose maps the older map, the database, into the query.
-    pose: Any = candidates[0].pose
+    pose = candidates[0].pose
     T_database_query = np.linalg.inv(np.asarray(pose)).astype(np.float64)
     inliers = np.ones(candidates[0].number_of_inliers, bool)
     return unchecked(seen_from_above(T_database_query, query.points), inliers)

@@ -134,13 +134,7 @@ METHODS: dict[str, Method] = {
             automatic="dataset",
         ),
         Method("smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector),
-        Method(
-            "fpfh",
-            "FPFH and RANSAC.",
-            fpfh_detector,
-            judged_by_inliers,
-            package="open3d",
-        ),
+        Method("fpfh", "FPFH and RANSAC.", fpfh_detector, judged_by_inliers, package="open3d"),
         Method(
             "fgr",
             "FPFH and fast global registration.",

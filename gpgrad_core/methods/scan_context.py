@@ -1,10 +1,9 @@
 """Scan Context (Kim 2018): polar images of the largest heights, compared column by column."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.libraries import load_library
@@ -188,29 +187,22 @@ def _align(
     radius: float,
 ) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "k"]]:
     """Align two clouds by ICP; gives the motion, and the points that have a partner."""
-    o3d: Any = load_library("open3d")
-    tools: Any = o3d.pipelines.registration
+    o3d = load_library("open3d")
+    tools = o3d.pipelines.registration
     source, target = (_cloud(described) for described in (query, database))
     motion = motion.copy()
     motion[2, 3] = height_between(query.points, database.points, motion, radius)
-    aligned: Any = None
+    to_planes, inliers = tools.TransformationEstimationPointToPlane(), np.zeros(0, bool)
     for reach in (COARSE, FINE):
-        aligned = tools.registration_icp(
-            source,
-            target,
-            reach * radius,
-            motion,
-            tools.TransformationEstimationPointToPlane(),
-        )
+        aligned = tools.registration_icp(source, target, reach * radius, motion, to_planes)
         motion = np.array(aligned.transformation, dtype=np.float64)
-    inliers = np.zeros(len(query.points), bool)
-    pairs: Int[NDArray[np.int32], "m 2"] = np.asarray(aligned.correspondence_set)
-    inliers[pairs[:, 0]] = True
+        inliers = np.zeros(len(query.points), bool)
+        inliers[np.asarray(aligned.correspondence_set)[:, 0]] = True
     return motion, inliers
 
 
-def _cloud(described: ContextCloud) -> Any:
-    o3d: Any = load_library("open3d")
-    cloud: Any = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(described.points)))
+def _cloud(described: ContextCloud) -> object:
+    o3d = load_library("open3d")
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(described.points)))
     cloud.normals = o3d.utility.Vector3dVector(np.array(described.normals))
     return cloud

@@ -5,7 +5,6 @@ paper's Sec. VII-C).
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -320,7 +319,7 @@ def neighbours_within(
         queries: Positions (q, 3) [m]. A query that is one of the points is its own neighbour.
         radius: The radius [m].
     """
-    core: Any = load_library("open3d").core
+    core = load_library("open3d").core
     search = core.nns.NearestNeighborSearch(core.Tensor(points))
     search.fixed_radius_index(radius)
     neighbours, _, splits = search.fixed_radius_search(core.Tensor(queries), radius, False)

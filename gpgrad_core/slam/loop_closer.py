@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import numpy as np
 
@@ -256,17 +255,17 @@ class _Spilled:
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes, self._bytes = max_bytes, 0
-        self._held: OrderedDict[str, tuple[Any, int]] = OrderedDict()
+        self._held: OrderedDict[str, tuple[object, int]] = OrderedDict()
         self._names: dict[str, int] = {}
         self._folder: TemporaryFolder | None = None
         self._lock = Lock()
 
-    def put(self, name: str, extracted: Any) -> None:
+    def put(self, name: str, extracted: object) -> None:
         with self._lock:
             self._names[name] = len(self._names)
             self._hold(name, extracted)
 
-    def get(self, name: str) -> Any:
+    def get(self, name: str) -> object:
         with self._lock:
             held = self._held.get(name)
             if held is not None:
@@ -282,7 +281,7 @@ class _Spilled:
             if self._folder is not None:
                 self._folder.cleanup()
 
-    def _hold(self, name: str, extracted: Any) -> None:
+    def _hold(self, name: str, extracted: object) -> None:
         size = array_bytes(extracted)
         self._held[name] = extracted, size
         self._bytes += size
@@ -303,9 +302,9 @@ class _Spilled:
 class _Comparison:
     """Compares the new submap with an earlier one."""
 
-    new: Any
-    compare: Callable[[Any, Any], Registration]
-    earlier: Callable[[str], Any]
+    new: object
+    compare: Callable[[object, object], Registration]
+    earlier: Callable[[str], object]
 
     def __call__(self, job: str, progress: Progress) -> Registration:
         registration = self.compare(self.new, self.earlier(job))

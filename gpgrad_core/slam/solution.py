@@ -1,10 +1,9 @@
 """Datasets put into one map, and the files of it: poses, graph, errors, figures, cloud and map."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -65,18 +64,10 @@ class Solution:
         """The odometry's poses, all in the first dataset's frame."""
         return self.placed.graph.poses
 
-    def submaps(self, note: Callable[[str], None] | None = None) -> Iterator[Submap]:
-        """Load the submaps one by one.
-
-        Args:
-            note: Called with each line about what was left out of a submap.
-        """
-        for k in range(len(self.joined.outline.clouds)):
-            submap, notes = self.joined.load(k)
-            if note is not None:
-                for line in notes:
-                    note(line)
-            yield submap
+    def submaps(self) -> Iterator[Submap]:
+        """Load the submaps one by one."""
+        outline = self.joined.outline
+        return (outline.load(k)[0] for k in range(len(outline.clouds)))
 
 
 def solve_datasets(
@@ -379,7 +370,7 @@ def _distances(
 
 def _content(
     solution: Solution, errors: MapErrors, coordinates: MapCoordinates | None
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Make the content of ``report.json``: metres and radians, null for unknown."""
     numbers = vertex_numbers(solution.placed.graph)
     return {

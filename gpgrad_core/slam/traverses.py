@@ -10,7 +10,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.names import different_names
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, PoseGraph
-from gpgrad_core.types import Dataset, Submap
+from gpgrad_core.types import Dataset
 
 AGREEMENT = 4.0
 """Two closures agree on how two frames lie if they differ by no more than this many standard
@@ -53,10 +53,6 @@ class JoinedDatasets:
     def starts(self) -> tuple[str, ...]:
         """First submap of each dataset but the first."""
         return tuple(names[0] for names in self.traverses.values())[1:]
-
-    def load(self, k: int) -> tuple[Submap, tuple[str, ...]]:
-        """Load submap number k, with its id among the joined datasets; see `Outline.load`."""
-        return self.outline.load(k)
 
 
 def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:

@@ -1,5 +1,6 @@
 """A small traverse on disk."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -45,4 +46,12 @@ def traverse(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "dataset.toml").write_text(
         'name = "small traverse"\n[preferred.map]\nresolution = 0.05\nlength_scale = 0.25\n'
     )
+    return folder
+
+
+@pytest.fixture(scope="session")
+def with_truth(traverse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same dataset, with its truth."""
+    folder = shutil.copytree(traverse, tmp_path_factory.mktemp("truth") / "traverse")
+    shutil.copy(folder / "poses_odom.txt", folder / "poses_gt.txt")
     return folder

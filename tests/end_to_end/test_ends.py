@@ -21,10 +21,11 @@ from gpgrad_core.run.parallel import SOCKETS
 from gpgrad_core.run.whole import JUST_MADE, TemporaryFolder
 from gpgrad_core.scans import simulate_recording
 from tests.core.scans.test_build import contents
-from tests.end_to_end.conftest import POSES
 from tests.end_to_end.process import ROOT, environment, gpgrad, interruptible, start
+from tests.end_to_end.test_simulate import TINY
+from tests.end_to_end.test_slam import write_by_hand
+from tests.kills.killing import running
 
-TINY = ("--num-submaps", "2", "--spacing", "1", "--extent", "16", "--max-range", "3")
 linux = pytest.mark.skipif(sys.platform != "linux", reason="looks at signals and /proc")
 
 
@@ -96,28 +97,14 @@ def test_the_workers_of_a_killed_process_end(tmp_path: Path) -> None:
         ) as process,
     ):
         wait_for(lambda: len(list(tmp_path.glob("begun-*"))) == 2)
-        assert len(session(process.pid)) >= 3
+        assert len(running(process.pid)) >= 3
         process.kill()
         assert process.wait(60) == -signal.SIGKILL
-    wait_for(lambda: not session(process.pid), 30)
+    wait_for(lambda: not running(process.pid), 30)
     time.sleep(JUST_MADE)
     assert len(list(short.glob(f"{SOCKETS}*/pymp-*/*"))) == 1
     TemporaryFolder(SOCKETS, short).cleanup()
     short.rmdir()  # what was left, a socket in a folder, is gone
-
-
-def session(number: int) -> list[str]:
-    """Processes of a session that still run."""
-    found: list[str] = []
-    for folder in Path("/proc").iterdir():
-        if folder.name.isdigit():
-            try:
-                state, _, _, owner, *_ = (folder / "stat").read_text().rpartition(")")[2].split()
-            except OSError:  # it has ended
-                continue
-            if int(owner) == number and state not in "ZX":
-                found.append(folder.name)
-    return found
 
 
 @pytest.mark.slow
@@ -139,7 +126,7 @@ def test_the_viewer_takes_its_uploads_along(traverse: Path, tmp_path: Path) -> N
     assert process.returncode == 143
     assert said.splitlines() == ["gpgrad: terminated"]
     assert not list(tmp_path.glob("gpgrad-*"))
-    wait_for(lambda: not session(process.pid), 30)
+    wait_for(lambda: not running(process.pid), 30)
 
 
 def test_a_signal_while_all_is_loaded_is_a_line_too() -> None:
@@ -190,27 +177,7 @@ def short(traverse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def closures(tmp_path: Path) -> Path:
     """Its loop closure, so that slam need not detect."""
-    pair = {
-        "query": "003",
-        "database": "000",
-        "num_inliers": 20,
-        "score": 5.0,
-        "dissimilarity": 1.0,
-        "overlap_area": 20.0,
-        "accepted": True,
-        "reason": "by hand",
-        "T_database_query": {"x": POSES[3][0], "y": POSES[3][1], "yaw": POSES[3][2]},
-    }
-    content = {key: {} for key in ("params", "versions", "seconds")} | {
-        "dataset": "x",
-        "method": "mine",
-        "seed": 0,
-        "submaps": [],
-        "pairs": [pair],
-    }
-    file = tmp_path / "closures.json"
-    file.write_text(json.dumps(content))
-    return file
+    return write_by_hand(tmp_path / "closures.json", accepted=True)
 
 
 def slam(dataset: Path, closures: Path, out: Path, *flags: str) -> int:

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +18,11 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
-def known(traverse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small traverse, with its truth."""
-    folder = tmp_path_factory.mktemp("known") / "traverse"
-    shutil.copytree(traverse, folder)
-    shutil.copy(folder / "poses_odom.txt", folder / "poses_gt.txt")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def report(known: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(with_truth: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("out") / "report"
-    finished = gpgrad("evaluate", known, "--out", folder, "--seed", "3", "--num-resamples", "10")
+    finished = gpgrad(
+        "evaluate", with_truth, "--out", folder, "--seed", "3", "--num-resamples", "10"
+    )
     assert finished.code == 0, finished.err
     assert finished.err == ""
     told, where = finished.out.splitlines()
@@ -52,7 +44,7 @@ def test_the_revisit_is_judged(report: Path) -> None:
 
 @pytest.mark.slow
 def test_what_was_found_can_be_judged_again_otherwise(
-    known: Path, report: Path, tmp_path: Path
+    with_truth: Path, report: Path, tmp_path: Path
 ) -> None:
     found = json.loads((report / "closures_gradient.json").read_text())
     assert found["params"]["registration"]["seed"] == 3
@@ -61,7 +53,7 @@ def test_what_was_found_can_be_judged_again_otherwise(
     mine = tmp_path / "mine.json"
     mine.write_text(json.dumps(found))
     finished = gpgrad(
-        *("evaluate", known, "--out", tmp_path / "again", "--min-overlap", "0.99"),
+        *("evaluate", with_truth, "--out", tmp_path / "again", "--min-overlap", "0.99"),
         *("--closures", report / "closures_gradient.json", mine, "--neighbours", "0"),
         *("--protocol", "paper"),
     )
@@ -78,13 +70,13 @@ def test_what_was_found_can_be_judged_again_otherwise(
 
 
 @pytest.mark.slow
-def test_the_least_file_of_the_leaderboard_is_judged(known: Path, tmp_path: Path) -> None:
+def test_the_least_file_of_the_leaderboard_is_judged(with_truth: Path, tmp_path: Path) -> None:
     page = (ROOT / "assets" / "guide" / "leaderboard.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"^```json\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
     mine = tmp_path / "mine.json"
     mine.write_text(example)
     finished = gpgrad(
-        *("evaluate", known, "--out", tmp_path / "r", "--closures", mine),
+        *("evaluate", with_truth, "--out", tmp_path / "r", "--closures", mine),
         *("--num-resamples", "0"),
     )
     assert finished.code == 0, finished.err
@@ -92,9 +84,9 @@ def test_the_least_file_of_the_leaderboard_is_judged(known: Path, tmp_path: Path
     assert finished.out.startswith("a tool of mine: AP ")
 
 
-def test_an_interrupt_leaves_nothing(known: Path, tmp_path: Path) -> None:
+def test_an_interrupt_leaves_nothing(with_truth: Path, tmp_path: Path) -> None:
     out = tmp_path / "r"
-    code, seen = run_on_terminal("evaluate", known, "--out", out, interrupt_at=b"evaluate")
+    code, seen = run_on_terminal("evaluate", with_truth, "--out", out, interrupt_at=b"evaluate")
     assert code == 130
     assert "gpgrad: interrupted" in seen
     assert "Traceback" not in seen

@@ -20,15 +20,6 @@ NAME = "small_traverse"
 
 
 @pytest.fixture(scope="module")
-def known(traverse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small traverse, with its truth."""
-    folder = tmp_path_factory.mktemp("known") / "traverse"
-    shutil.copytree(traverse, folder)
-    shutil.copy(folder / "poses_odom.txt", folder / "poses_gt.txt")
-    return folder
-
-
-@pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cache")
 
@@ -40,9 +31,9 @@ def reproduce(cache: Path, *arguments: str | Path) -> Finished:
 
 
 @pytest.fixture(scope="module")
-def whole(known: Path, cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(with_truth: Path, cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out") / "figures"
-    finished = reproduce(cache, known, "--out", out, "--method", "paper", "chance", "cshot")
+    finished = reproduce(cache, with_truth, "--out", out, "--method", "paper", "chance", "cshot")
     assert finished.out == f"{out / 'index.html'}\n"
     (note,) = finished.err.splitlines()
     assert note.startswith(
@@ -100,7 +91,7 @@ def test_the_commands_of_the_page_make_the_same_figures(
 
 
 def test_another_run_compares_nothing_and_replaces_what_was_there(
-    known: Path, whole: Path, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    with_truth: Path, whole: Path, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise AssertionError("it compared again")
@@ -110,7 +101,7 @@ def test_another_run_compares_nothing_and_replaces_what_was_there(
     shutil.copytree(whole, out)
     (out / "figure_1_gone.png").touch()
     (out / "mine.txt").touch()
-    arguments = (known, "--out", out, "--method", "paper", "chance")
+    arguments = (with_truth, "--out", out, "--method", "paper", "chance")
     assert "holds index.html of an earlier run" in gpgrad("reproduce", *arguments).refusal
     reproduce(cache, *arguments, "--overwrite")
     assert names(out) == names(whole) | {"mine.txt"}
@@ -151,11 +142,11 @@ def test_without_poses_and_with_one_submap(traverse: Path, cache: Path, tmp_path
 
 
 def test_several_datasets_share_what_the_paper_has_of_all(
-    known: Path, traverse: Path, cache: Path, tmp_path: Path
+    with_truth: Path, traverse: Path, cache: Path, tmp_path: Path
 ) -> None:
     arguments = ("--figure", "4", "6", "9", "--method", "paper")
     out = tmp_path / "figures"
-    finished = reproduce(cache, known, traverse, "--out", out, *arguments)
+    finished = reproduce(cache, with_truth, traverse, "--out", out, *arguments)
     first, second = f"figure_4_{NAME}", f"figure_4_{NAME}_2"
     assert {path.stem for path in out.glob("*.png")} == {first, second, "figure_6", "figure_9"}
     assert "not in Fig. 9" in finished.err

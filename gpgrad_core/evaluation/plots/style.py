@@ -123,8 +123,13 @@ def save_printed(figure: Figure, path: Path) -> None:
 
 
 def add_panel(
-    figure: Figure, left: float, top: float, width: float, height: float, **options: Any
-) -> Any:
+    figure: Figure,
+    left: float,
+    top: float,
+    width: float,
+    height: float,
+    projection: Literal["3d"] | None = None,
+) -> Axes:
     """Add a panel by the edges of its room, from the upper left corner of the figure [inches].
 
     A panel from above keeps its shape in that room. Labels need 0.4 inches on the left and below,
@@ -133,7 +138,7 @@ def add_panel(
     full_width, full_height = figure.get_size_inches()
     low = 1 - (top + height) / full_height
     room = (left / full_width, low, width / full_width, height / full_height)
-    return figure.add_axes(room, **options)
+    return figure.add_axes(room, projection=projection)
 
 
 def shape_of(*grids: Grid) -> float:

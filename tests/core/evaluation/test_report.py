@@ -80,7 +80,8 @@ def test_the_json_holds_the_figures(folder: Path) -> None:
     mine, other = content["methods"]
     assert mine["name"] == "mine"
     assert mine["seconds"]["total"] == 1.75
-    assert mine["accepted"] == 3
+    assert (mine["accepted"], mine["accepted_right"]) == (3, 2)
+    assert (mine["accepted_wrong_motion"], mine["accepted_no_overlap"]) == (0, 1)
     ranked = mine["rules"]["box"]["ranked"]
     assert ranked["average_precision"]["value"] == 1.0
     assert ranked["by_score"]["thresholds"][0] == 9.0
@@ -109,6 +110,7 @@ def test_every_table_names_its_rule(folder: Path) -> None:
         assert (folder / name).exists()
     assert "Note: other lists 1 of 10 pairs" in text
     assert "| mine | 1 | 1 | 1 | 1 | 0 | 5.0 cm |" in text
+    assert "| mine | 3 | 2 | 0 | 1 |" in text
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -162,12 +164,14 @@ class Spoilt:
         raise OSError("no space left")
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_a_failure_leaves_no_half_of_a_figure(evaluation: Evaluation, tmp_path: Path) -> None:
-    section = Section("s", {}, "", {"spoilt": Spoilt()})
+def test_a_failure_leaves_no_half_of_a_figure(
+    evaluation: Evaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = {"first": Blank(), "spoilt": Spoilt()}
+    monkeypatch.setattr(plots, "draw_report", lambda evaluation: drawn)  # noqa: ARG005
     with pytest.raises(OSError, match="no space left"):
-        write_report(tmp_path, evaluation, sections=[section])
-    assert {path.name for path in tmp_path.iterdir()} == {"first.png", "second.png", "third.png"}
+        write_report(tmp_path, evaluation)
+    assert {path.name for path in tmp_path.iterdir()} == {"first.png"}
 
 
 def test_where_nothing_can_be_written_is_said_before_the_work(tmp_path: Path) -> None:

@@ -129,12 +129,6 @@ def test_evo_reads_the_poses(written: Path, solution: Solution) -> None:
     )
 
 
-def test_the_graph_reads_back_in(written: Path, solution: Solution) -> None:
-    graph = read_graph(written / "graph.g2o")
-    assert list(graph.poses) == ["0", "2", "4", "6", "8"]
-    assert len(graph.edges) == len(solution.result.edges) - len(solution.result.refused)
-
-
 def test_open3d_reads_the_cloud(written: Path) -> None:
     points = np.asarray(open3d.io.read_point_cloud(str(written / "cloud.ply")).points)
     assert len(points) > 500
