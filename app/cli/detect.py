@@ -8,6 +8,7 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.comparing import SchedulerFlag, compare
+from app.cli.flags import Overwrite
 from app.cli.inputs import (
     ALL_PARAMS,
     USERS_CACHE,
@@ -15,7 +16,6 @@ from app.cli.inputs import (
     Cache,
     CandidatesFlag,
     DatasetPath,
-    Overwrite,
     ParamsFile,
     asked_params,
     open_store,

@@ -8,14 +8,13 @@ from typing import Annotated
 import tyro
 from typing_extensions import Doc
 
-from app.cli.flags import Given
+from app.cli.flags import Given, Overwrite
 from app.cli.inputs import (
     ALL_PARAMS,
     USERS_CACHE,
     AllParams,
     Cache,
     CandidatesFlag,
-    Overwrite,
     ParamsFile,
     SeedFlag,
     asked_params,

@@ -8,9 +8,10 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache, partial
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, Generic, TypeVar, cast, get_args, get_type_hints
+from typing import Annotated, Any, Generic, TypeAlias, TypeVar, cast, get_args, get_type_hints
 
 import tyro
+from typing_extensions import Doc
 from tyro.constructors import (
     ConstructorRegistry,
     PrimitiveConstructorSpec,
@@ -27,6 +28,8 @@ from gpgrad_core.params.fields import AUTOMATIC, Field, fields_of
 
 V = TypeVar("V")
 P = TypeVar("P")
+
+Overwrite: TypeAlias = Annotated[bool, Doc("Replace what an earlier run wrote there.")]
 
 
 class NotGiven(int):

@@ -52,7 +52,6 @@ Cache: TypeAlias = Annotated[
     ),
     tyro.conf.arg(metavar="DIR|none", help_behavior_hint="(default: in the user's cache folder)"),
 ]
-Overwrite: TypeAlias = Annotated[bool, Doc("Replace what an earlier run wrote there.")]
 SeedFlag: TypeAlias = Annotated[
     int | None,
     Doc("Seed of all random choices."),

@@ -9,11 +9,11 @@ import numpy as np
 import tyro
 from typing_extensions import Doc
 
+from app.cli.flags import Overwrite
 from app.cli.inputs import (
     ALL_PARAMS,
     AllParams,
     DatasetPath,
-    Overwrite,
     ParamsFile,
     asked_params,
     load,

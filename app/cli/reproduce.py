@@ -10,13 +10,12 @@ from typing import Annotated, Any, cast
 import tyro
 from typing_extensions import Doc
 
-from app.cli.flags import Given
+from app.cli.flags import Given, Overwrite
 from app.cli.inputs import (
     ALL_PARAMS,
     USERS_CACHE,
     AllParams,
     Cache,
-    Overwrite,
     ParamsFile,
     SeedFlag,
     asked_params,

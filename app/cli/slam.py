@@ -13,14 +13,13 @@ from typing_extensions import Doc
 
 from app.cli.comparing import SchedulerFlag, compare
 from app.cli.coordinates import CrsFlag, OriginFlag, georeference_of
-from app.cli.flags import Given
+from app.cli.flags import Given, Overwrite
 from app.cli.inputs import (
     ALL_PARAMS,
     USERS_CACHE,
     AllParams,
     Cache,
     CandidatesFlag,
-    Overwrite,
     ParamsFile,
     asked_params,
     open_store,

@@ -17,6 +17,11 @@ import pytest
 from app.cli import run
 
 ROOT = Path(__file__).resolve().parents[2]
+QUICK_MAP = (
+    *("--map.resolution", "0.1", "--map.length-scale", "0.3"),
+    *("--map.noise-std", "0.02", "--map.scale", "0.2"),
+)
+"""Flags with which a map needs no fit."""
 
 
 @dataclass(frozen=True)

@@ -157,7 +157,7 @@ def with_unknown_parameters(data: Path) -> None:
         ),
         (
             "detect {data} --out {out}",
-            "dataset.toml: preferred: map.length_scale must be from 0.01 to 100 m, got -1",
+            "dataset.toml, [preferred]: map.length_scale must be from 0.01 to 100 m, got -1",
             with_a_wrong_preference,
         ),
     ],

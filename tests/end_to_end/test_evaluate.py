@@ -31,6 +31,7 @@ def report(with_truth: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_revisit_is_judged(report: Path) -> None:
     content = json.loads((report / "report.json").read_text())
     assert content["seed"] == 3
@@ -84,6 +85,7 @@ def test_the_least_file_of_the_leaderboard_is_judged(with_truth: Path, tmp_path:
     assert finished.out.startswith("a tool of mine: AP ")
 
 
+@pytest.mark.slow
 def test_an_interrupt_leaves_nothing(with_truth: Path, tmp_path: Path) -> None:
     out = tmp_path / "r"
     code, seen = run_on_terminal("evaluate", with_truth, "--out", out, interrupt_at=b"evaluate")
