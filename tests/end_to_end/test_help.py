@@ -80,7 +80,7 @@ def test_wrong_usage_is_one_line(arguments: tuple[str, ...], said: str) -> None:
     assert said in gpgrad(*arguments).refusal
 
 
-@pytest.mark.parametrize("arguments", [("detect", "--help"), ("--version",)])
+@pytest.mark.parametrize("arguments", [("simulate", "--help"), ("--version",)])
 def test_who_stops_reading_is_told_nothing(arguments: tuple[str, ...]) -> None:
     unread, output = os.pipe()
     os.close(unread)  # as `| head` does, once it has enough
@@ -99,7 +99,7 @@ def test_who_stops_reading_is_told_nothing(arguments: tuple[str, ...]) -> None:
 
 
 def test_wrong_usage_ends_the_process_with_2() -> None:
-    assert "--out" in gpgrad_process("detect").refusal
+    assert "FOLDER" in gpgrad_process("simulate").refusal
 
 
 def test_help_comes_quickly_and_without_the_viewer() -> None:
