@@ -67,32 +67,41 @@ class Summary:
         return f"{self.value:{sign}.3f} [{low:{sign}.2f}, {high:{sign}.2f}]"
 
 
+@dataclass(frozen=True)
+class BestF1(Summary):
+    """The largest harmonic mean of precision and recall.
+
+    Attributes:
+        threshold: The score at which it is reached.
+    """
+
+    threshold: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Ranked:
     """How well a method ranks the pairs, if at least one of them is true.
 
     Attributes:
-        by_score: Precision and recall at every score that occurs.
-        by_inliers: Precision and recall at n = 1 … 20 inliers.
         average_precision: Area under `by_score`.
         recall_at_full_precision: Largest recall without a false pair.
         f1: Largest harmonic mean of precision and recall over all scores.
-        f1_threshold: The score at which it is reached.
-        average_precision_by_inliers: Average precision of the ranking by inliers alone.
-        recall_at_full_precision_by_inliers: Recall at full precision by inliers alone.
         lead: The first method's average precision minus this one's, on the same resamples; None
             for the first method.
+        average_precision_by_inliers: Average precision of the ranking by inliers alone.
+        recall_at_full_precision_by_inliers: Recall at full precision by inliers alone.
+        by_score: Precision and recall at every score that occurs.
+        by_inliers: Precision and recall at n = 1 … 20 inliers.
     """
 
-    by_score: PrecisionRecall
-    by_inliers: PrecisionRecall
     average_precision: Summary
     recall_at_full_precision: Summary
-    f1: Summary
-    f1_threshold: float
+    f1: BestF1
+    lead: Summary | None
     average_precision_by_inliers: float
     recall_at_full_precision_by_inliers: float
-    lead: Summary | None = None
+    by_score: PrecisionRecall
+    by_inliers: PrecisionRecall
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +109,6 @@ class RuleVerdict:
     """The results of a method under one rule.
 
     Attributes:
-        ranked: Results of its ranking; None if the rule calls no pair true.
         accepted_true: Number of accepted pairs that are true.
         accepted_false: Number of accepted pairs that are false.
         accepted_grey: Number of accepted pairs that the rule leaves out as grey.
@@ -111,9 +119,9 @@ class RuleVerdict:
         pose_error: Errors of the accepted true pairs.
         by_overlap: Counts of the touching pairs, by the overlap that the rule measures.
         by_yaw: Counts of the true pairs, by the relative yaw of the submaps [rad].
+        ranked: Results of its ranking; None if the rule calls no pair true.
     """
 
-    ranked: Ranked | None
     accepted_true: int
     accepted_false: int
     accepted_grey: int
@@ -123,6 +131,7 @@ class RuleVerdict:
     pose_error: PoseErrorSummary
     by_overlap: tuple[Bin, ...]
     by_yaw: tuple[Bin, ...]
+    ranked: Ranked | None
 
 
 @dataclass(frozen=True)
@@ -292,23 +301,23 @@ def _rank_all(
         curve_by_inliers = precision_recall(inliers.astype(np.float64), positive)
         samples = resample(ranking.score[judged], positive, weights[:, judged])
         average = average_precision(curve)
-        f1, f1_threshold = best_f1(curve)
+        f1, threshold = best_f1(curve)
         lead = None
         if first is None:
             first = average, samples
         else:
             behind = first[1].average_precision - samples.average_precision
             lead = Summary(first[0] - average, Interval.of(behind))
+        full = recall_at_full_precision(curve)
         ranked[name] = Ranked(
-            curve,
-            precision_by_inliers(inliers, positive),
             Summary(average, Interval.of(samples.average_precision)),
-            Summary(recall_at_full_precision(curve), Interval.of(samples.recall_at_full_precision)),
-            Summary(f1, Interval.of(samples.f1)),
-            f1_threshold,
+            Summary(full, Interval.of(samples.recall_at_full_precision)),
+            BestF1(f1, Interval.of(samples.f1), threshold),
+            lead,
             average_precision(curve_by_inliers),
             recall_at_full_precision(curve_by_inliers),
-            lead,
+            curve,
+            precision_by_inliers(inliers, positive),
         )
     return ranked
 

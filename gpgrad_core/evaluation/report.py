@@ -4,7 +4,7 @@ import json
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from math import degrees
 from pathlib import Path
 from typing import cast
@@ -12,10 +12,9 @@ from typing import cast
 import numpy as np
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict, RuleVerdict
+from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict
 from gpgrad_core.evaluation.overlap import TruePairs
 from gpgrad_core.evaluation.pages import TEMPLATES, cell, render
-from gpgrad_core.evaluation.precision_recall import PrecisionRecall
 from gpgrad_core.evaluation.rules import Labels, Rule
 from gpgrad_core.outputs import ClosureReport, replacing, write_closures
 from gpgrad_core.run.progress import Progress, silent
@@ -204,7 +203,7 @@ def report_evaluation(evaluation: Evaluation) -> dict[str, object]:
                 "dataset": evaluation.dataset,
                 "gpgrad": VERSION,
                 "seed": evaluation.seed,
-                "params": asdict(evaluation.params),
+                "params": evaluation.params,
                 "notes": evaluation.notes,
                 "rules": [
                     _rule(rule, labels)
@@ -238,45 +237,9 @@ def _method(evaluation: Evaluation, method: MethodVerdict) -> dict[str, object]:
         "accepted_wrong_motion": method.accepted.wrong_motion,
         "accepted_no_overlap": method.accepted.no_overlap,
         "rules": {
-            rule.measure: _verdict(verdict)
+            rule.measure: verdict
             for rule, verdict in zip(evaluation.rules, method.rules, strict=True)
         },
-    }
-
-
-def _verdict(verdict: RuleVerdict) -> dict[str, object]:
-    content: dict[str, object] = {
-        "accepted_true": verdict.accepted_true,
-        "accepted_false": verdict.accepted_false,
-        "accepted_grey": verdict.accepted_grey,
-        "accepted_grey_near": verdict.accepted_grey_near,
-        "missed": verdict.missed,
-        "near": verdict.near,
-        "pose_error": asdict(verdict.pose_error),
-        "by_overlap": [asdict(pairs) for pairs in verdict.by_overlap],
-        "by_yaw": [asdict(pairs) for pairs in verdict.by_yaw],
-        "ranked": None,
-    }
-    ranked = verdict.ranked
-    if ranked is not None:
-        content["ranked"] = {
-            "average_precision": asdict(ranked.average_precision),
-            "recall_at_full_precision": asdict(ranked.recall_at_full_precision),
-            "f1": asdict(ranked.f1) | {"threshold": ranked.f1_threshold},
-            "lead": ranked.lead and asdict(ranked.lead),
-            "average_precision_by_inliers": ranked.average_precision_by_inliers,
-            "recall_at_full_precision_by_inliers": ranked.recall_at_full_precision_by_inliers,
-            "by_score": _curve(ranked.by_score),
-            "by_inliers": _curve(ranked.by_inliers),
-        }
-    return content
-
-
-def _curve(curve: PrecisionRecall) -> dict[str, object]:
-    return {
-        "thresholds": curve.thresholds,
-        "precision": curve.precision,
-        "recall": curve.recall,
     }
 
 
@@ -288,7 +251,7 @@ def _pairs(pairs: TruePairs, evaluation: Evaluation) -> list[dict[str, object]]:
             "box_iou": pairs.box_iou[k],
             "surface_overlap": pairs.surface_overlap[k],
             "height_difference": pairs.height_difference[k],
-            "T_database_query": asdict(pairs.T_database_query[k]),
+            "T_database_query": pairs.T_database_query[k],
             "methods": {
                 method.name: {
                     "score": method.ranking.score[k],
@@ -306,16 +269,16 @@ def _pairs(pairs: TruePairs, evaluation: Evaluation) -> list[dict[str, object]]:
 
 def _plain(value: object) -> object:
     """Convert to what JSON has: numbers of nine digits, and null for those that are not finite."""
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
         return {
             str(key): _plain(item) for key, item in cast("Mapping[object, object]", value).items()
         }
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray | np.generic):
         return _plain(cast("object", value.tolist()))
     if isinstance(value, list | tuple):
         return [_plain(item) for item in cast("Sequence[object]", value)]
-    if isinstance(value, np.generic):
-        return _plain(cast("object", value.item()))
     if isinstance(value, float):
         return float(f"{value:.9g}") if math.isfinite(value) else None
     return value

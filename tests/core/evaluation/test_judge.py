@@ -26,7 +26,7 @@ def test_verdicts_by_both_rules(dataset: Dataset, result: DetectionResult) -> No
         assert verdict.ranked.recall_at_full_precision.value == 1.0
         assert verdict.near == 1.0
     assert box.ranked is not None
-    assert (box.ranked.f1.value, box.ranked.f1_threshold) == (1.0, 9.0)
+    assert (box.ranked.f1.value, box.ranked.f1.threshold) == (1.0, 9.0)
     assert box.pose_error.count == 1
     assert box.pose_error.median_offset == pytest.approx(0.05)
     assert box.pose_error.median_turn == pytest.approx(0.02)

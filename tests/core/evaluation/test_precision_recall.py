@@ -12,10 +12,9 @@ from gpgrad_core.evaluation import (
     best_f1,
     measure_pairs,
     precision_by_inliers,
-    precision_recall,
     recall_at_full_precision,
 )
-from gpgrad_core.evaluation.precision_recall import draw_weights, resample
+from gpgrad_core.evaluation.precision_recall import draw_weights, precision_recall, resample
 from gpgrad_core.types import Dataset
 
 # Few different scores, so that ties are common.
