@@ -28,7 +28,7 @@ from gpgrad_core.types import Array
 A_ROW = 3
 """Panels of a printed figure side by side."""
 MARKERS = "osD^vPX*"
-SHOWN_INLIERS = (1, 5, 10, 15, 20)
+INLIER_TICKS = (1, 5, 10, 15, 20)
 
 
 def draw_precision_recall(evaluation: Evaluation, *, by_inliers: bool = False) -> Figure:
@@ -105,7 +105,7 @@ def draw_against_inliers(evaluation: Evaluation) -> Figure:
         below.set_ylim(-0.02, 1.04)
         below.grid(alpha=0.3)
         below.set_xlabel("fewest inliers n that a loop closure needs")
-        below.xaxis.set_major_locator(FixedLocator(SHOWN_INLIERS))
+        below.xaxis.set_major_locator(FixedLocator(INLIER_TICKS))
     # The legend is that of the panel with the most lines; some rules may have nothing to rank.
     handles, names = max((panel.get_legend_handles_labels() for panel in upper), key=_num_lines)
     names = ["guessing" if name.startswith("guessing: ") else name for name in names]
@@ -170,7 +170,7 @@ def draw_figure_9(evaluations: Sequence[Evaluation]) -> Figure:
     panel.set_xlabel("least number of inliers n")
     panel.set_ylabel("precision")
     panel.set_ylim(0.0, 1.03)
-    panel.xaxis.set_major_locator(FixedLocator(SHOWN_INLIERS))
+    panel.xaxis.set_major_locator(FixedLocator(INLIER_TICKS))
     panel.grid(alpha=0.3, linewidth=0.5)
     panel.legend(loc="lower right", framealpha=0.9)
     return figure
