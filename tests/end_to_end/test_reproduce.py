@@ -36,9 +36,9 @@ def whole(with_truth: Path, cache: Path, tmp_path_factory: pytest.TempPathFactor
     finished = reproduce(cache, with_truth, "--out", out, "--method", "paper", "chance", "cshot")
     assert finished.out == f"{out / 'index.html'}\n"
     (note,) = finished.err.splitlines()
-    assert note.startswith(
-        "gpgrad: small traverse: cshot is left out: 000: cshot needs the colours"
-    )
+    # Which submap is refused first depends on the threads.
+    left_out = r"gpgrad: small traverse: cshot is left out: 00\d: cshot needs the colours"
+    assert re.match(left_out, note)
     return out
 
 
