@@ -2,10 +2,14 @@
 """A long simulated traverse through `detect`: ``python -m tests.benchmarks.bench_traverse``.
 
 It makes the traverse (`gpgrad simulate --route roaming`), compares its submaps as `gpgrad detect`
-does, and prints times, memory, precision and recall.
+does, and prints times, memory, precision and recall. With ``--kills 2`` it runs the command itself
+as well, kills it twice on the way, and compares the file with that of a run that was left alone.
 """
 
+import json
 import math
+import random
+import signal
 import subprocess
 import sys
 import tempfile
@@ -14,6 +18,7 @@ import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +64,9 @@ class Bench:
         early: Number of a submap near which times are compared with those at the end.
         folder: Where the traverse and the results are kept.
         candidates: With how many earlier submaps each is compared.
+        kills: How often another run is killed before it may end.
         simulate_only: Whether to make the traverse only.
+        plot: Where to draw times and memory over the number of submaps.
     """
 
     submaps: int = 1_000
@@ -67,7 +74,9 @@ class Bench:
     early: int = 1_000
     folder: Path = Path("build/bench_traverse")
     candidates: str = "automatic"
+    kills: int = 0
     simulate_only: bool = False
+    plot: Path | None = None
 
 
 @dataclass
@@ -151,7 +160,11 @@ def main() -> None:
             dataset, sources, counted = _detect(data, out, Store(Path(cache)), watch, closures)
         print(f"compared {counted:,} pairs in {time.monotonic() - start:.0f} s")
         _tell_times(watch, bench)
+        if bench.plot is not None:
+            _draw(watch, bench.submaps, bench.plot)
         _tell_quality(dataset, sources, closures)
+    if bench.kills:
+        _kill(bench, data, out)
 
 
 def _detect(
@@ -203,6 +216,35 @@ def _tell_times(watch: Watch, bench: Bench) -> None:
     for low, high in STAGES.values():
         part = memory[(done >= low) & (done <= high)]
         print(f"memory while {low:.0%} to {high:.0%}: at most {part.max() / 1e6:.0f} MB")
+
+
+def _draw(watch: Watch, count: int, path: Path) -> None:
+    """Draw the time a submap and the memory over the number of submaps."""
+    import matplotlib as mpl  # noqa: PLC0415
+
+    mpl.use("agg")
+    from matplotlib import pyplot as plt  # noqa: PLC0415
+
+    figure, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
+    edges = np.linspace(0, count, 51)
+    times, memory = np.array(watch.memory).T
+    for stage in STAGES:
+        when = watch.when(stage, edges, count)
+        axes[0].stairs(1000 * np.diff(when) / np.diff(edges), edges, label=stage)
+        most = [
+            memory[(times >= first) & (times < last)].max(initial=0.0) / 1e6
+            for first, last in pairwise(when)
+        ]
+        axes[1].stairs(most, edges, label=stage)
+    axes[0].set_ylabel("time a submap [ms]")
+    axes[1].set_ylabel("memory [MB]")
+    axes[1].set_xlabel("submaps done in a stage")
+    for one in axes:
+        one.set_ylim(bottom=0)
+        one.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
+        one.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
 
 
 def _tell_quality(
@@ -265,6 +307,37 @@ def _overlap(distance: Any) -> Any:
     """Compute the share of a disc of radius 1 that another one covers at some distance."""
     half = np.clip(distance / 2, 0, 1)
     return 2 / np.pi * (np.arccos(half) - half * np.sqrt(1 - half**2))
+
+
+def _kill(bench: Bench, data: Path, out: Path) -> None:
+    """Kill a run some times on the way, and compare what it makes in the end."""
+    again = bench.folder / "killed.json"
+    again.unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory(dir=bench.folder) as cache:
+        command = [*GPGRAD, "detect", str(data), "--out", str(again), "--cache", cache]
+        command += ["--candidates", bench.candidates]
+        for _ in range(bench.kills):
+            run = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+            wait = random.uniform(15, 0.06 * bench.submaps)
+            try:
+                run.wait(wait)
+            except subprocess.TimeoutExpired:
+                run.send_signal(signal.SIGKILL)
+                run.wait()
+                print(f"killed after {wait:.0f} s; a file was left: {again.exists()}")
+        start = time.monotonic()
+        subprocess.run(command, check=True)
+        print(f"the last run took {time.monotonic() - start:.0f} s")
+        start = time.monotonic()
+        again.rename(bench.folder / "first.json")
+        for flags in (("--closure.min-score", "5"), ("--registration.inlier-radius", "0.4")):
+            start = time.monotonic()
+            subprocess.run([*command, *flags, "--overwrite"], check=True)
+            print(f"again with {' '.join(flags)}: {time.monotonic() - start:.0f} s")
+    contents = [json.loads(path.read_text()) for path in (out, bench.folder / "first.json")]
+    for content in contents:
+        content.pop("seconds")
+    print(f"the same content: {contents[0] == contents[1]}")
 
 
 def _run(*arguments: object) -> None:
