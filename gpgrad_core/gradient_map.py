@@ -10,7 +10,7 @@ from typing_extensions import Doc
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.accuracy import EXACT, Accuracy
-from gpgrad_core.gp.binning import thin_dense
+from gpgrad_core.gp.cloud import thin_dense
 from gpgrad_core.gp.inference import Posterior, fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.noise import find_outliers, measure_noise
@@ -162,6 +162,11 @@ class MapParams:
         check_bounds(self)
 
     @property
+    def has_numbers(self) -> bool:
+        """Whether length-scale and noise have numbers, so that a GP can be made with them."""
+        return self.length_scale is not None and self.noise_std is not None
+
+    @property
     def terrain(self) -> TerrainParams:
         """The parameters of the GP alone; a new grid needs no new fit.
 
@@ -262,8 +267,8 @@ def ordinary_noise(points_of: Submap, known_by: Submap, params: TerrainParams) -
         case "constant":
             return np.full(len(xy), params.noise_std)
         case "range":
-            known = points_of.ranges
-            squared = np.sum(xy**2, axis=1) if known is None else known**2
+            ranges = points_of.ranges
+            squared = np.sum(xy**2, axis=1) if ranges is None else ranges**2
             return params.noise_std + params.noise_growth * squared
         case "measured":
             measured = measure_noise(known_by.points, params.length_scale, params.noise_std)
@@ -341,8 +346,8 @@ def few_of(submap: Submap, most: int) -> Submap:
         return submap
     kept = kept_rows(submap, most)
 
-    def some(of_points: Float[Array, "n"] | None) -> Float[Array, "k"] | None:
-        return None if of_points is None else of_points[kept]
+    def some(values: Float[Array, "n"] | None) -> Float[Array, "k"] | None:
+        return None if values is None else values[kept]
 
     return replace(
         submap,

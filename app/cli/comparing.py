@@ -17,7 +17,7 @@ from gpgrad_core.datasets import Outline
 from gpgrad_core.datasets.folder import MOST_LOADED
 from gpgrad_core.methods import Method
 from gpgrad_core.outputs import ClosureWriter, count_images, report_closures
-from gpgrad_core.pipeline import PipelineParams, detect_loop_closures, keeping
+from gpgrad_core.pipeline import PipelineParams, detect_loop_closures, with_store
 from gpgrad_core.run.cluster import Cluster, connected
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
@@ -92,7 +92,7 @@ def compare(
             result = detect_loop_closures(
                 dataset,
                 params,
-                detector=keeping(method.detector(params, Memo(store=store)), store),
+                detector=with_store(method.detector(params, Memo(store=store)), store),
                 candidates=candidates,
                 executor=executor,
                 progress=progress,

@@ -38,7 +38,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.fitting import representative
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import check_apart, check_output
-from gpgrad_core.pipeline import at_least_for_now, check_affordable
+from gpgrad_core.pipeline import check_affordable, store_for_run
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.shortlist import num_wanted, read_candidates
 from gpgrad_core.slam import build_pose_graph, odometry_poses, write_graph
@@ -94,7 +94,7 @@ class Detect:
         num_submaps = len(outline.clouds)
         num_pairs = sum(num_wanted(candidates, k) for k in range(2 if self.pair else num_submaps))
         with (
-            at_least_for_now(store, num_submaps) as room,
+            store_for_run(store, num_submaps) as room,
             workers_for(self.scheduler, num_pairs) as executor,
         ):
             kept = shared(room, executor, outline)

@@ -47,9 +47,9 @@ from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import ClosureReport, check_apart, count_images
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.shortlist import num_wanted, read_candidates
 from gpgrad_core.types import Dataset
 

@@ -33,10 +33,10 @@ from gpgrad_core.outputs import check_apart
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.params.fields import AUTOMATIC
 from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.types import Dataset
 
 COMPARED = ("paper", "shot", "cshot", "gradient")

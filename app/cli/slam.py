@@ -53,14 +53,14 @@ from gpgrad_core.outputs import (
 from gpgrad_core.pipeline import (
     DetectionResult,
     PipelineParams,
-    at_least_for_now,
     check_affordable,
+    store_for_run,
 )
+from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.shortlist import Candidates, num_wanted, read_candidates
 from gpgrad_core.slam import (
     GraphParams,
@@ -235,7 +235,7 @@ class Slam:
         count_all = len(joined.outline.clouds)
         num_pairs = sum(num_wanted(candidates, k) for k in range(count_all))
         with (
-            at_least_for_now(store, count_all) as room,
+            store_for_run(store, count_all) as room,
             workers_for(self.scheduler, num_pairs) as executor,
         ):
             kept = shared(room, executor, joined.outline)

@@ -11,8 +11,8 @@ import viser
 
 from app.viewer.widgets.work_bar import WorkBar
 from app.viewer.work import Work
+from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.progress import Progress
-from gpgrad_core.run.whole import TemporaryFolder
 
 Write: TypeAlias = Callable[[Path, Progress], None]
 """Given where to write a file, and a progress hook."""

@@ -18,10 +18,10 @@ from gpgrad_core.datasets.ply import write_ply
 from gpgrad_core.datasets.poses import read_poses, read_positions, write_poses, write_positions
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
+from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes
+from gpgrad_core.run.memory import Spool, Waiting
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.run.spool import Spool, Waiting
-from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset, Submap, SubmapSource
 

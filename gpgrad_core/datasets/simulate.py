@@ -22,9 +22,9 @@ from gpgrad_core.datasets.streams import stream
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
 from gpgrad_core.datasets.voxel_means import voxel_means
 from gpgrad_core.errors import InputError
+from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.parallel import run_jobs
 from gpgrad_core.run.progress import Progress, part, silent
-from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Submap
 

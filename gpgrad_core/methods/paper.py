@@ -228,7 +228,7 @@ def register_paper_pair(
 
 
 @dataclass(frozen=True, eq=False)
-class PaperDetector(TunedDetector):
+class PaperDetector(TunedDetector[TunedMap, PaperSubmap]):
     """The paper as a `LoopDetector`: every submap's own tuning, SURF, and Algorithm 1 as printed.
 
     Attributes:

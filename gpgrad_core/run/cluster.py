@@ -117,12 +117,12 @@ def connected(address: str) -> Generator[Cluster]:
 
 def _check_versions(client: Any, address: str) -> None:
     try:
-        found = cast("dict[str, str]", client.run(code_version))
+        versions = cast("dict[str, str]", client.run(code_version))
     except ModuleNotFoundError as error:
         raise InputError(
             f"--scheduler {address}: its workers have no {error.name}; install gpgrad there"
         ) from None
-    for worker, version in sorted(found.items()):
+    for worker, version in sorted(versions.items()):
         if version != code_version():
             raise InputError(
                 f"--scheduler {address}: worker {worker} has another gpgrad, or another release of "

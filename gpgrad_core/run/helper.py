@@ -139,7 +139,7 @@ class Helper:
         Raises:
             OSError: If the system cannot start a process.
         """
-        self._process = _start_process()
+        self._process = start_process()
         self._writing, self._lock = threading.Lock(), threading.Lock()
         self._count = 0
         self._current: Answer[Any] | None = None
@@ -273,7 +273,7 @@ class Helper:
                 return False
             died = self._process
             try:
-                self._process = _start_process()
+                self._process = start_process()
             except OSError:
                 return False
         _bury(died)
@@ -289,7 +289,12 @@ def _bury(died: "subprocess.Popen[bytes]") -> None:
             _pipe(pipe).close()
 
 
-def _start_process() -> "subprocess.Popen[bytes]":
+def start_process() -> "subprocess.Popen[bytes]":
+    """Start the other process, which runs `main`.
+
+    Raises:
+        OSError: If the system cannot.
+    """
     path = os.pathsep.join(entry for entry in sys.path if entry)
     # Before they are loaded: threads of BLAS that have worked spin for many milliseconds more, on
     # the processor that the first process needs.

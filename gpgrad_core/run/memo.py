@@ -75,7 +75,7 @@ class Memo:
         """As a call, but the result is also taken from the store, and kept there.
 
         Args:
-            function: A pure function whose result `packing.pack` can pack.
+            function: A pure function whose result `store.pack` can pack.
             arguments: Its inputs and parameters, whose text `store.key_of` can write.
             unkeyed: Arguments that do not change the result, such as ``progress``.
         """

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.clouds import READERS, read_points, read_property
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.whole import is_unfinished
+from gpgrad_core.run.folders import is_unfinished
 from gpgrad_core.scans.keeping import Condition, Tally, kept_points
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.pose_files import (

@@ -22,8 +22,8 @@ from gpgrad_core.datasets.streams import stream
 from gpgrad_core.datasets.tables import write_lines
 from gpgrad_core.datasets.terrain import HeightField, make_terrain
 from gpgrad_core.errors import InputError
+from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import Pose
 
 SCAN_STREAM = 3

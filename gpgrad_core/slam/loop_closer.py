@@ -18,14 +18,14 @@ from gpgrad_core.pipeline import (
     PipelineParams,
     check_searchable,
     judge_pair,
-    keeping,
     resolve_parameters,
+    with_store,
 )
 from gpgrad_core.pipeline.all_pairs import SearchableDetector, StagedDetector, side_by_side
+from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.memo import Memo, array_bytes
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
-from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.se2 import Pose
 from gpgrad_core.shortlist import Candidate, Candidates, Shortlist, num_wanted
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
@@ -81,7 +81,7 @@ class LoopCloser:
         graph: GraphParams | None = None,
         solver: SolverParams | None = None,
         *,
-        detector: StagedDetector | None = None,
+        detector: StagedDetector[Any, Any] | None = None,
         search_radius: float | None = None,
         candidates: Candidates = "automatic",
         executor: Executor | None = None,
@@ -228,12 +228,12 @@ class LoopCloser:
             self._poses = dict(self.result.poses)
         return Step(closures, dict(self._poses), shortlist)
 
-    def _detector_for(self, submap: Submap) -> StagedDetector:
+    def _detector_for(self, submap: Submap) -> StagedDetector[Any, Any]:
         """Return the detector; the first submap determines its automatic parameters."""
         if self._detector is None:
             memo = Memo(MEMO_BYTES, self._store)
             self._params = resolve_parameters([submap], self._params, memo)
-            self._detector = keeping(MapDetector(self._params, memo), self._store)
+            self._detector = with_store(MapDetector(self._params, memo), self._store)
         return self._detector
 
     def _predicted(self, odometry: Pose, *, starts_traverse: bool) -> Pose:

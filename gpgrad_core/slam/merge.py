@@ -13,7 +13,7 @@ from typing_extensions import Doc
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.datasets.voxel_means import voxel_means
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.binning import thin_dense
+from gpgrad_core.gp.cloud import thin_dense
 from gpgrad_core.gradient_map import (
     TerrainParams,
     fit_terrain,

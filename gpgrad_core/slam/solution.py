@@ -16,8 +16,8 @@ from gpgrad_core.gradient_map import TerrainParams
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.outputs.georeferenced import write_cloud_optimised, write_laz
 from gpgrad_core.outputs.maps import write_arrays, write_raster
+from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.progress import Progress, part, silent
-from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.consistency import Consistency, measure_consistency
 from gpgrad_core.slam.g2o import vertex_numbers, write_graph

@@ -17,7 +17,7 @@ from gpgrad_core.pipeline import (
     MapDetector,
     PipelineParams,
     detect_loop_closures,
-    keeping,
+    with_store,
 )
 from gpgrad_core.run.cluster import connected
 from gpgrad_core.run.memo import Memo
@@ -68,7 +68,7 @@ def test_the_same_file_as_on_one_machine(
 def detected(
     dataset: Dataset, store: Store | None, progress: Progress = silent, **named: Any
 ) -> DetectionResult:
-    detector = keeping(MapDetector(PARAMS, Memo()), store)
+    detector = with_store(MapDetector(PARAMS, Memo()), store)
     return detect_loop_closures(dataset, PARAMS, detector=detector, progress=progress, **named)
 
 

@@ -13,7 +13,7 @@ import app.cli.comparing
 from app.cli import run
 from gpgrad_core.datasets import demo_path
 from gpgrad_core.outputs import read_closures
-from gpgrad_core.pipeline import keeping, kept
+from gpgrad_core.pipeline import with_store
 from gpgrad_core.run.parallel import WORTH_PROCESSES
 from gpgrad_core.run.store import Store
 from tests.core.methods.test_appearance import picture, turned
@@ -145,9 +145,9 @@ def test_without_a_cache_the_results_of_many_lie_in_a_folder_that_goes_with_the_
     def noted(detector: object, store: Store | None) -> object:
         assert store is not None
         folders.append(str(store.folder))
-        return keeping(detector, store)  # type: ignore[type-var]
+        return with_store(detector, store)  # type: ignore[type-var]
 
-    monkeypatch.setattr(app.cli.comparing, "keeping", noted)
+    monkeypatch.setattr(app.cli.comparing, "with_store", noted)
     out = tmp_path / "closures.json"
     assert run(["detect", str(traverse), "--out", str(out), "--cache", "none"]) == 0
     assert read_closures(out).pairs == read_closures(detected / "closures.json").pairs

@@ -17,8 +17,8 @@ import pytest
 
 from app.cli import run
 from gpgrad_core.datasets import SimulationParams
+from gpgrad_core.run.folders import JUST_MADE, TemporaryFolder
 from gpgrad_core.run.parallel import SOCKETS
-from gpgrad_core.run.whole import JUST_MADE, TemporaryFolder
 from gpgrad_core.scans import simulate_recording
 from tests.core.scans.test_build import contents
 from tests.end_to_end.conftest import POSES

@@ -105,7 +105,7 @@ def test_the_same_again_runs_nothing_and_gives_the_same_objects(
     first = register_pair(query, database, PARAMS, memo)
     assert sorted(memo.since()) == sorted(
         2 * ["fit_terrain", "sample_map", "detect_features", "select_trusted", "prepare"]
-        + ["match_features", "search_motions", "register_prepared"]
+        + ["match_features", "search_candidates", "register_prepared"]
     )
     second = register_pair(query, database, PARAMS, memo)
     assert memo.since() == []
@@ -116,7 +116,7 @@ def test_the_same_again_runs_nothing_and_gives_the_same_objects(
 
 MAP, FEATURES = PARAMS.map, PARAMS.features
 MATCHING, REGISTRATION, CLOSURE = PARAMS.matching, PARAMS.registration, PARAMS.closure
-MASKING = ["match_features", "prepare", "register_prepared", "search_motions", "select_trusted"]
+MASKING = ["match_features", "prepare", "register_prepared", "search_candidates", "select_trusted"]
 SAMPLING = ["detect_features", *MASKING, "sample_map"]
 
 

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.registration import RegistrationParams, register
-from gpgrad_core.registration.dense_check import DenseCheck, thin_out
-from gpgrad_core.registration.ransac import find_motions
+from gpgrad_core.registration.candidates import find_motions
+from gpgrad_core.registration.score import DenseCheck
+from gpgrad_core.registration.surface import thin_out
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Grid, Matches, Registration

@@ -1,15 +1,17 @@
-"""Aligns two reliefs to a few centimetres by robust Gauss-Newton on their elevation."""
+"""Lays one surface on another: overlaid cell by cell, or aligned to a few centimetres."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import pi, sqrt
+from typing import TypeAlias
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.relief import Image, Relief
+from gpgrad_core.registration.surface import Image, Surface
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Array
+from gpgrad_core.types import Array, Grid
 
 FEWEST_CELLS = 30
 """Smallest number of common cells that a motion is estimated from."""
@@ -22,6 +24,19 @@ COVARIANCE_FACTOR = 3.0
 would give (measured on four datasets, whole, thinned and noisy)."""
 ROBUSTNESS = 1.0
 """A residual whose square is this many (robust) variances has half of the full weight."""
+ROUGH_CELLS, ROUGH_ITERATIONS = 3000, 8
+"""Number of cells and of steps with which the whole elevation is aligned."""
+FINE_CELLS, FINE_ITERATIONS = 6000, 8
+"""Number of cells and of steps with which the weighted waves are then aligned."""
+MOST_TAKEN = 0.9
+"""Largest share of the long waves that is removed; with more, the yaw gets worse."""
+WARP_ROUNDS = 3
+"""Rounds of weighted least squares, which separate the warp from rocks."""
+WARP_CELLS = 600
+"""Number of cells that the warp is fitted to; it is smooth, so a few are enough."""
+
+Pair: TypeAlias = Float32[NDArray[np.float32], "rows columns 2"]
+Mask: TypeAlias = Bool[NDArray[np.bool_], "rows columns"]
 
 
 @dataclass(frozen=True)
@@ -73,8 +88,8 @@ class Alignments:
 
 
 def align(
-    query: Relief,
-    database: Relief,
+    query: Surface,
+    database: Surface,
     starts: list[SE2],
     *,
     num_cells: int,
@@ -99,7 +114,7 @@ def align(
         One aligned motion for each start.
     """
     problem = _Problem(query, database, num_cells, warp)
-    motions = np.array([[one.x, one.y, one.yaw] for one in starts])
+    motions = np.array([[start.x, start.y, start.yaw] for start in starts])
     weight: Float[Image, "m cells"] | None = None
     for _ in range(iterations):
         step = problem.linearise(motions, weight)
@@ -116,6 +131,195 @@ def align(
     )
 
 
+def place(query: Surface, database: Surface, start: SE2) -> Alignments:
+    """Align two maps: first the whole elevation, then with short and long waves weighted.
+
+    Drift within a submap makes long waves differ more than short ones; noise does the opposite.
+    For least squares, both should differ equally. So a share of the long waves is removed if they
+    differ more, but never a share of the short waves. On dense clouds this brings a right motion
+    a fifth closer to the truth; on noisy clouds it changes nothing.
+
+    Args:
+        query: The map to be placed.
+        database: The map on which it is placed.
+        start: ``T_database_query``, up to a few scales of comparison off.
+
+    Returns:
+        One motion. Its height offset and its covariance are those of the whole elevation.
+    """
+    rough = align(
+        query,
+        database,
+        [start],
+        num_cells=ROUGH_CELLS,
+        iterations=ROUGH_ITERATIONS,
+        warp=DRIFTED,
+    )
+    share = _taken(query, database, rough.motion(0)) if rough.held[0] else 0.0
+    if share == 0:
+        return rough
+    fine = align(
+        query.less_long_waves(share),
+        database.less_long_waves(share),
+        [rough.motion(0)],
+        num_cells=FINE_CELLS,
+        iterations=FINE_ITERATIONS,
+        warp=DRIFTED,
+    )
+    moved = np.hypot(*(fine.motions - rough.motions)[0, :2])
+    return replace(rough, motions=fine.motions) if moved < database.scale else rough
+
+
+def _taken(query: Surface, database: Surface, motion: SE2) -> float:
+    """Compute the share of the long waves to remove, so that long and short waves differ equally.
+
+    The variances are estimated from medians, because rocks hide the ground behind them from one
+    side only.
+    """
+    laid = overlay(query, database, motion)
+    if laid.count < FEWEST_CELLS:
+        return 0.0
+    pair = take_warp_out(laid)
+    smooth = smooth_between(pair, laid.common, (0.0, laid.scale), laid.step)
+    long = (smooth[..., 0] - smooth[..., 1])[laid.common]
+    short = (pair[..., 0] - pair[..., 1])[laid.common] - long
+    least, most = (float(np.median(np.square(part))) for part in (short, long))
+    return min(max(1 - sqrt(least / most), 0.0), MOST_TAKEN) if most > 0 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """Two maps on the database's cells, cropped to the box around their common cells.
+
+    Attributes:
+        common: Cells that both maps trust (rows, columns).
+        heights: Elevation of the query and of the database (rows, columns, 2) [m].
+        noise: Half the variance of the uncertainty of both maps in each band
+            (rows, columns, bands) [m²].
+        grid: Of these cells, in the database's frame.
+        scale: Scale of comparison [m].
+    """
+
+    common: Mask
+    heights: Pair
+    noise: Float32[NDArray[np.float32], "rows columns bands"]
+    grid: Grid
+    scale: float
+
+    @property
+    def step(self) -> float:
+        """Side of a cell [m]."""
+        return self.grid.resolution
+
+    @property
+    def count(self) -> int:
+        """Number of common cells."""
+        return int(np.count_nonzero(self.common))
+
+
+def overlay(query: Surface, database: Surface, T_database_query: SE2) -> Overlay:
+    """Resample the query on the database's cells.
+
+    Args:
+        query: The map to be placed.
+        database: The map on which it is placed.
+        T_database_query: The motion.
+    """
+    inverse, step = T_database_query.inverse(), database.grid.resolution
+    corner = query.grid.to_pixel(inverse.apply(np.array([database.grid.origin])))[0]
+    onto = np.column_stack([inverse.rotation * (step / query.grid.resolution), corner])
+    moved = cv2.warpAffine(
+        np.dstack([query.elevation, query.trusted.astype(np.float32), query.noise]),
+        onto,
+        database.grid.shape[::-1],
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+    )
+    common = (moved[..., 1] > 0.999) & database.trusted
+    rows, columns = np.flatnonzero(common.any(axis=1)), np.flatnonzero(common.any(axis=0))
+    if not len(rows):
+        rows = columns = np.zeros(1, int)
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    heights = np.asarray(np.dstack([moved[..., 0], database.elevation])[box], np.float32)
+    noise = np.float32(0.5) * (moved[..., 2:] + database.noise)[box]
+    x, y = database.grid.origin
+    corner = x + step * int(columns[0]), y + step * int(rows[0])
+    height, width = common[box].shape
+    grid = Grid(corner, step, (height, width))
+    return Overlay(common[box], heights, np.asarray(noise, np.float32), grid, database.scale)
+
+
+def take_warp_out(laid: Overlay) -> Pair:
+    """Remove the offset, tilt and bend of the difference, half from each map, and the mean.
+
+    Args:
+        laid: The two maps; they must have a common cell.
+
+    Returns:
+        The heights of both maps (rows, columns, 2) [m]; 0 outside of the common cells.
+    """
+    common, step = laid.common, laid.step
+    row, column = np.nonzero(common)
+    x, y = (column - column.mean()) * step, (row - row.mean()) * step
+    bends = np.stack([x * x, x * y, y * y])
+    columns = np.vstack([np.ones((1, len(x))), x, y, bends - bends.mean(axis=1, keepdims=True)])
+    precision = _precision(DRIFTED)[3:]  # of the offset, the tilts and the bends
+    both = laid.heights[common].astype(np.float64)
+    every = max(1, len(x) // WARP_CELLS)
+    some, difference = columns[:, ::every], (both[:, 0] - both[:, 1])[::every]
+    left = difference - median(difference)
+    cells_a_patch = max(1.0, 2 * pi * laid.scale**2 / (every * step**2))
+    coefficients = np.zeros(len(precision))
+    weight = np.ones_like(difference)
+    for _ in range(WARP_ROUNDS):
+        variance = median(left * left) / 0.455 + 1e-12
+        weighed = some * weight
+        normal = weighed @ some.T
+        normal += np.diag(precision * variance * cells_a_patch + 1e-9 * np.diagonal(normal))
+        coefficients = np.linalg.solve(normal, weighed @ difference)
+        left = difference - coefficients @ some
+        weight = 1 / (1 + left * left / variance)
+    warp = coefficients @ columns
+    both[:, 0] -= warp / 2
+    both[:, 1] += warp / 2
+    flat = np.zeros_like(laid.heights)
+    flat[common] = both - both.mean(axis=0)
+    return flat
+
+
+def median(values: Float[NDArray[np.float64], "n"]) -> float:
+    """Give the median of finite values, as NumPy's does, in a fifth of its time for a few hundred.
+
+    >>> median(np.array([3.0, 1.0, 2.0])), median(np.array([4.0, 1.0]))
+    (2.0, 2.5)
+    """
+    half = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, half)[half])
+    around = np.partition(values, (half - 1, half))
+    return float((around[half - 1] + around[half]) / 2)
+
+
+def smooth_between(pair: Pair, common: Mask, edges: tuple[float, float], step: float) -> Pair:
+    """Smooth from the finer edge of a band to the coarser one.
+
+    Args:
+        pair: Heights of both maps [m], already smoothed over the finer edge.
+        common: The cells that count.
+        edges: Widths of the two Gaussians [m]; their variances add up.
+        step: Side of a cell [m].
+    """
+    fine, coarse = edges
+    weight = common.astype(np.float32)
+    blurred = cv2.GaussianBlur(
+        np.dstack([pair, weight]),
+        (0, 0),
+        sqrt(coarse**2 - fine**2) / step,
+        borderType=cv2.BORDER_CONSTANT,
+    )
+    share = np.maximum(blurred[..., 2:], 1e-6)
+    return np.where(common[..., None], blurred[..., :2] / share, np.float32(0))
+
+
 @dataclass(frozen=True, eq=False)
 class _Step:
     change: Float[Array, "m p"]  # x, y [m], yaw [rad], offset [m], tilts [rad], bends [1/m]
@@ -127,7 +331,7 @@ class _Step:
 class _Problem:
     """The least-squares problem of one query and one database."""
 
-    def __init__(self, query: Relief, database: Relief, num_cells: int, warp: Warp) -> None:
+    def __init__(self, query: Surface, database: Surface, num_cells: int, warp: Warp) -> None:
         rows, columns = np.nonzero(database.trusted)
         every = max(1, len(rows) // num_cells)
         rows, columns = rows[::every], columns[::every]
@@ -140,7 +344,7 @@ class _Problem:
         self._positions = np.stack([x, y, np.ones_like(x)])
         self._elevation = database.elevation[rows, columns]
         self._half_slope = np.float32(0.5) * database.slope[rows, columns].T
-        self._terrain = database.terrain[rows, columns]
+        self._rows, self._columns = rows, columns
         # The number of cells that one independent sample of the residual covers.
         patch = 2 * np.pi * database.scale**2
         cell = every * database.grid.resolution**2
@@ -213,10 +417,12 @@ class _Problem:
 
     def likeness(self, motions: Float[Array, "m 3"]) -> Float[Array, "m"]:
         """Compute how well the terrain correlates under each motion; see `Alignments`."""
+        if not self._query.terrain.size:
+            return np.zeros(len(motions))
         image = np.dstack([self._query.terrain, self._image[..., 3]])
         terrain, trusted = cv2.split(self._sample(image, motions))
         common = (trusted > 0.999).astype(np.float32)
-        theirs, ours = terrain * common, self._terrain * common
+        theirs, ours = terrain * common, self._database.terrain[self._rows, self._columns] * common
         energy = np.sum(theirs**2, axis=1) * np.sum(ours**2, axis=1)
         product = np.sum(theirs * ours, axis=1).astype(np.float64)
         correlation = product / np.sqrt(np.maximum(energy, 1e-20))
@@ -234,7 +440,8 @@ class _Problem:
         column, row = (origin / grid.resolution for origin in grid.origin)
         onto = [[c, s, c * x + s * y - column], [-s, c, c * y - s * x - row]]
         columns, rows = (
-            np.column_stack(of_cell).astype(np.float32) @ self._positions for of_cell in onto
+            np.column_stack(coefficients).astype(np.float32) @ self._positions
+            for coefficients in onto
         )
         sampled = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         return np.asarray(sampled, np.float32)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpgrad_core.gp.binning import bin_points
+from gpgrad_core.gp.cloud import bin_points
 
 seeds = st.integers(0, 2**32 - 1)
 cells = st.floats(0.01, 5.0)

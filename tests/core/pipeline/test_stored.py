@@ -14,13 +14,13 @@ from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.methods import METHODS
 from gpgrad_core.pipeline import (
     DetectionResult,
-    KeptDetector,
     MapDetector,
     PipelineParams,
+    StoredDetector,
     detect_loop_closures,
-    keeping,
+    with_store,
 )
-from gpgrad_core.pipeline.kept import LOADED
+from gpgrad_core.pipeline.stored import LOADED
 from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled, Progress, silent
@@ -107,7 +107,7 @@ def _forgotten() -> Iterator[None]:
 
 def run(store: Store | None, params: PipelineParams = PARAMS, **named: object) -> DetectionResult:
     LOADED.__init__()
-    detector = keeping(Counting(params, Memo()), store)
+    detector = with_store(Counting(params, Memo()), store)
     return detect_loop_closures(DATASET, params, detector=detector, **named)  # type: ignore[arg-type]
 
 
@@ -144,7 +144,7 @@ def test_verdicts_are_handed_over_and_submaps_loaded_only_if_needed(tmp_path: Pa
     outlined, sources = open_dataset(folder, most_bytes=0)
     noted = [Noted(source, loaded) for source in sources]
     for loads in (["0", "1", "2", "3"], []):
-        detector = keeping(Counting(PARAMS, Memo()), Store(tmp_path / "kept"))
+        detector = with_store(Counting(PARAMS, Memo()), Store(tmp_path / "kept"))
         result = detect_loop_closures(
             outlined, PARAMS, detector=detector, sources=noted, take=taken.append
         )
@@ -199,7 +199,7 @@ def test_candidates_are_found_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     # Behind other submaps everything is found anew, and only that.
     fewer = replace(DATASET, submaps=(*DATASET.submaps[:3], DATASET.submaps[0]))
     fewer = replace(fewer, submaps=(*fewer.submaps[:3], replace(fewer.submaps[3], id="again")))
-    detector = keeping(Counting(PARAMS, Memo()), Store(tmp_path))
+    detector = with_store(Counting(PARAMS, Memo()), Store(tmp_path))
     detect_loop_closures(fewer, PARAMS, detector=detector, candidates=1)
     assert asked == [3]
     ran()
@@ -250,7 +250,7 @@ def test_a_store_that_cannot_be_written_changes_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["elevation", "smoothed", "fpfh"])
 def test_rivals_are_not_kept(name: str, tmp_path: Path) -> None:
     detector = METHODS[name].detector(METHODS[name].adapt(PARAMS), Memo())
-    assert keeping(detector, Store(tmp_path)) is detector
+    assert with_store(detector, Store(tmp_path)) is detector
     own = METHODS["gradient"].detector(PARAMS, Memo())
-    assert isinstance(keeping(own, Store(tmp_path)), KeptDetector)
-    assert keeping(own, None) is own
+    assert isinstance(with_store(own, Store(tmp_path)), StoredDetector)
+    assert with_store(own, None) is own

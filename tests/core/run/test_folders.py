@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.run import whole
-from gpgrad_core.run.whole import TemporaryFolder, alone, put_in_place, recover, whole_folder
+from gpgrad_core.run import folders
+from gpgrad_core.run.folders import TemporaryFolder, alone, put_in_place, recover, whole_folder
 
 pytest.importorskip("fcntl", reason="no locks on this system")
 
@@ -168,7 +168,7 @@ def test_temporary_folders_of_killed_processes_are_removed(tmp_path: Path) -> No
     for folder in (left, foreign, fresh):
         folder.mkdir()
         (folder / "a.bin").touch()
-    before = time.time() - 2 * whole.JUST_MADE
+    before = time.time() - 2 * folders.JUST_MADE
     for folder in (left, foreign):
         os.utime(folder, (before, before))
     with TemporaryFolder("gpgrad-x-", tmp_path) as first:

@@ -2,17 +2,18 @@
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 from gpgrad_core.pipeline.all_pairs import SourceDetector
 from gpgrad_core.pipeline.detection import ExtractedSubmap, MapDetector, infer_map
+from gpgrad_core.pipeline.stages import PREPARE, SELECT, key_of_stage
 from gpgrad_core.registration import Prepared
+from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.store import Store, key_of
-from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.shortlist import ALL_UP_TO
 from gpgrad_core.types import (
     Features,
@@ -26,6 +27,8 @@ from gpgrad_core.types import (
 D = TypeVar("D", bound=LoopDetector)
 R = TypeVar("R")
 
+STORED = (SELECT, PREPARE)
+"""The stages whose results are kept: all that a comparison needs of a submap."""
 VIEW_BYTES = 2_000_000
 """Room for what is kept of a submap and its pairs; 30,000 points take half of it."""
 LOADED = Memo(200_000_000)
@@ -38,26 +41,32 @@ class View:
 
     Attributes:
         source: The submap, from which the view can be made anew.
-        key: Key of the view in the store.
+        features_key: Key of its keypoints in the store; a shortlist needs nothing else.
+        prepared_key: Key of what is prepared for registration.
         made: What the comparison needs; None if the store has it.
     """
 
     source: SubmapSource
-    key: str
+    features_key: str
+    prepared_key: str
     made: ExtractedSubmap | None = None
+
+    @property
+    def key(self) -> str:
+        """Key of both together."""
+        return f"{self.features_key} {self.prepared_key}"
 
 
 @dataclass(frozen=True, eq=False)
 class _Mapped:
-    """A submap with its map, until its view is made."""
+    """A view that is still to be made, with the map that it will be made of."""
 
-    source: SubmapSource
-    key: str
+    view: View
     gradient_map: GradientMap
 
 
 @dataclass(frozen=True, eq=False)
-class KeptDetector(SourceDetector):
+class StoredDetector(SourceDetector[View | _Mapped, View]):
     """A `MapDetector` that keeps views and registrations in a store, and takes them from there.
 
     So a run that was killed goes on where it was, and a second run with another threshold compares
@@ -78,27 +87,29 @@ class KeptDetector(SourceDetector):
 
     def infer_source(self, source: SubmapSource, progress: Progress = silent) -> View | _Mapped:
         """Load the submap and make its map, unless the view is in the store."""
-        params = self.detector.params
-        key = key_of("view", source, params.map, params.features)
-        if all(self.store.holds(part) for part in _parts(key)):
+        features_key, prepared_key = (
+            key_of(*key_of_stage(stage, self.detector.params, source)) for stage in STORED
+        )
+        view = View(source, features_key, prepared_key)
+        if self.store.holds(view.features_key) and self.store.holds(view.prepared_key):
             progress(1.0)
-            return View(source, key)
-        return _Mapped(source, key, self.detector.infer(source.load(), progress))
+            return view
+        return _Mapped(view, self.detector.infer(source.load(), progress))
 
     def extract(self, made: View | _Mapped, progress: Progress = silent) -> View:
         """Make the view of a map, and put it into the store."""
         if isinstance(made, View):
             progress(1.0)
             return made
-        view = self.detector.extract(made.gradient_map, progress)
-        return View(made.source, made.key, None if self._put(made.key, view) else view)
+        extracted = self.detector.extract(made.gradient_map, progress)
+        return made.view if self._put(made.view, extracted) else replace(made.view, made=extracted)
 
     def keypoints(self, extracted: View) -> Features:
         """Give the keypoints of a view."""
         if extracted.made is None:
-            kept = self.store.get(_parts(extracted.key)[0])
-            if isinstance(kept, Features):
-                return kept
+            features = self.store.get(extracted.features_key)
+            if isinstance(features, Features):
+                return features
         return self._load(extracted).features
 
     def key(self, extracted: View) -> str:
@@ -120,29 +131,26 @@ class KeptDetector(SourceDetector):
     def _load(self, view: View) -> ExtractedSubmap:
         if view.made is not None:
             return view.made
-        return LOADED(self._from_store, view.key, source=view.source)
+        return LOADED(self._from_store, view.key, view=view)
 
-    def _from_store(self, key: str, *, source: SubmapSource) -> ExtractedSubmap:
-        features, prepared = (self.store.get(part) for part in _parts(key))
+    def _from_store(self, key: str, *, view: View) -> ExtractedSubmap:
+        del key  # by which `LOADED` knows the view
+        features, prepared = (self.store.get(key) for key in (view.features_key, view.prepared_key))
         if isinstance(features, Features) and isinstance(prepared, Prepared):
             return ExtractedSubmap(features, prepared)
         # It was damaged, or another process needed its room.
-        made = self.detector.extract(self.detector.infer(source.load()))
-        self._put(key, made)
-        return made
+        extracted = self.detector.extract(self.detector.infer(view.source.load()))
+        self._put(view, extracted)
+        return extracted
 
-    def _put(self, key: str, view: ExtractedSubmap) -> bool:
-        """Keep a view: the keypoints apart, because a shortlist needs nothing else."""
-        features, prepared = _parts(key)
-        return self.store.put(features, view.features) and self.store.put(prepared, view.prepared)
-
-
-def _parts(key: str) -> tuple[str, str]:
-    """Give the keys of a view's two parts: its keypoints, and what is prepared."""
-    return key_of(key, "features"), key_of(key, "prepared")
+    def _put(self, view: View, extracted: ExtractedSubmap) -> bool:
+        """Keep what was extracted of a submap, and say whether it is kept."""
+        return self.store.put(view.features_key, extracted.features) and self.store.put(
+            view.prepared_key, extracted.prepared
+        )
 
 
-def keeping(detector: D, store: Store | None) -> "D | KeptDetector":
+def with_store(detector: D, store: Store | None) -> "D | StoredDetector":
     """Let a detector use a store, if there is one and the detector is the pipeline itself.
 
     Rivals are not kept: they run to be timed.
@@ -150,11 +158,11 @@ def keeping(detector: D, store: Store | None) -> "D | KeptDetector":
     if store is None or not isinstance(detector, MapDetector):
         return detector
     is_own = detector.make_map is infer_map and detector.drawn_from is None
-    return KeptDetector(detector, store) if is_own else detector
+    return StoredDetector(detector, store) if is_own else detector
 
 
 @contextmanager
-def at_least_for_now(store: Store | None, num_submaps: int) -> Generator[Store | None]:
+def store_for_run(store: Store | None, num_submaps: int) -> Generator[Store | None]:
     """Give a store with room for a run; a temporary one if the results of many are not kept.
 
     Args:
