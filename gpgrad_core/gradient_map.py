@@ -1,6 +1,6 @@
 """Turns a submap into a gradient map (the paper's Sec. IV)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
@@ -111,8 +111,11 @@ class TerrainParams:
 class MapParams:
     """Parameters of a gradient map: those of its GP, and the grid on which it is sampled.
 
-    None means automatic: the value that `resolve_parameters` fits to the dataset. A number is used
-    as it is. `infer_gradient_map` fits to its one submap.
+    A number is used as it is. None means automatic, everywhere: the points decide. Length-scale,
+    noise, signal and scale are fitted to the points of the dataset, or to those of the submaps at
+    hand where a function gets no dataset (`resolve_parameters`); what needs numbers for the first
+    two refuses params without (`terrain`). If these two are given, nothing is fitted, and the
+    signal is that of each submap's points. All points are used.
     """
 
     length_scale: Annotated[
@@ -173,21 +176,14 @@ class MapParams:
         Raises:
             InputError: If length-scale or noise are automatic, and so have no numbers yet.
         """
-        if self.length_scale is None or self.noise_std is None:
+        if not self.has_numbers:
             name = "length_scale" if self.length_scale is None else "noise_std"
             raise InputError(
                 f"map.{name} is automatic, so it has no number yet: fit it with "
                 "resolve_parameters, or give one"
             )
-        return TerrainParams(
-            length_scale=self.length_scale,
-            noise_std=self.noise_std,
-            noise_model=self.noise_model,
-            noise_growth=self.noise_growth,
-            noise_factor=self.noise_factor,
-            signal_std=self.signal_std,
-            max_points=self.max_points,
-        )
+        own = {field.name: getattr(self, field.name) for field in fields(TerrainParams)}
+        return TerrainParams(**own)
 
     @property
     def guessed(self) -> "MapParams":

@@ -27,8 +27,6 @@ from gpgrad_core.registration.surface import (
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import MAX_STD_RATIO, Agreement, GradientMap, Grid
 
-BoolArray = NDArray[np.bool_]
-
 DRIFT_SHARE = 0.04
 """Share of a band's relief that drift within a submap and a slightly wrong motion may change. On
 true pairs of dense clouds the differences are 3 to 5 per cent larger than noise alone makes
@@ -94,14 +92,17 @@ def weigh(query: Surface, database: Surface, T_database_query: SE2) -> Evidence:
     for band in _compare_bands(laid):
         log_ratios.append(float(np.mean(band.log_ratio)))
         difference += 2 * median(band.squared) / 0.455
-        possible += 2 * float(np.mean(band.of_one))
+        possible += 2 * float(np.mean(band.variance_of_one))
         relief += band.signal
     agreement = Agreement(sqrt(difference), sqrt(possible), sqrt(relief))
     return Evidence(patches, tuple(log_ratios), agreement)
 
 
-def map_evidence(
-    query: Surface, database: Surface, T_database_query: SE2
+def map_agreement(
+    query: GradientMap,
+    database: GradientMap,
+    T_database_query: SE2,
+    max_std_ratio: float = MAX_STD_RATIO,
 ) -> tuple[Grid, Float32[NDArray[np.float32], "rows columns"]]:
     """Show where two maps agree under a motion, and where not.
 
@@ -109,15 +110,19 @@ def map_evidence(
     over the cells, times √N, is what the terrain adds to the evidence.
 
     Args:
-        query: The map to be placed.
+        query: The map that is placed.
         database: The map on which it is placed.
         T_database_query: The motion.
+        max_std_ratio: Threshold of the variance mask; only trusted cells are compared.
 
     Returns:
-        The cells around the overlap in the database's frame, and the log ratios: above 0 where one
-        terrain is likelier than two, NaN where there is nothing to compare.
+        The cells around the overlap in the database's frame, as coarse as the comparison, and for
+        each the log-likelihood ratio of one terrain against two. It is above 0 where the heights
+        agree by more than chance, below 0 where they differ by more than the uncertainty of both
+        maps allows, and NaN where there is nothing to compare.
     """
-    laid = overlay(query, database, T_database_query)
+    surfaces = smooth_surface(query, max_std_ratio), smooth_surface(database, max_std_ratio)
+    laid = overlay(*surfaces, T_database_query)
     shown = np.full(laid.common.shape, np.nan, np.float32)
     if laid.count >= FEWEST_CELLS:
         shown[laid.common] = sum(
@@ -133,13 +138,13 @@ class _Band:
 
     Attributes:
         squared: Square of the difference of the heights, divided by 2 [m²].
-        of_one: Variance of that if both maps show one terrain [m²].
+        variance_of_one: Variance of that if both maps show one terrain [m²].
         signal: Variance S of the terrain itself [m²].
         log_ratio: Of one terrain against two.
     """
 
     squared: Float[Array, "n"]
-    of_one: Float[Array, "n"]
+    variance_of_one: Float[Array, "n"]
     signal: float
     log_ratio: Float[Array, "n"]
 
@@ -183,16 +188,11 @@ def closure_score(evidence: Evidence, num_inliers: int) -> float:
     """
     if evidence.agreement is None:
         return 0.0
-    total = total_evidence(evidence, num_inliers)
+    total = sum(shares_of_evidence(evidence, num_inliers))
     tail = exp(min(-(total - UNRELATED_LEVEL) / UNRELATED_SPREAD, 700.0))
     # log10(1 - exp(-tail)) without a loss of digits where the tail is small.
     chance = -expm1(-tail)
     return max(0.0, -log(chance) / log(10)) if chance > 0 else 300.0
-
-
-def total_evidence(evidence: Evidence, num_inliers: int) -> float:
-    """Add up the evidence that `closure_score` converts to a score."""
-    return sum(shares_of_evidence(evidence, num_inliers))
 
 
 def shares_of_evidence(evidence: Evidence, num_inliers: int) -> tuple[float, ...]:
@@ -209,30 +209,6 @@ def _log_t(squared: Float[Array, "n"], variance: Float[Array, "n"]) -> Float[Arr
     return -0.5 * np.log(variance) - (FREEDOM + 1) / 2 * np.log1p(squared / (FREEDOM * variance))
 
 
-def map_agreement(
-    query: GradientMap,
-    database: GradientMap,
-    T_database_query: SE2,
-    max_std_ratio: float = MAX_STD_RATIO,
-) -> tuple[Grid, Float32[NDArray[np.float32], "rows columns"]]:
-    """Compute the evidence for one terrain at each place of the overlap.
-
-    Args:
-        query: The map that is placed.
-        database: The map on which it is placed.
-        T_database_query: The motion.
-        max_std_ratio: Threshold of the variance mask; only trusted cells are compared.
-
-    Returns:
-        The cells around the overlap in the database's frame, as coarse as the comparison, and for
-        each the log-likelihood ratio of one terrain against two. It is above 0 where the heights
-        agree by more than chance, below 0 where they differ by more than the uncertainty of both
-        maps allows, and NaN where there is nothing to compare.
-    """
-    surfaces = smooth_surface(query, max_std_ratio), smooth_surface(database, max_std_ratio)
-    return map_evidence(*surfaces, T_database_query)
-
-
 class DenseCheck:
     """Compares two maps under a motion."""
 
@@ -247,7 +223,7 @@ class DenseCheck:
 
     def _overlap(
         self, T_database_query: SE2
-    ) -> tuple[BoolArray, Float[Array, "common 2"], Float[Array, "common"]]:
+    ) -> tuple[NDArray[np.bool_], Float[Array, "common 2"], Float[Array, "common"]]:
         """Find the cells that both maps trust.
 
         Returns:

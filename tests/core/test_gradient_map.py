@@ -269,15 +269,6 @@ def test_progress_may_cancel() -> None:
         infer_gradient_map(submap(4), PARAMS, stop)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("length_scale", 0.0), ("noise_std", -0.1), ("signal_std", 0.0), ("max_points", 2)],
-)
-def test_parameters_out_of_bounds_are_refused(name: str, value: float) -> None:
-    with pytest.raises(InputError, match=f"{name} must be from"):
-        TerrainParams(**{name: value})
-
-
 # --- noise of points -----------------------------------------------------------------------
 
 

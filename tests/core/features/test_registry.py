@@ -24,7 +24,8 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     entry = re.findall(r"```python\n(.*?)\n```", section, re.DOTALL)[0]
     registry = folder / "gpgrad_core" / "features" / "registry.py"
     text = registry.read_text(encoding="utf-8")
-    registry.write_text(text.replace("    )\n}\n", f"        {entry},\n    )\n}}\n"), encoding="utf-8")
+    added = text.replace("    )\n}\n", f"        {entry},\n    )\n}}\n")
+    registry.write_text(added, encoding="utf-8")
     return folder
 
 

@@ -97,15 +97,6 @@ def test_a_shifted_image_has_shifted_blobs(ground: Array) -> None:
     assert (apart[inner & small] < 1e-6).all()
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (8, 300), (30, 30), (40, 57)])
-def test_small_images_have_few_blobs_or_none(shape: tuple[int, int]) -> None:
-    noise = np.random.default_rng(0).random(shape)
-    blobs = find_blobs(noise)
-    if min(shape) < 22:
-        assert len(blobs.sides) == 0
-    assert blobs.pixels.shape == (len(blobs.sides), 2)
-
-
 def test_planes_have_no_blobs() -> None:
     y, x = np.mgrid[:90, :100]
     assert len(find_blobs(np.full((90, 100), 0.7)).sides) == 0

@@ -10,14 +10,14 @@ from typing_extensions import Doc
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import FeatureParams
-from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.gradient_map import MapParams, TerrainParams
 from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.matching import MatchParams
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import bounds_of, check_bounds, fields_of
 from gpgrad_core.registration import RegistrationParams
 
-PARAMS = (MapParams, FeatureParams, MatchParams, RegistrationParams, ClosureParams)
+PARAMS = (MapParams, TerrainParams, FeatureParams, MatchParams, RegistrationParams, ClosureParams)
 steps = st.sampled_from([1e-3, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 1.0, 10.0])
 
 
@@ -104,6 +104,8 @@ def test_every_parameter_of_the_pipeline_is_sound(params: type) -> None:
         if field.default is not None:
             assert low <= field.default <= high
             assert bounds.round(field.default) == field.default
+        for right in (bounds.low, bounds.high):
+            assert getattr(params(**{field.name: right}), field.name) == right
         for wrong in (bounds.low - bounds.step, bounds.high + bounds.step):
             with pytest.raises(InputError, match=field.name):
                 params(**{field.name: wrong})

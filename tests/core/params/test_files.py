@@ -4,12 +4,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.params.fields import Field, get_path, parameters_of
 from gpgrad_core.params.files import preferred_parameters, read_parameters, with_tables
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset
@@ -112,24 +109,3 @@ def test_a_dataset_that_prefers_nonsense_is_named() -> None:
     dataset = Dataset("moon", (), preferred={"map": {"length_scale": 1e9}})
     with pytest.raises(InputError, match=r"moon: dataset\.toml, \[preferred\]: map\.length_scale"):
         preferred_parameters(dataset, PipelineParams())
-
-
-BOUNDED = [one for one in parameters_of(PipelineParams) if one.bounds is not None]
-
-
-@given(st.sampled_from(BOUNDED), st.sampled_from(["low", "high"]), st.booleans())
-def test_every_bounded_parameter_holds_its_bounds(one: Field, end: str, inside: bool) -> None:
-    bound = getattr(one.bounds, end)
-    whole = one.kind is int
-    value = int(bound) if whole else float(bound)
-    if not inside:
-        value += (-1 if end == "low" else 1) * (1 if whole else max(1.0, abs(bound)))
-    tables: object = value
-    for name in reversed(one.path.split(".")):
-        tables = {name: tables}
-    if inside:
-        params = with_tables(PipelineParams(), tables, "here")
-        assert get_path(params, one.path) == value
-    else:
-        with pytest.raises(InputError, match=rf"^here: {one.path} must be from "):
-            with_tables(PipelineParams(), tables, "here")

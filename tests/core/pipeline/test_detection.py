@@ -7,14 +7,12 @@ import pytest
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.datasets import demo_path, load_dataset
-from gpgrad_core.errors import InputError
 from gpgrad_core.features import DetectorParams
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import (
     PairResult,
     PipelineParams,
     detect_loop_closures,
-    infer_map,
     register_pair,
 )
 from gpgrad_core.run.memo import Memo
@@ -177,14 +175,6 @@ def test_progress_rises_and_may_cancel_and_nothing_half_done_is_kept(
     register_pair(query, database, PARAMS, memo, heard.append)
     assert memo.since().count("fit_terrain") == 1  # the query's was whole, the other's was not
     assert heard[-1] == pytest.approx(1.0)
-
-
-def test_a_wide_cloud_is_refused_by_name(query: Submap) -> None:
-    wide = Submap.from_points(query.points * [2000, 2000, 1], "wide")
-    with pytest.raises(InputError, match="submap wide spans"):
-        infer_map(wide, PARAMS, Memo())
-    with pytest.raises(InputError, match="submap wide spans"):
-        register_pair(query, wide, PARAMS, Memo())
 
 
 def test_detection_compares_every_pair_once_the_earlier_as_database(

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.registration.align import DRIFTED, LEVEL, align
+from gpgrad_core.registration.align import DRIFTED, LEVEL, Warp, align
 from gpgrad_core.registration.candidates import NUM_YAWS, make_spectra, search_motions
 from gpgrad_core.registration.score import (
     UNRELATED_LEVEL,
     UNRELATED_SPREAD,
     Evidence,
     closure_score,
-    map_evidence,
+    map_agreement,
     shares_of_evidence,
     weigh,
 )
@@ -86,18 +86,7 @@ def test_alignment_ends_at_the_truth_also_where_the_query_leans(
     true = SE2(0.6, -0.4, 1.0)
     query = map_of(true)
     leaning = query.elevation + tilt * query.grid.x
-    surface = smooth_surface(
-        GradientMap(
-            query.grid,
-            leaning,
-            *(
-                query.variance,
-                query.slope,
-                query.signal_std,
-                query.length_scale,
-            ),
-        )
-    )
+    surface = smooth_surface(replace(query, elevation=leaning))
     start = SE2(true.x + x, true.y + y, true.yaw + turn)
     ends = align(surface, SURFACE, [start, true], num_cells=2000, iterations=10)
     assert ends.held.all()
@@ -115,23 +104,12 @@ def test_alignment_of_drifted_maps_bears_a_bend_that_a_level_one_takes_for_a_mot
     slope = query.slope + np.stack(
         np.broadcast_arrays(0.02 + 0.012 * x - 0.004 * y, -0.004 * x), axis=-1
     )
-    surface = sharp_surface(
-        GradientMap(query.grid, bent, query.variance, slope, query.signal_std, query.length_scale)
-    )
-    off = {
-        warp: distance(
-            align(
-                surface,
-                sharp_surface(DATABASE),
-                [true],
-                num_cells=3000,
-                iterations=8,
-                warp=warp,
-            ).motion(0),
-            true,
-        )
-        for warp in (LEVEL, DRIFTED)
-    }
+    surface = sharp_surface(replace(query, elevation=bent, slope=slope))
+    database = sharp_surface(DATABASE)
+    off: dict[Warp, float] = {}
+    for warp in (LEVEL, DRIFTED):
+        ends = align(surface, database, [true], num_cells=3000, iterations=8, warp=warp)
+        off[warp] = distance(ends.motion(0), true)
     assert off[DRIFTED] < 0.01
     assert off[DRIFTED] < 0.3 * off[LEVEL]
 
@@ -145,16 +123,7 @@ def test_covariances_cover_the_errors_and_shrink_with_the_noise() -> None:
         for _ in range(10):
             query = map_of(true)
             noisy = query.elevation + noise * rng.standard_normal(query.grid.shape)
-            surface = smooth_surface(
-                GradientMap(
-                    query.grid,
-                    noisy,
-                    query.variance,
-                    query.slope,
-                    query.signal_std,
-                    query.length_scale,
-                )
-            )
+            surface = smooth_surface(replace(query, elevation=noisy))
             end = align(surface, SURFACE, [true], num_cells=2000, iterations=5)
             left = end.motions[0] - [true.x, true.y, true.yaw]
             errors.append(float(left @ np.linalg.solve(end.covariances[0], left)))
@@ -190,8 +159,9 @@ def test_a_map_agrees_with_itself_and_not_with_another() -> None:
 
 def test_the_map_of_the_evidence_adds_up_to_what_is_scored() -> None:
     true = SE2(1.0, -0.7, 2.0)
-    surface = smooth_surface(map_of(true))
-    grid, shown = map_evidence(surface, SURFACE, true)
+    query = map_of(true)
+    surface = smooth_surface(query)
+    grid, shown = map_agreement(query, DATABASE, true)
     evidence = weigh(surface, SURFACE, true)
     count = np.isfinite(shown).sum()
     assert grid.shape == shown.shape
@@ -203,7 +173,7 @@ def test_the_map_of_the_evidence_adds_up_to_what_is_scored() -> None:
     places = grid.to_position(np.column_stack([columns, rows]).astype(float))
     assert surface.grid.to_pixel(true.inverse().apply(places)).min() > -1
     assert SURFACE.grid.to_pixel(places).min() > -0.001
-    nowhere = map_evidence(surface, SURFACE, SE2(100.0, 0.0, 0.0))[1]
+    nowhere = map_agreement(query, DATABASE, SE2(100.0, 0.0, 0.0))[1]
     assert np.isnan(nowhere).all()
 
 
