@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.surface import Image, Surface
+from gpgrad_core.registration.surface import NUM_BANDS, Image, Surface
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array, Grid
 
@@ -228,8 +228,11 @@ def overlay(query: Surface, database: Surface, T_database_query: SE2) -> Overlay
     inverse, step = T_database_query.inverse(), database.grid.resolution
     corner = query.grid.to_pixel(inverse.apply(np.array([database.grid.origin])))[0]
     onto = np.column_stack([inverse.rotation * (step / query.grid.resolution), corner])
+    # Always as many fields, because OpenCV interpolates two in coarser steps than four.
+    bands = query.noise.shape[2]
+    filler = np.zeros((*query.grid.shape, NUM_BANDS - bands), np.float32)
     moved = cv2.warpAffine(
-        np.dstack([query.elevation, query.trusted.astype(np.float32), query.noise]),
+        np.dstack([query.elevation, query.trusted.astype(np.float32), query.noise, filler]),
         onto,
         database.grid.shape[::-1],
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
@@ -240,7 +243,7 @@ def overlay(query: Surface, database: Surface, T_database_query: SE2) -> Overlay
         rows = columns = np.zeros(1, int)
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     heights = np.asarray(np.dstack([moved[..., 0], database.elevation])[box], np.float32)
-    noise = np.float32(0.5) * (moved[..., 2:] + database.noise)[box]
+    noise = np.float32(0.5) * (moved[..., 2 : 2 + bands] + database.noise)[box]
     x, y = database.grid.origin
     corner = x + step * int(columns[0]), y + step * int(rows[0])
     height, width = common[box].shape
