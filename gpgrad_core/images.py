@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import degrees, hypot, inf, lgamma, log, log10
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +21,7 @@ from jaxtyping import Float, Int, UInt8
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.reading.images import read_images
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import ImageVerdict
+from gpgrad_core.types import ImageSays, ImageVerdict
 
 NUM_FEATURES = 1500
 """Largest number of ORB features of an image (the paper's Sec. VII-B)."""
@@ -153,7 +152,7 @@ def fit_two_views(
     usac.threshold = EPIPOLAR_DISTANCE
     usac.randomGeneratorState = seed
     try:
-        agree: Any = cv2.findFundamentalMat(query, database, usac)[1]
+        agree: cv2.typing.MatLike | None = cv2.findFundamentalMat(query, database, usac)[1]
     except cv2.error:  # its local search fails where no sample gives a matrix
         agree = None
     return np.zeros(len(query), np.bool_) if agree is None else np.asarray(agree, np.bool_).ravel()
@@ -252,7 +251,7 @@ def judge_by_images(
     best = min(range(len(agreements)), key=lambda k: agreements[k].log_false_alarms)
     (a, b), agreement = pairs[best], agreements[best]
 
-    def verdict(word: Any, reason: str) -> ImageVerdict:
+    def verdict(word: ImageSays, reason: str) -> ImageVerdict:
         counts = agreement.num_associations, agreement.num_inliers
         return ImageVerdict(word, reason, *counts)
 

@@ -89,7 +89,7 @@ def connected(address: str) -> Generator[Cluster]:
             or if a worker has another version of gpgrad or of a library under it.
         OSError: If the cluster is lost, or a job has ended several workers.
     """
-    distributed: Any = load_library("distributed", "gpgrad[cluster]")
+    distributed = load_library("distributed", "gpgrad[cluster]")
     try:
         client = distributed.Client(address, timeout=ANSWER_WITHIN, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:

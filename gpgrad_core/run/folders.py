@@ -14,7 +14,6 @@ import tempfile
 import time
 from collections.abc import Generator, Iterable
 from pathlib import Path
-from typing import Any
 
 from gpgrad_core.errors import InputError
 
@@ -40,7 +39,7 @@ class ProcessLock:
         self._descriptor: int | None = None
         if importlib.util.find_spec("fcntl") is None:
             return
-        fcntl: Any = importlib.import_module("fcntl")
+        fcntl = importlib.import_module("fcntl")
         self._descriptor = os.open(path, os.O_RDONLY)
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
