@@ -28,9 +28,9 @@ Choose: TypeAlias = Callable[[list[E], Progress], list[Pair]]
 
 CHOICE_SHARE = 0.1
 """Part of the progress that choosing the pairs takes."""
-STAGES = {"maps": (0.0, 0.4), "features": (0.4, 0.5), "pairs": (0.5, 1.0)}
+PROGRESS_SHARES = {"maps": (0.0, 0.4), "features": (0.4, 0.5), "pairs": (0.5, 1.0)}
 """Part of the progress that each stage takes."""
-EVEN_FROM = STAGES["pairs"][0] + CHOICE_SHARE
+EVEN_FROM = PROGRESS_SHARES["pairs"][0] + CHOICE_SHARE
 """From this fraction on only pairs are compared, each taking about as long as the others."""
 BLOCKS_A_WORKER = 12
 """Pairs are compared in blocks. There are many blocks, so that no worker waits long for the last
@@ -146,13 +146,13 @@ def compare_all(
     Returns:
         The seconds of each stage.
     """
-    seconds = dict.fromkeys(STAGES, 0.0)
+    seconds = dict.fromkeys(PROGRESS_SHARES, 0.0)
     if not isinstance(detector, StagedDetector):
         by_places = cast("Choose[SubmapSource] | None", choose)
         compare = _Loaded(detector)
         _compare(list(submaps), compare, take, executor, progress, by_places, seconds)
     else:
-        until_pairs = part(progress, 0.0, STAGES["features"][1])
+        until_pairs = part(progress, 0.0, PROGRESS_SHARES["features"][1])
         extracted = _extract_all(list(submaps), detector, executor, until_pairs, seconds)
         if look is not None:
             look(extracted)
@@ -172,7 +172,7 @@ def _compare(
 ) -> None:
     """Compare all pairs, or the chosen ones, and note the seconds."""
     start = perf_counter()
-    first, last = STAGES["pairs"]
+    first, last = PROGRESS_SHARES["pairs"]
     if choose is None:
         rows = _rows_of_blocks(len(extracted), executor)
     else:
@@ -200,7 +200,7 @@ def _extract_all(
     together = max(MADE_TOGETHER, 4 * num_side_by_side(executor))
 
     def timed(name: str, work: Work[J, R], jobs: list[J], progress: Progress) -> list[R]:
-        low, high = (share / STAGES["features"][1] for share in STAGES[name])
+        low, high = (share / PROGRESS_SHARES["features"][1] for share in PROGRESS_SHARES[name])
         start = perf_counter()
         results = side_by_side(work, jobs, executor, part(progress, low, high))
         seconds[name] += perf_counter() - start

@@ -39,8 +39,6 @@ def run(folder: Path, *arguments: str) -> str:
 
 def test_the_command_line_offers_it(copy: Path) -> None:
     assert "brisk" in re.sub(r"\s+", " ", run(copy, "-m", "app", "detect", "--help"))
-    unknown = "from gpgrad_core.features import DetectorParams as D; print(D('brisk').name)"
-    assert run(copy, "-c", unknown) == "brisk\n"
 
 
 def test_it_passes_the_tests_of_all_detectors(copy: Path) -> None:

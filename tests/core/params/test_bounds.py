@@ -1,7 +1,7 @@
 """Bounds: rounding that makes equal slider positions equal keys, and checks that name the rule."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import pytest
 from hypothesis import given
@@ -14,7 +14,15 @@ from gpgrad_core.gradient_map import MapParams, TerrainParams
 from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.matching import MatchParams
 from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import bounds_of, check_bounds, fields_of
+from gpgrad_core.params.fields import (
+    bounds_of,
+    check_bounds,
+    fields_of,
+    get_path,
+    parameters_of,
+    with_path,
+)
+from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.registration import RegistrationParams
 
 PARAMS = (MapParams, TerrainParams, FeatureParams, MatchParams, RegistrationParams, ClosureParams)
@@ -26,6 +34,14 @@ class Oven:
     heat: Annotated[float, Bounds(20.0, 250.0, 5.0, "°C"), Doc("How hot.")] = 180.0
     minutes: Annotated[int | None, Bounds(1, 90, 1)] = None
     fan: Annotated[bool, Doc("Whether it blows.")] = False
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+
+@dataclass(frozen=True)
+class Grill:
+    heat: Literal["low", "high"] = "low"
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -80,6 +96,24 @@ def test_values_outside_are_refused_by_name_rule_and_value(heat: float) -> None:
     with pytest.raises(InputError) as caught:
         Oven(heat=heat)
     assert str(caught.value) == f"heat must be from 20 to 250 °C, got {heat!r}"
+
+
+def test_a_choice_that_there_is_not_is_refused_with_those_that_there_are() -> None:
+    assert Grill("high").heat == "high"
+    with pytest.raises(InputError, match=r"^heat must be one of low, high, got 'mild'$"):
+        Grill("mild")  # type: ignore[arg-type]
+
+
+def test_every_parameter_is_read_and_changed_by_its_path() -> None:
+    params = PipelineParams()
+    for field in parameters_of(PipelineParams):
+        assert get_path(params, field.path) == field.default
+        if field.bounds is None:
+            continue
+        low = int(field.bounds.low) if field.kind is int else float(field.bounds.low)
+        changed = with_path(params, field.path, low)
+        assert get_path(changed, field.path) == low
+        assert with_path(changed, field.path, field.default) == params
 
 
 def test_only_objects_can_be_checked() -> None:

@@ -75,7 +75,7 @@ def test_all_parameters_go_there_and_back() -> None:
             'map.max_points must be a whole number or "automatic", got 3.5',
         ),
         ("[matching]\nmutual = 1", "matching.mutual must be true or false, got 1"),
-        ("[map]\nlength_scale = 0.3\n[features.detector]\nname = 'brisk'", "'surf' or 'slope'"),
+        ("[map]\nlength_scale = 0.3\n[features.detector]\nname = 'mask'", "'surf' or 'slope'"),
         ("[map]\nlength_scale = -1", "map.length_scale must be from 0.01 to 100 m, got -1"),
         ("[map]\nlength_scale = nan", "map.length_scale must be from 0.01 to 100 m, got nan"),
         ("[map]\nlength_scale", "is not TOML"),

@@ -101,12 +101,12 @@ def _as_a_new_process() -> Iterator[None]:
 
 def _forgotten() -> Iterator[None]:
     Counting.made.clear()
-    LOADED.__init__()
+    LOADED.drop_to(0)
     yield
 
 
 def run(store: Store | None, params: PipelineParams = PARAMS, **named: object) -> DetectionResult:
-    LOADED.__init__()
+    LOADED.drop_to(0)
     detector = with_store(Counting(params, Memo()), store)
     return detect_loop_closures(DATASET, params, detector=detector, **named)  # type: ignore[arg-type]
 
