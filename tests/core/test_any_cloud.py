@@ -91,7 +91,10 @@ def test_what_once_failed_is_mapped_and_registered(name: str) -> None:
     ],
     ids=["three", "duplicate", "one spot", "wide", "far away", "far apart"],
 )
-@pytest.mark.parametrize("relief", [0.0, 0.1, 1e4])
+@pytest.mark.parametrize(
+    "relief",
+    [*(pytest.param(relief, marks=pytest.mark.slow) for relief in (0.0, 1e4)), 0.1],
+)
 def test_automatic_parameters_bear_any_cloud(xy: np.ndarray, relief: float) -> None:
     params = resolve_parameters([submap(xy, relief)])
     assert params.map.scale is not None
