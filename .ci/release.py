@@ -22,7 +22,10 @@ from pathlib import Path
 from versions import ROOT, fetch_page
 
 TOOLS = ("build", "hatchling", "twine")
-NEEDED = ("app/viewer/server.py", "gpgrad_core/py.typed", "gpgrad_core/datasets/demo/dataset.toml")
+NEEDED = (
+    *("app/viewer/server.py", "app/viewer/save/report.html", "gpgrad_core/py.typed"),
+    *("gpgrad_core/datasets/demo/dataset.toml", "gpgrad_core/evaluation/templates/report.md"),
+)
 PARTS = {"app", "gpgrad_core"}
 
 

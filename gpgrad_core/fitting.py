@@ -12,8 +12,14 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.likelihood import Hyperparameters, Patch, log_marginal_likelihood
-from gpgrad_core.gp.patches import PATCH_POINTS, Members, draw_patches
+from gpgrad_core.gp.likelihood import (
+    PATCH_POINTS,
+    Hyperparameters,
+    Members,
+    Patch,
+    draw_patches,
+    log_marginal_likelihood,
+)
 from gpgrad_core.gp.spacing import MOST_INFORMATION, information
 from gpgrad_core.gradient_map import (
     NoiseModel,
@@ -136,7 +142,7 @@ def fit_parameters(
         evaluate = _Evaluate(executor, progress)
         rng = np.random.default_rng(seed)
         params, areas = _search(chosen, start, fixed, rng, evaluate, patch_points, tolerance)
-        before, after = (_likelihood(areas, one, evaluate) for one in (start, params))
+        before, after = (_likelihood(areas, each, evaluate) for each in (start, params))
     progress(1.0)
     return FitResult(
         params if after > before else start,
@@ -320,7 +326,7 @@ def _maximum(
     for k, name in enumerate(HYPERPARAMETERS):
         if name in fixed:
             limits[:, k] = (start.length_scale, start.signal_std, start.noise_std)[k]
-    found: Array = minimize(
+    logs_found: Array = minimize(
         descend,
         np.clip(start.logs, *np.log(limits)),
         jac=True,
@@ -329,7 +335,7 @@ def _maximum(
         options={"ftol": tolerance, "gtol": 1e-3, "maxfun": MOST_EVALUATIONS},
     ).x
     # Rounding may move the exponential of a limit beyond the limit.
-    length_scale, signal_std, noise = np.clip(np.exp(found), *limits).tolist()
+    length_scale, signal_std, noise = np.clip(np.exp(logs_found), *limits).tolist()
     return _with_noise_times(
         noise, replace(params, length_scale=length_scale, signal_std=signal_std)
     )
@@ -351,8 +357,8 @@ def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
         (getattr(params, name), bounds[name]) for name in NOISE_PARAMETERS[params.noise_model]
     ]
     # A parameter of zero stays zero under any factor.
-    least = max(one.low / value for value, one in scaled if value > 0)
-    most = min(one.high / value for value, one in scaled if value > 0)
+    least = max(limits.low / value for value, limits in scaled if value > 0)
+    most = min(limits.high / value for value, limits in scaled if value > 0)
     return np.array([(shortest, signal.low, least), (longest, signal.high, most)])
 
 

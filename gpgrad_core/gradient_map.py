@@ -1,6 +1,6 @@
 """Turns a submap into a gradient map (the paper's Sec. IV)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
@@ -10,7 +10,7 @@ from typing_extensions import Doc
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.accuracy import EXACT, Accuracy
-from gpgrad_core.gp.binning import thin_dense
+from gpgrad_core.gp.cloud import thin_dense
 from gpgrad_core.gp.inference import Posterior, fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.noise import find_outliers, measure_noise
@@ -111,8 +111,11 @@ class TerrainParams:
 class MapParams:
     """Parameters of a gradient map: those of its GP, and the grid on which it is sampled.
 
-    None means automatic: the value that `resolve_parameters` fits to the dataset. A number is used
-    as it is. `infer_gradient_map` fits to its one submap.
+    A number is used as it is. None means automatic, everywhere: the points decide. Length-scale,
+    noise, signal and scale are fitted to the points of the dataset, or to those of the submaps at
+    hand where a function gets no dataset (`resolve_parameters`); what needs numbers for the first
+    two refuses params without (`terrain`). If these two are given, nothing is fitted, and the
+    signal is that of each submap's points. All points are used.
     """
 
     length_scale: Annotated[
@@ -162,27 +165,25 @@ class MapParams:
         check_bounds(self)
 
     @property
+    def has_numbers(self) -> bool:
+        """Whether length-scale and noise have numbers, so that a GP can be made with them."""
+        return self.length_scale is not None and self.noise_std is not None
+
+    @property
     def terrain(self) -> TerrainParams:
         """The parameters of the GP alone; a new grid needs no new fit.
 
         Raises:
             InputError: If length-scale or noise are automatic, and so have no numbers yet.
         """
-        if self.length_scale is None or self.noise_std is None:
+        if not self.has_numbers:
             name = "length_scale" if self.length_scale is None else "noise_std"
             raise InputError(
                 f"map.{name} is automatic, so it has no number yet: fit it with "
                 "resolve_parameters, or give one"
             )
-        return TerrainParams(
-            length_scale=self.length_scale,
-            noise_std=self.noise_std,
-            noise_model=self.noise_model,
-            noise_growth=self.noise_growth,
-            noise_factor=self.noise_factor,
-            signal_std=self.signal_std,
-            max_points=self.max_points,
-        )
+        own = {field.name: getattr(self, field.name) for field in fields(TerrainParams)}
+        return TerrainParams(**own)
 
     @property
     def guessed(self) -> "MapParams":
@@ -262,8 +263,8 @@ def ordinary_noise(points_of: Submap, known_by: Submap, params: TerrainParams) -
         case "constant":
             return np.full(len(xy), params.noise_std)
         case "range":
-            known = points_of.ranges
-            squared = np.sum(xy**2, axis=1) if known is None else known**2
+            ranges = points_of.ranges
+            squared = np.sum(xy**2, axis=1) if ranges is None else ranges**2
             return params.noise_std + params.noise_growth * squared
         case "measured":
             measured = measure_noise(known_by.points, params.length_scale, params.noise_std)
@@ -341,8 +342,8 @@ def few_of(submap: Submap, most: int) -> Submap:
         return submap
     kept = kept_rows(submap, most)
 
-    def some(of_points: Float[Array, "n"] | None) -> Float[Array, "k"] | None:
-        return None if of_points is None else of_points[kept]
+    def some(values: Float[Array, "n"] | None) -> Float[Array, "k"] | None:
+        return None if values is None else values[kept]
 
     return replace(
         submap,

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import degrees, hypot, inf, lgamma, log, log10
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +21,7 @@ from jaxtyping import Float, Int, UInt8
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.reading.images import read_images
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import ImageVerdict
+from gpgrad_core.types import ImageSays, ImageVerdict
 
 NUM_FEATURES = 1500
 """Largest number of ORB features of an image (the paper's Sec. VII-B)."""
@@ -99,11 +98,13 @@ def extract_orb(name: str, image: UInt8[NDArray[np.uint8], "rows columns"]) -> I
     keypoints, descriptors = cv2.ORB.create(nfeatures=NUM_FEATURES).detectAndCompute(image, None)
     pixels = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64).reshape(-1, 2)
     angles = np.radians(np.array([keypoint.angle for keypoint in keypoints], dtype=np.float64))
-    found = np.zeros((0, 32), np.uint8) if len(pixels) == 0 else np.asarray(descriptors, np.uint8)
+    described = (
+        np.zeros((0, 32), np.uint8) if len(pixels) == 0 else np.asarray(descriptors, np.uint8)
+    )
     smooth = cv2.GaussianBlur(image, (0, 0), BLUR)
     num_corners = len(cv2.FastFeatureDetector.create(CONTRAST).detect(smooth))
     size = image.shape[1], image.shape[0]
-    return ImageFeatures(name, size, pixels, angles, found, num_corners)
+    return ImageFeatures(name, size, pixels, angles, described, num_corners)
 
 
 def extract_images(files: tuple[Path, ...]) -> tuple[ImageFeatures, ...]:
@@ -113,7 +114,7 @@ def extract_images(files: tuple[Path, ...]) -> tuple[ImageFeatures, ...]:
         InputError: If one cannot be read, or is no image.
     """
     images = read_images(files)
-    return tuple(extract_orb(file.name, one) for file, one in zip(files, images, strict=True))
+    return tuple(extract_orb(file.name, image) for file, image in zip(files, images, strict=True))
 
 
 def some_of(files: tuple[Path, ...]) -> tuple[Path, ...]:
@@ -125,14 +126,14 @@ def some_of(files: tuple[Path, ...]) -> tuple[Path, ...]:
 
 def nearest_words(descriptors: Descriptors, words: Descriptors) -> Int[NDArray[np.intp], "k"]:
     """Find the word that each descriptor is, by the ratio of the two nearest; -1 if none is."""
-    found = np.full(len(descriptors), -1, dtype=np.intp)
+    chosen = np.full(len(descriptors), -1, dtype=np.intp)
     if len(words) < 2 or len(descriptors) == 0:
-        return found
+        return chosen
     for k, pair in enumerate(cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(descriptors, words, 2)):
         first, second = pair
         if first.distance < RATIO * second.distance:
-            found[k] = first.trainIdx
-    return found
+            chosen[k] = first.trainIdx
+    return chosen
 
 
 def fit_two_views(
@@ -151,7 +152,7 @@ def fit_two_views(
     usac.threshold = EPIPOLAR_DISTANCE
     usac.randomGeneratorState = seed
     try:
-        agree: Any = cv2.findFundamentalMat(query, database, usac)[1]
+        agree: cv2.typing.MatLike | None = cv2.findFundamentalMat(query, database, usac)[1]
     except cv2.error:  # its local search fails where no sample gives a matrix
         agree = None
     return np.zeros(len(query), np.bool_) if agree is None else np.asarray(agree, np.bool_).ravel()
@@ -167,8 +168,8 @@ def compare_images(query: ImageFeatures, database: ImageFeatures, seed: int = 0)
     """
     there = nearest_words(query.descriptors, database.descriptors)
     back = nearest_words(database.descriptors, query.descriptors)
-    known = np.flatnonzero(there >= 0)
-    mutual = known[back[there[known]] == known]
+    matched = np.flatnonzero(there >= 0)
+    mutual = matched[back[there[matched]] == matched]
     pixels, other = query.pixels[mutual], database.pixels[there[mutual]]
     inliers = fit_two_views(pixels, other, seed)
     num_associations, num_inliers = _spots(pixels, other), _spots(pixels[inliers], other[inliers])
@@ -188,7 +189,7 @@ def _spots(
 ) -> int:
     """Count associations by their spots, so that each spot of either image counts once."""
     cells = (np.floor(pixels / SPOT).astype(np.intp) for pixels in (query, database))
-    return min(len(np.unique(one, axis=0)) for one in cells)
+    return min(len(np.unique(occupied, axis=0)) for occupied in cells)
 
 
 def log_false_alarms(num_inliers: int, num_associations: int, size: tuple[int, int]) -> float:
@@ -244,13 +245,13 @@ def judge_by_images(
         The verdict, with its reason in one line.
     """
     pairs = [(a, b) for a in query for b in database]
-    found = [compare_images(a, b, seed) for a, b in pairs]
-    if not found:
+    agreements = [compare_images(a, b, seed) for a, b in pairs]
+    if not agreements:
         return ImageVerdict("silent", "there are no images", 0, 0)
-    best = min(range(len(found)), key=lambda k: found[k].log_false_alarms)
-    (a, b), agreement = pairs[best], found[best]
+    best = min(range(len(agreements)), key=lambda k: agreements[k].log_false_alarms)
+    (a, b), agreement = pairs[best], agreements[best]
 
-    def verdict(word: Any, reason: str) -> ImageVerdict:
+    def verdict(word: ImageSays, reason: str) -> ImageVerdict:
         counts = agreement.num_associations, agreement.num_inliers
         return ImageVerdict(word, reason, *counts)
 
@@ -258,7 +259,7 @@ def judge_by_images(
         f"{agreement.num_inliers} of {agreement.num_associations} associations of {a.name} and "
         f"{b.name} fit one geometry of two views"
     )
-    if agreement.log_false_alarms + log10(len(found)) < log10(FALSE_ALARMS):
+    if agreement.log_false_alarms + log10(len(agreements)) < log10(FALSE_ALARMS):
         turned, image = abs(_wrapped(T_database_query.yaw)), abs(_wrapped(agreement.turn))
         one_camera = a.name == b.name and a.size[0] < WIDEST * a.size[1]
         if one_camera and not -TILTS <= turned - image <= LOOKS_ASIDE:
@@ -273,7 +274,7 @@ def judge_by_images(
         abs(_wrapped(T_database_query.yaw)),
     )
     same = [(a, b) for a, b in pairs if a.name == b.name]
-    fewest = min(one.num_corners for pair in pairs for one in pair)
+    fewest = min(features.num_corners for pair in pairs for features in pair)
     if fewest < TEXTURE:
         return verdict(
             "silent", f"an image has too little texture: {fewest} corners, {TEXTURE} needed"

@@ -76,8 +76,8 @@ class Window:
         rows, columns = self.heights.shape
         x = (np.arange(columns) - 0.5 * (columns - 1)) * self.cell[0]
         y = (np.arange(rows) - 0.5 * (rows - 1)) * self.cell[1]
-        known = np.isfinite(self.heights)
-        points = np.stack([*np.meshgrid(x, y), self.heights], axis=-1)[known]
+        measured = np.isfinite(self.heights)
+        points = np.stack([*np.meshgrid(x, y), self.heights], axis=-1)[measured]
         return Submap.from_points(points.astype(np.float64), self.name)
 
 
@@ -183,7 +183,9 @@ def merge_submaps(submaps: Sequence[Submap], poses: Sequence[Pose], voxel: float
         voxel: Side of a voxel [m].
     """
     first = Pose.from_planar(poses[0].planar, float(poses[0].translation[2])).inverse()
-    joined = [(first @ pose).apply(one.points) for one, pose in zip(submaps, poses, strict=True)]
+    joined = [
+        (first @ pose).apply(submap.points) for submap, pose in zip(submaps, poses, strict=True)
+    ]
     return Submap.from_points(voxel_means(np.concatenate(joined), voxel), "merged_000")
 
 
@@ -210,29 +212,33 @@ def parameters_for(
         The parameters of the submaps, and those of the windows.
     """
     asked = asked or PipelineParams()
-    of_query = resolve_parameters(submaps, asked, progress=part(progress, 0.0, 0.5))
-    most = sorted(windows, key=lambda one: -int(np.count_nonzero(np.isfinite(one.heights))))
+    query_params = resolve_parameters(submaps, asked, progress=part(progress, 0.0, 0.5))
+    most = sorted(windows, key=lambda window: -int(np.count_nonzero(np.isfinite(window.heights))))
     full = most[: max(1, len(most) // 2)]
     some = [full[k].load() for k in representative(len(full))]
     alone = PipelineParams(map=replace(PipelineParams().map, noise_std=noise_std))
-    of_model = resolve_parameters(some, alone, progress=part(progress, 0.5, 1.0))
-    fitted, signal = of_model.map.noise_std or 0.0, of_model.map.signal_std or 0.0
+    model_params = resolve_parameters(some, alone, progress=part(progress, 0.5, 1.0))
+    fitted, signal = model_params.map.noise_std or 0.0, model_params.map.signal_std or 0.0
     if noise_std is None and fitted < LEAST_NOISE * signal:
-        of_model = replace(of_model, map=replace(of_model.map, noise_std=LEAST_NOISE * signal))
-    scales = [one.map.scale for one in (of_query, of_model) if one.map.scale is not None]
+        model_params = replace(
+            model_params, map=replace(model_params.map, noise_std=LEAST_NOISE * signal)
+        )
+    scales = [
+        params.map.scale for params in (query_params, model_params) if params.map.scale is not None
+    ]
     scale = max(*scales, CELLS_A_SCALE * cell) if asked.map.scale is None else asked.map.scale
-    of_map = bounds_of(type(of_query.map))
-    scale = min(scale, of_map["scale"].high)
-    fine = max(of_query.map.resolution, scale / SCALE_IN_CELLS)
-    both = {"scale": scale, "resolution": min(fine, of_map["resolution"].high)}
+    bounds = bounds_of(type(query_params.map))
+    scale = min(scale, bounds["scale"].high)
+    fine = max(query_params.map.resolution, scale / SCALE_IN_CELLS)
+    both = {"scale": scale, "resolution": min(fine, bounds["resolution"].high)}
     radius = asked.registration.radius(scale)
     limit = bounds_of(RegistrationParams)["inlier_radius"].high
     registration = replace(asked.registration, inlier_radius=min(radius, limit))
     return (
-        replace(of_query, map=replace(of_query.map, **both), registration=registration),
+        replace(query_params, map=replace(query_params.map, **both), registration=registration),
         replace(
-            of_query,
-            map=replace(of_model.map, **both),
+            query_params,
+            map=replace(model_params.map, **both),
             registration=registration,
         ),
     )
@@ -261,7 +267,7 @@ def locate(
     Raises:
         InputError: If a map cannot be made.
     """
-    found: list[Location] = []
+    locations: list[Location] = []
     for first in range(0, len(submaps), QUERIES_TOGETHER):
         some = submaps[first : first + QUERIES_TOGETHER]
         low, high = first / len(submaps), (first + len(some)) / len(submaps)
@@ -271,12 +277,12 @@ def locate(
         compared = side_by_side(
             _Compare(params[1], tuple(extracted)), jobs, executor, part(report, 0.1, 1.0)
         )
-        of_windows = [row for rows in compared for row in rows]
-        found += [
-            _best(submap, [row[k] for row in of_windows], windows, params[0])
+        rows = [row for block in compared for row in block]
+        locations += [
+            _best(submap, [row[k] for row in rows], windows, params[0])
             for k, submap in enumerate(some)
         ]
-    return found
+    return locations
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,8 +320,8 @@ def _best(
     """Choose the best window, and judge it as the best of all."""
     tries = log10(len(windows))
     placed = [
-        replace(_on_model(one, window), score=max(0.0, one.score - tries))
-        for one, window in zip(registrations, windows, strict=True)
+        replace(_on_model(registration, window), score=max(0.0, registration.score - tries))
+        for registration, window in zip(registrations, windows, strict=True)
     ]
     ranked = sorted(range(len(placed)), key=lambda k: -placed[k].score)
     best = placed[ranked[0]]
@@ -328,10 +334,11 @@ def _best(
     middle = submap.points[:, :2].mean(axis=0)[None]
     apart = SAME_PLACE * width_of(submap)
     others = (
-        one.score
-        for one in placed
-        if one.T_database_query is not None
-        and np.linalg.norm(one.T_database_query.apply(middle) - motion.apply(middle)) > apart
+        registration.score
+        for registration in placed
+        if registration.T_database_query is not None
+        and np.linalg.norm(registration.T_database_query.apply(middle) - motion.apply(middle))
+        > apart
     )
     pose = Pose.from_planar(motion, best.z_offset)
     return Location(verdict, pose, max(others, default=0.0))

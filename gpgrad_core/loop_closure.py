@@ -1,7 +1,8 @@
 """Accepts or refuses a registration, and gives the reason."""
 
-from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from typing_extensions import Doc
@@ -9,6 +10,14 @@ from typing_extensions import Doc
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.types import Agreement, ImageVerdict, LoopClosure, Registration
+
+SMALL_OVERLAP = 8.0
+"""An overlap of fewer patches of 2π scale² holds too few features to decide [patches]."""
+IMPOSSIBLE = 1.5
+"""If the heights differ by more than this many times the standard deviation that the uncertainty
+explains, they speak against the motion."""
+SMOOTH = 4.0
+"""Ground whose relief is less than this many times the maps' uncertainty looks alike everywhere."""
 
 
 @dataclass(frozen=True)
@@ -61,19 +70,82 @@ class ClosureParams:
         """Check the bounds."""
         check_bounds(self)
 
-    def too_dissimilar(self, dissimilarity: float, mean: float) -> str:
-        """Give the reason why a motion is refused by the paper's h, or nothing if it is not.
+    def too_dissimilar(self, dissimilarity: float, mean: float) -> "Refusal | None":
+        """Refuse a motion by the paper's h, or give None.
 
         Args:
             dissimilarity: h under the motion.
             mean: The same divided by the number of common cells.
         """
-        of_whole, of_mean = self.max_dissimilarity, self.max_mean_dissimilarity
-        if of_whole is not None and dissimilarity > of_whole:
-            return f"dissimilarity {dissimilarity:.3g} > {of_whole:g}"
-        if of_mean is not None and mean > of_mean:
-            return f"dissimilarity of a cell {mean:.3g} > {of_mean:g}"
-        return ""
+        limit, mean_limit = self.max_dissimilarity, self.max_mean_dissimilarity
+        if limit is not None and dissimilarity > limit:
+            return Refusal("dissimilar", {"value": dissimilarity, "limit": limit})
+        if mean_limit is not None and mean > mean_limit:
+            return Refusal("dissimilar cells", {"value": mean, "limit": mean_limit})
+        return None
+
+
+RefusalKind: TypeAlias = Literal[
+    "nothing trusted",
+    "no motion",
+    "few inliers",
+    "dissimilar",
+    "dissimilar cells",
+    "no common ground",
+    "too little ground",
+    "heights differ",
+    "small overlap",
+    "smooth ground",
+    "chance",
+    "uncertain position",
+]
+
+LOW_SCORE = "score {score:.3g} < {min_score:g}"
+REASONS: dict[RefusalKind, str] = {
+    "nothing trusted": "cannot judge: the variance mask trusts no cell of one of the maps",
+    "no motion": "no motion was found: the maps have too little in common",
+    "few inliers": "{value} inliers < {limit}",
+    "dissimilar": "dissimilarity {value:.3g} > {limit:g}",
+    "dissimilar cells": "dissimilarity of a cell {value:.3g} > {limit:g}",
+    "no common ground": LOW_SCORE,
+    "too little ground": LOW_SCORE + ": the maps share only {area:.2g} m² of ground",
+    "heights differ": LOW_SCORE + ": over {area:.0f} m² of common ground the heights differ by "
+    "{difference}, and their uncertainty explains at most {explained}",
+    "small overlap": LOW_SCORE
+    + ": the maps share only {area:.2g} m² of ground, too little to decide",
+    "smooth ground": LOW_SCORE + ": the ground is too smooth to decide: its relief is {relief}, "
+    "and the maps' uncertainty is {possible}",
+    "chance": LOW_SCORE + ": over {area:.0f} m² of common ground the heights agree to {difference},"
+    " but with {num_inliers} inliers unrelated ground can agree as well",
+    "uncertain position": "the position is too uncertain in one direction: its standard deviation "
+    "is {value:.2g} m (at most {limit:g} m)",
+}
+"""The reason of a refusal, with its numbers."""
+LENGTHS = ("difference", "explained", "relief", "possible")
+"""Numbers that are written as lengths."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a registration is no loop closure.
+
+    Attributes:
+        kind: The rule that it breaks; of a low score, what explains it.
+        numbers: What the rule compares, by name.
+    """
+
+    kind: RefusalKind
+    numbers: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    @property
+    def reason(self) -> str:
+        """The reason in one line, with the numbers."""
+        lengths = {
+            name: describe_length(number)
+            for name, number in self.numbers.items()
+            if name in LENGTHS
+        }
+        return REASONS[self.kind].format_map({**self.numbers, **lengths})
 
 
 def classify(
@@ -95,31 +167,40 @@ def classify(
         The verdict, with its reason in one line.
     """
     params = params or ClosureParams()
+    refusal = find_refusal(registration, params)
+    reason = _met(registration, params) if refusal is None else refusal.reason
+    return LoopClosure(query_id, database_id, registration, refusal is None, reason)
+
+
+def _met(registration: Registration, params: ClosureParams) -> str:
+    """Name the thresholds that an accepted registration meets."""
     num, score = registration.num_inliers, registration.score
-    std = _worst_std(registration)
-    dissimilar = params.too_dissimilar(registration.dissimilarity, registration.mean_dissimilarity)
-    accepted, reason = False, ""
+    met = [f"{num} inliers >= {params.min_inliers}"] if params.min_inliers > 0 else []
+    met += [f"score {score:.3g} >= {params.min_score:g}"] if params.min_score > 0 else []
+    return ", ".join(met) or "no threshold is set"
+
+
+def find_refusal(registration: Registration, params: ClosureParams) -> Refusal | None:
+    """Find the first rule that a registration breaks; None accepts it.
+
+    Args:
+        registration: The registration of the query to the database.
+        params: The thresholds.
+    """
     if registration.T_database_query is None:
-        reason = "no motion was found: the maps have too little in common"
-        if registration.nothing_trusted:
-            reason = "cannot judge: the variance mask trusts no cell of one of the maps"
-    elif num < params.min_inliers:
-        reason = f"{num} inliers < {params.min_inliers}"
-    elif dissimilar:
-        reason = dissimilar
-    elif score < params.min_score:
-        reason = f"score {score:.3g} < {params.min_score:g}" + _why(registration)
-    elif std is not None and std > params.max_std:
-        reason = (
-            f"the position is too uncertain in one direction: its standard deviation is {std:.2g} "
-            f"m (at most {params.max_std:g} m)"
-        )
-    else:
-        accepted = True
-        met = [f"{num} inliers >= {params.min_inliers}"] if params.min_inliers > 0 else []
-        met += [f"score {score:.3g} >= {params.min_score:g}"] if params.min_score > 0 else []
-        reason = ", ".join(met) or "no threshold is set"
-    return LoopClosure(query_id, database_id, registration, accepted, reason)
+        return Refusal("nothing trusted" if registration.nothing_trusted else "no motion")
+    num = registration.num_inliers
+    if num < params.min_inliers:
+        return Refusal("few inliers", {"value": num, "limit": params.min_inliers})
+    dissimilar = params.too_dissimilar(registration.dissimilarity, registration.mean_dissimilarity)
+    if dissimilar is not None:
+        return dissimilar
+    if registration.score < params.min_score:
+        return _explain_score(registration, params.min_score)
+    std = _worst_std(registration)
+    if std is not None and std > params.max_std:
+        return Refusal("uncertain position", {"value": std, "limit": params.max_std})
+    return None
 
 
 def with_images(
@@ -147,15 +228,6 @@ def with_images(
     return replace(closure, accepted=False, reason=f"the images {verb} the motion: {said}")
 
 
-SMALL_OVERLAP = 8.0
-"""An overlap of fewer patches of 2π scale² holds too few features to decide [patches]."""
-IMPOSSIBLE = 1.5
-"""If the heights differ by more than this many times the standard deviation that the uncertainty
-explains, they speak against the motion."""
-SMOOTH = 4.0
-"""Ground whose relief is less than this many times the maps' uncertainty looks alike everywhere."""
-
-
 def _worst_std(registration: Registration) -> float | None:
     """Compute the standard deviation of the position in its least certain direction [m]."""
     if registration.covariance is None or not np.isfinite(registration.covariance).all():
@@ -163,30 +235,30 @@ def _worst_std(registration: Registration) -> float | None:
     return float(np.sqrt(max(np.linalg.eigvalsh(registration.covariance[:2, :2])[-1], 0.0)))
 
 
-def _why(registration: Registration) -> str:
-    """Explain a low score, if the ground was compared."""
-    found, area, scale = registration.agreement, registration.overlap_area, registration.scale
-    if found is None or scale is None:
-        return f": the maps share only {area:.2g} m² of ground" if area > 0 else ""
-    if found.difference > explained(found):
-        return (
-            f": over {area:.0f} m² of common ground the heights differ by "
-            f"{describe_length(found.difference)}, and their uncertainty explains at most "
-            f"{describe_length(explained(found))}"
-        )
-    if area < SMALL_OVERLAP * 2 * np.pi * scale**2:
-        return f": the maps share only {area:.2g} m² of ground, too little to decide"
-    if found.relief < SMOOTH * found.possible:
-        return (
-            ": the ground is too smooth to decide: its relief is "
-            f"{describe_length(found.relief)}, and the maps' uncertainty is "
-            f"{describe_length(found.possible)}"
-        )
-    return (
-        f": over {area:.0f} m² of common ground the heights agree to "
-        f"{describe_length(found.difference)}, but with {registration.num_inliers} inliers "
-        "unrelated ground can agree as well"
-    )
+def _explain_score(registration: Registration, min_score: float) -> Refusal:
+    """Explain a low score by what was compared."""
+    agreement, area = registration.agreement, registration.overlap_area
+    numbers = {"score": registration.score, "min_score": min_score, "area": area}
+    if agreement is None or registration.scale is None:
+        return Refusal("too little ground" if area > 0 else "no common ground", numbers)
+    numbers |= asdict(agreement) | {
+        "explained": explained(agreement),
+        "num_inliers": registration.num_inliers,
+    }
+    kind: RefusalKind = "chance"
+    if agreement.difference > explained(agreement):
+        kind = "heights differ"
+    elif has_small_overlap(registration):
+        kind = "small overlap"
+    elif agreement.relief < SMOOTH * agreement.possible:
+        kind = "smooth ground"
+    return Refusal(kind, numbers)
+
+
+def has_small_overlap(registration: Registration) -> bool:
+    """Tell whether the overlap holds too few features to decide."""
+    scale = registration.scale
+    return scale is not None and registration.overlap_area < SMALL_OVERLAP * 2 * np.pi * scale**2
 
 
 def explained(agreement: Agreement) -> float:

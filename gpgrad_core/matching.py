@@ -98,9 +98,9 @@ def _nearest(
         squared = _squared_distances(query[some], database)
         nearest[some] = squared.argmin(axis=1)
         closest = squared.argmin(axis=0)
-        of_closest = squared[closest, np.arange(len(database))]
-        nearer = of_closest < least
-        back[nearer], least[nearer] = start + closest[nearer], of_closest[nearer]
+        closest_squared = squared[closest, np.arange(len(database))]
+        nearer = closest_squared < least
+        back[nearer], least[nearer] = start + closest[nearer], closest_squared[nearer]
         best[some] = squared[np.arange(len(squared)), nearest[some]]
         if second_too and len(database) > 1:
             second[some] = np.partition(squared, 1, axis=1)[:, 1]

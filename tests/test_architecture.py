@@ -15,6 +15,8 @@ ROOT = Path(__file__).resolve().parents[1]
 
 PLANTED = {
     "core layers": ("gpgrad_core/matching", "gpgrad_core.registration"),
+    "scans layers": ("gpgrad_core/scans/voxels.py", "gpgrad_core.scans.build"),
+    "the core knows neither the app": ("gpgrad_core/types.py", "viser"),
     "viewer layers": ("app/viewer/all_pairs/tab.py", "app.viewer.pose_graph.tab"),
     "the public face": ("app/viewer/nudge/tab.py", "app.viewer.pair.scene"),
     "panels know no scenes": ("app/viewer/world/panel.py", "app.viewer.world.scene"),

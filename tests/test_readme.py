@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 import gpgrad_core as gg
-from tests.end_to_end.process import environment, run_here
+from tests.end_to_end.process import environment, gpgrad
 
 ROOT = Path(__file__).resolve().parents[1]
 GUIDE = ROOT / "assets" / "guide"
@@ -48,7 +48,7 @@ def quoted(page: Path) -> list[str]:
 
 @cache
 def help_of(verb: str) -> str:
-    return run_here(verb, "--help").out
+    return gpgrad(verb, "--help").out
 
 
 @cache

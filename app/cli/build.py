@@ -7,8 +7,7 @@ from typing import Annotated
 import tyro
 from typing_extensions import Doc
 
-from app.cli.flags import Given
-from app.cli.outputs import Overwrite
+from app.cli.flags import Given, Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
 from app.ending import reason_of
 from gpgrad_core.outputs import check_apart
@@ -117,7 +116,7 @@ class Build:
             pose_topic=self.pose_topic,
             gnss_topic=self.gnss_topic,
             world_frame=self.world_frame,
-            keep=tuple(parse_condition(one) for one in self.keep),
+            keep=tuple(parse_condition(condition) for condition in self.keep),
         )
         check_apart([self.out], [self.scans, self.poses, self.truth, self.times, self.mount])
         try:

@@ -2,29 +2,39 @@
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import tyro
 from typing_extensions import Doc
 
+from app.cli.inputs import load_sources, settled, tell_damaged
 from app.cli.terminal import progress_bar
 from gpgrad_core.datasets import Outline
 from gpgrad_core.datasets.folder import MOST_LOADED
+from gpgrad_core.fitting import representative
 from gpgrad_core.methods import Method
 from gpgrad_core.outputs import ClosureWriter, count_images, report_closures
-from gpgrad_core.pipeline import PipelineParams, detect_loop_closures, keeping
+from gpgrad_core.pipeline import (
+    PipelineParams,
+    check_affordable,
+    detect_loop_closures,
+    is_resolved,
+    store_for_run,
+    with_store,
+)
 from gpgrad_core.run.cluster import Cluster, connected
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.shortlist import Candidates
-from gpgrad_core.types import Dataset, ImageVerdict, LoopClosure, SubmapSource
+from gpgrad_core.shortlist import Candidates, num_wanted
+from gpgrad_core.types import Dataset, ImageVerdict, LoopClosure
 
 SchedulerFlag: TypeAlias = Annotated[
     str | None,
@@ -41,6 +51,7 @@ class Compared:
     """What came of the pairs.
 
     Attributes:
+        dataset: The dataset that was searched, without its points.
         accepted: The loop closures.
         num_pairs: Number of pairs that were compared.
         num_pairs_skipped: Number of those that were not.
@@ -48,6 +59,7 @@ class Compared:
         seconds: Time of each stage [s].
     """
 
+    dataset: Dataset
     accepted: tuple[LoopClosure, ...]
     num_pairs: int
     num_pairs_skipped: int
@@ -56,67 +68,78 @@ class Compared:
 
 
 def compare(
-    dataset: Dataset,
-    sources: Sequence[SubmapSource],
-    params: PipelineParams,
+    outline: Outline,
+    asked: PipelineParams,
     out: Path,
     *,
     method: Method,
     store: Store | None,
     candidates: Candidates,
-    executor: Executor,
+    scheduler: str | None = None,
+    pair: tuple[str, str] | None = None,
 ) -> Compared:
-    """Compare pairs, and write ``closures.json`` as they are compared.
+    """Compare the pairs of a dataset, and write ``closures.json`` as they are compared.
 
     Args:
-        dataset: The dataset.
-        sources: Where its submaps are loaded from.
-        params: Parameters of all stages, without automatic ones.
+        outline: The dataset.
+        asked: Parameters of all stages; what is automatic is fitted to the whole dataset, so that
+            a single pair gets the same verdict.
         out: The file to write.
         method: The method of detection.
-        store: Keeps results; None keeps them in memory.
+        store: Keeps results; None keeps them in memory, or in a folder for now.
         candidates: With how many earlier submaps a submap is compared.
-        executor: Does the work.
+        scheduler: Address of a cluster; None takes this machine.
+        pair: Ids of the only two submaps to compare, the query first; None compares all.
     """
-    accepted, verdicts = list[LoopClosure](), list[ImageVerdict]()
-    with ClosureWriter(out) as writer:
+    check = partial(check_affordable, params=asked) if method.fitted else None
+    num_submaps = len(outline.clouds)
+    num_pairs = sum(num_wanted(candidates, k) for k in range(2 if pair else num_submaps))
+    with store_for_run(store, num_submaps) as room, _workers(scheduler, num_pairs) as executor:
+        kept = _shared(room, executor, outline)
+        dataset, sources = load_sources(outline, check, most_bytes=_held_here(kept, executor))
+        if method.fitted and not is_resolved(asked):
+            some = [sources[k].load() for k in representative(num_submaps)]
+            asked = settled(asked, some, dataset.name, Memo(store=store))
+        params = method.ready(asked)
+        if pair is not None:  # the database comes first: the later submap is the query
+            by_id = {source.id: source for source in sources}
+            submaps = tuple(dataset.submap(name) for name in reversed(pair))
+            dataset = replace(dataset, submaps=submaps)
+            sources = tuple(by_id[submap.id] for submap in submaps)
+        accepted, verdicts = list[LoopClosure](), list[ImageVerdict]()
+        with ClosureWriter(out) as writer:
 
-        def take(closure: LoopClosure) -> None:
-            writer.add(closure)
-            if closure.accepted:
-                accepted.append(closure)
-            if closure.images is not None:
-                verdicts.append(closure.images)
+            def take(closure: LoopClosure) -> None:
+                writer.add(closure)
+                if closure.accepted:
+                    accepted.append(closure)
+                if closure.images is not None:
+                    verdicts.append(closure.images)
 
-        with progress_bar("pairs") as progress:
-            result = detect_loop_closures(
-                dataset,
-                params,
-                detector=keeping(method.detector(params, Memo(store=store)), store),
-                candidates=candidates,
-                executor=executor,
-                progress=progress,
-                sources=sources,
-                take=take,
-            )
-        skipped = math.comb(len(sources), 2) - writer.num_pairs
-        report = report_closures(dataset, result, params, method=method.name, sources=sources)
-        writer.write(replace(report, num_pairs_skipped=skipped))
-    said = count_images(verdicts)
-    return Compared(tuple(accepted), writer.num_pairs, skipped, said, report.seconds)
+            with progress_bar("pairs") as progress:
+                result = detect_loop_closures(
+                    dataset,
+                    params,
+                    detector=with_store(method.detector(params, Memo(store=kept)), kept),
+                    candidates=candidates,
+                    executor=executor,
+                    progress=progress,
+                    sources=sources,
+                    take=take,
+                )
+            skipped = math.comb(len(sources), 2) - writer.num_pairs
+            report = report_closures(dataset, result, params, method=method.name, sources=sources)
+            writer.write(replace(report, num_pairs_skipped=skipped))
+    tell_damaged(store)
+    said, seconds = count_images(verdicts), report.seconds
+    return Compared(dataset, tuple(accepted), writer.num_pairs, skipped, said, seconds)
 
 
-def workers_for(scheduler: str | None, num_pairs: int) -> AbstractContextManager[Executor]:
-    """Give the workers of a cluster, or this machine's.
-
-    Args:
-        scheduler: Address of the cluster; None takes this machine.
-        num_pairs: Number of pairs to compare.
-    """
+def _workers(scheduler: str | None, num_pairs: int) -> AbstractContextManager[Executor]:
     return workers(num_workers(), num_pairs) if scheduler is None else connected(scheduler)
 
 
-def shared(store: Store | None, executor: Executor, outline: Outline) -> Store | None:
+def _shared(store: Store | None, executor: Executor, outline: Outline) -> Store | None:
     """Give the store if the workers can use it and read the clouds; None if not.
 
     Without it, everything is sent to them and back, and must fit into memory here.
@@ -128,7 +151,7 @@ def shared(store: Store | None, executor: Executor, outline: Outline) -> Store |
     return store if sees else None
 
 
-def kept_in_memory(store: Store | None, executor: Executor) -> int:
+def _held_here(store: Store | None, executor: Executor) -> int:
     """Give the bytes of points to keep here: all to be sent to a cluster, or none if it sees them.
 
     Args:

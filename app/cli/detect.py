@@ -1,21 +1,14 @@
 """``gpgrad detect``: register, score and judge pairs of submaps."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 from typing_extensions import Doc
 
-from app.cli.comparing import (
-    SchedulerFlag,
-    compare,
-    kept_in_memory,
-    shared,
-    workers_for,
-)
+from app.cli.comparing import SchedulerFlag, compare
+from app.cli.flags import Overwrite
 from app.cli.inputs import (
     ALL_PARAMS,
     USERS_CACHE,
@@ -24,25 +17,17 @@ from app.cli.inputs import (
     CandidatesFlag,
     DatasetPath,
     ParamsFile,
-    base_params,
-    load_sources,
+    asked_params,
     open_store,
-    settled,
-    tell_damaged,
 )
-from app.cli.outputs import Overwrite
 from app.cli.terminal import count, say
 from app.recordings import built_first
 from gpgrad_core.datasets import outline_dataset
 from gpgrad_core.errors import InputError
-from gpgrad_core.fitting import representative
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import check_apart, check_output
-from gpgrad_core.pipeline import at_least_for_now, check_affordable
-from gpgrad_core.run.memo import Memo
-from gpgrad_core.shortlist import num_wanted, read_candidates
+from gpgrad_core.shortlist import read_candidates
 from gpgrad_core.slam import build_pose_graph, odometry_poses, write_graph
-from gpgrad_core.types import Dataset, SubmapSource
 
 
 @dataclass(frozen=True)
@@ -84,59 +69,35 @@ class Detect:
         if self.g2o:
             check_output(self.g2o, (".g2o",), overwrite=self.overwrite)
         check_apart([self.out, self.g2o], [self.dataset, self.params])
+        if self.pair is not None and self.pair[0] == self.pair[1]:
+            raise InputError(
+                f"--pair: {self.pair[0]} beside itself is no pair; name two different submaps"
+            )
         store = open_store(self.cache)
         with built_first(self.dataset):
             outline = outline_dataset(self.dataset)
-        asked = self.pipeline.over(base_params(outline.dataset, self.params))
+        asked = asked_params(outline.dataset, self.params, self.pipeline)
         if self.g2o:
             odometry_poses(outline.dataset)  # refuses a dataset without odometry before the work
-        check = partial(check_affordable, params=asked) if method.fitted else None
-        num_submaps = len(outline.clouds)
-        num_pairs = sum(num_wanted(candidates, k) for k in range(2 if self.pair else num_submaps))
-        with (
-            at_least_for_now(store, num_submaps) as room,
-            workers_for(self.scheduler, num_pairs) as executor,
-        ):
-            kept = shared(room, executor, outline)
-            with built_first(self.dataset):
-                dataset, sources = load_sources(
-                    outline, check, most_bytes=kept_in_memory(kept, executor)
-                )
-            if method.fitted:  # to the whole dataset, so that a single pair gets the same verdict
-                some = [sources[k].load() for k in representative(num_submaps)]
-                asked = settled(asked, some, dataset.name, Memo(store=store))
-            if self.pair:
-                dataset, sources = _only(dataset, sources, *self.pair)
+        with built_first(self.dataset):
             compared = compare(
-                dataset,
-                sources,
-                method.ready(asked),
+                outline,
+                asked,
                 self.out,
                 method=method,
-                store=kept,
+                store=store,
                 candidates=candidates,
-                executor=executor,
+                scheduler=self.scheduler,
+                pair=self.pair,
             )
-        tell_damaged(store)
         if self.g2o:
-            write_graph(self.g2o, build_pose_graph(dataset, compared.accepted))
-        skipped, num_pairs = compared.num_pairs_skipped, compared.num_pairs
+            write_graph(self.g2o, build_pose_graph(compared.dataset, compared.accepted))
+        skipped, num_submaps = compared.num_pairs_skipped, len(compared.dataset.submaps)
         left_out = f" ({skipped:,} were not compared)" if skipped else ""
         say(
-            f"{count(len(compared.accepted), 'loop closure')} in {count(num_pairs, 'pair')}"
-            f"{left_out} of {count(len(sources), 'submap')}, {compared.seconds['total']:.1f} s: "
-            f"{self.out}"
+            f"{count(len(compared.accepted), 'loop closure')} in "
+            f"{count(compared.num_pairs, 'pair')}{left_out} of {count(num_submaps, 'submap')}, "
+            f"{compared.seconds['total']:.1f} s: {self.out}"
         )
         if compared.images:
             say(compared.images)
-
-
-def _only(
-    dataset: Dataset, sources: Sequence[SubmapSource], query_id: str, database_id: str
-) -> tuple[Dataset, tuple[SubmapSource, ...]]:
-    """Keep two submaps, the database first: the later one is the query."""
-    if query_id == database_id:
-        raise InputError(f"--pair: {query_id} beside itself is no pair; name two different submaps")
-    wanted = dataset.submap(database_id), dataset.submap(query_id)
-    by_id = {source.id: source for source in sources}
-    return replace(dataset, submaps=wanted), tuple(by_id[one.id] for one in wanted)

@@ -1,14 +1,14 @@
 """``gpgrad evaluate``: judge methods by the true poses."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 from typing_extensions import Doc
 
-from app.cli.flags import Given
+from app.cli.flags import Given, Overwrite
 from app.cli.inputs import (
     ALL_PARAMS,
     USERS_CACHE,
@@ -16,12 +16,12 @@ from app.cli.inputs import (
     Cache,
     CandidatesFlag,
     ParamsFile,
-    base_params,
+    SeedFlag,
+    asked_params,
     load,
     open_store,
     tell_damaged,
 )
-from app.cli.outputs import Overwrite
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.evaluation import (
     Evaluation,
@@ -47,9 +47,9 @@ from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.outputs import ClosureReport, check_apart, count_images
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.shortlist import num_wanted, read_candidates
 from gpgrad_core.types import Dataset
 
@@ -92,11 +92,7 @@ class Evaluate:
         ),
         tyro.conf.arg(metavar="FILE.txt", help_behavior_hint="(default: all pairs)"),
     ] = None
-    seed: Annotated[
-        int | None,
-        Doc("Seed of all random choices."),
-        tyro.conf.arg(help_behavior_hint="(default: the registration's seed)"),
-    ] = None
+    seed: SeedFlag = None
     candidates: CandidatesFlag = "automatic"
     protocol: Annotated[
         Protocol,
@@ -129,12 +125,14 @@ class Evaluate:
         problems = () if self.pairs is None else read_problems(self.pairs)
         store = open_store(self.cache)
         dataset = load(self.dataset)
-        params = self.pipeline.over(base_params(dataset, self.params))
-        if self.seed is not None:
-            params = replace(params, registration=replace(params.registration, seed=self.seed))
+        params = asked_params(dataset, self.params, self.pipeline, self.seed)
         if self.pairs is not None:
             check_problems(problems, dataset, self.pairs)
-        only = None if self.pairs is None else {(one.source, one.target) for one in problems}
+        only = (
+            None
+            if self.pairs is None
+            else {(problem.source, problem.target) for problem in problems}
+        )
         pairs = measure_pairs(dataset, only=only)
         for name, report in rivals.items():
             rank_pairs(report, dataset, pairs, name)  # refuses a wrong file before the work
@@ -144,7 +142,7 @@ class Evaluate:
         with whole_folder(self.out, earlier=REPORT) as folder:
             self._check_out(names)  # another process may just have ended
             with progress_bar("evaluate") as progress, workers(num_workers(), num_jobs) as executor:
-                found = run_methods(
+                detected = run_methods(
                     dataset,
                     methods,
                     params,
@@ -157,24 +155,26 @@ class Evaluate:
             tell_damaged(store)
             evaluation = evaluate(
                 dataset,
-                found | rivals,
+                detected | rivals,
                 self.evaluation.over(EvaluationParams()),
                 pairs=pairs,
                 seed=params.registration.seed,
             )
-            sections = self._sections(dataset, params) + describe_images(found | rivals, evaluation)
+            sections = self._sections(dataset, params) + describe_images(
+                detected | rivals, evaluation
+            )
             if self.protocol == "paper":
-                sections = (*sections, describe_protocol(dataset, found | rivals, evaluation))
+                sections = (*sections, describe_protocol(dataset, detected | rivals, evaluation))
             if self.pairs is not None:
                 listed = describe_problems(problems, dataset, evaluation, self.pairs)
                 sections = (*sections, listed)
             with progress_bar("figures") as progress:
                 write_report(
-                    folder, evaluation, closures=found, sections=sections, progress=progress
+                    folder, evaluation, closures=detected, sections=sections, progress=progress
                 )
         for note in evaluation.notes:
             warn(note)
-        for line in (*_summary(evaluation, found | rivals), str(self.out / "report.md")):
+        for line in (*_summary(evaluation, detected | rivals), str(self.out / "report.md")):
             say(line)
 
     def _check_out(self, methods: Sequence[str]) -> None:

@@ -81,8 +81,8 @@ class Fit:
         start, results = self.map.over(paper_start(asked)), list[FitResult]()
         with progress_bar("fit") as progress:
             for k, submap in enumerate(dataset.submaps):
-                of_one = part(progress, k / num, (k + 1) / num)
-                results.append(fit_submap(submap, start, seed=self.seed, progress=of_one))
+                share = part(progress, k / num, (k + 1) / num)
+                results.append(fit_submap(submap, start, seed=self.seed, progress=share))
         rows = fitted_rows(results)
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         for row in rows:

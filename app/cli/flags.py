@@ -8,9 +8,10 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache, partial
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, Generic, TypeVar, cast, get_args, get_type_hints
+from typing import Annotated, Any, Generic, TypeAlias, TypeVar, cast, get_args, get_type_hints
 
 import tyro
+from typing_extensions import Doc
 from tyro.constructors import (
     ConstructorRegistry,
     PrimitiveConstructorSpec,
@@ -27,6 +28,8 @@ from gpgrad_core.params.fields import AUTOMATIC, Field, fields_of
 
 V = TypeVar("V")
 P = TypeVar("P")
+
+Overwrite: TypeAlias = Annotated[bool, Doc("Replace what an earlier run wrote there.")]
 
 
 class NotGiven(int):
@@ -92,12 +95,12 @@ def _required(verb: type) -> list[str]:
     """List the flags without a default, for the line on usage; tyro's own leaves them out."""
     words: list[str] = []
     hints = get_type_hints(verb, include_extras=True)
-    for one in fields(cast("Any", verb)):
-        extras = get_args(hints[one.name])[1:]
-        optional = one.default is not MISSING or one.default_factory is not MISSING
+    for argument in fields(cast("Any", verb)):
+        extras = get_args(hints[argument.name])[1:]
+        optional = argument.default is not MISSING or argument.default_factory is not MISSING
         if not optional and tyro.conf.Positional not in extras:
             metavars = (getattr(extra, "metavar", None) for extra in extras)
-            words.append(f"--{one.name} {next(filter(None, metavars))}")
+            words.append(f"--{argument.name} {next(filter(None, metavars))}")
     return words
 
 
@@ -136,7 +139,10 @@ def _flags_of_params(info: StructTypeInfo) -> StructConstructorSpec | None:
     if not isinstance(info.default, Given):
         return None
     params = cast("Given[Any]", info.default).params
-    specs = tuple(_group(one) if one.is_group else _flag(one) for one in fields_of(params))
+    specs = tuple(
+        _group(parameter) if parameter.is_group else _flag(parameter)
+        for parameter in fields_of(params)
+    )
     return StructConstructorSpec(partial(_given, params), specs)
 
 
@@ -144,9 +150,11 @@ def _given(params: type[P], /, **values: object) -> Given[P]:
     return Given(params, {name: value for name, value in values.items() if value is not NOT_GIVEN})
 
 
-def _group(one: Field) -> StructFieldSpec:
-    about = (one.kind.__doc__ or "").partition("\n\n")[0]
-    return StructFieldSpec(one.name, Given, _nothing_given(cast("type", one.kind)), about)
+def _group(parameter: Field) -> StructFieldSpec:
+    about = (parameter.kind.__doc__ or "").partition("\n\n")[0]
+    return StructFieldSpec(
+        parameter.name, Given, _nothing_given(cast("type", parameter.kind)), about
+    )
 
 
 @cache
@@ -154,39 +162,43 @@ def _nothing_given(params: type[P]) -> Given[P]:
     return Given(params)  # cached, because tyro knows defaults by their identity
 
 
-def _flag(one: Field) -> StructFieldSpec:
-    text = one.doc
-    if one.bounds is not None:
-        text += f" Range: {_range(one.bounds)}."
-    if one.kind is bool:
-        hint = tyro.conf.arg(help_behavior_hint=f"(default: {one.default})")
-        return StructFieldSpec(one.name, cast("Any", Annotated[bool, hint]), NOT_GIVEN, text)
-    choices = one.kind if isinstance(one.kind, tuple) else None
-    metavar = "{" + ",".join(choices) + "}" if choices else cast("type", one.kind).__name__.upper()
+def _flag(parameter: Field) -> StructFieldSpec:
+    text = parameter.doc
+    if parameter.bounds is not None:
+        text += f" Range: {_range(parameter.bounds)}."
+    if parameter.kind is bool:
+        hint = tyro.conf.arg(help_behavior_hint=f"(default: {parameter.default})")
+        return StructFieldSpec(parameter.name, cast("Any", Annotated[bool, hint]), NOT_GIVEN, text)
+    choices = parameter.kind if isinstance(parameter.kind, tuple) else None
+    metavar = (
+        "{" + ",".join(choices) + "}" if choices else cast("type", parameter.kind).__name__.upper()
+    )
     spec = PrimitiveConstructorSpec[object](
         nargs=1,
-        metavar=f"{metavar}|None" if one.optional else metavar,
-        instance_from_str=lambda words: _value(one, words[0]),
+        metavar=f"{metavar}|None" if parameter.optional else metavar,
+        instance_from_str=lambda words: _value(parameter, words[0]),
         is_instance=lambda _: True,
-        str_from_instance=lambda _: [AUTOMATIC if one.default is None else str(one.default)],
+        str_from_instance=lambda _: [
+            AUTOMATIC if parameter.default is None else str(parameter.default)
+        ],
         choices=choices,
     )
-    return StructFieldSpec(one.name, cast("Any", Annotated[object, spec]), NOT_GIVEN, text)
+    return StructFieldSpec(parameter.name, cast("Any", Annotated[object, spec]), NOT_GIVEN, text)
 
 
-def _value(one: Field, word: str) -> object:
+def _value(parameter: Field, word: str) -> object:
     """Turn a word of the command line into the value of a parameter.
 
     Raises:
         InputError: If the parameter cannot have it.
     """
-    if one.optional and word in ("None", AUTOMATIC):
+    if parameter.optional and word in ("None", AUTOMATIC):
         return None
-    if isinstance(one.kind, tuple):
+    if isinstance(parameter.kind, tuple):
         return word
-    value = _number(one.kind, word)
-    if one.bounds is not None:
-        one.bounds.check("the value", value)
+    value = _number(parameter.kind, word)
+    if parameter.bounds is not None:
+        parameter.bounds.check("the value", value)
     return value
 
 

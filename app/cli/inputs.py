@@ -1,6 +1,7 @@
 """What most verbs read: a dataset, a file of parameters, and the flags that they share."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -50,6 +51,11 @@ Cache: TypeAlias = Annotated[
         "keeps nothing."
     ),
     tyro.conf.arg(metavar="DIR|none", help_behavior_hint="(default: in the user's cache folder)"),
+]
+SeedFlag: TypeAlias = Annotated[
+    int | None,
+    Doc("Seed of all random choices."),
+    tyro.conf.arg(help_behavior_hint="(default: the registration's seed)"),
 ]
 AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)
@@ -105,6 +111,16 @@ def base_params(dataset: Dataset, file: Path | None) -> PipelineParams:
     return params if file is None else read_parameters(file, params)
 
 
+def asked_params(
+    dataset: Dataset, file: Path | None, flags: Given[PipelineParams], seed: int | None = None
+) -> PipelineParams:
+    """Give the parameters that are asked for: ``--seed`` and flags override `base_params`."""
+    params = flags.over(base_params(dataset, file))
+    if seed is None:
+        return params
+    return replace(params, registration=replace(params.registration, seed=seed))
+
+
 def open_store(cache: str) -> Store | None:
     """Open the store that ``--cache`` names; None if nothing is to be kept.
 
@@ -141,9 +157,9 @@ def settled(
     if is_resolved(params) or not submaps:
         return params
     with progress_bar("fit") as progress:
-        found = resolve_parameters(submaps, params, memo, _both(progress, told))
-    say(f"{name}: {describe_choice(params, found)}")
-    return found
+        fitted = resolve_parameters(submaps, params, memo, _both(progress, told))
+    say(f"{name}: {describe_choice(params, fitted)}")
+    return fitted
 
 
 def _both(first: Progress, second: Progress) -> Progress:

@@ -9,8 +9,15 @@ import numpy as np
 import tyro
 from typing_extensions import Doc
 
-from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, base_params, load
-from app.cli.outputs import Overwrite
+from app.cli.flags import Overwrite
+from app.cli.inputs import (
+    ALL_PARAMS,
+    AllParams,
+    DatasetPath,
+    ParamsFile,
+    asked_params,
+    load,
+)
 from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.datasets import check_vacant, write_dataset
 from gpgrad_core.datasets.dem import read_elevation_model
@@ -119,14 +126,14 @@ class Locate:
                 submaps,
                 windows,
                 cell,
-                self.pipeline.over(base_params(dataset, self.params)),
+                asked_params(dataset, self.params, self.pipeline),
                 self.map_noise,
                 progress,
             )
-        of_map, of_model = params[0].map, params[1].map
+        query_map, model_map = params[0].map, params[1].map
         say(
-            f"scale of comparison {of_map.scale:.3g} m; noise of the submaps "
-            f"{of_map.noise_std:.3g} m, of the map {of_model.noise_std:.3g} m"
+            f"scale of comparison {query_map.scale:.3g} m; noise of the submaps "
+            f"{query_map.noise_std:.3g} m, of the map {model_map.noise_std:.3g} m"
         )
         with (
             progress_bar("locate") as progress,
@@ -143,25 +150,25 @@ class Locate:
             num_windows=len(windows),
             params=params,
         )
-        found = [place for place in places if place.verdict.accepted]
-        if self.show is not None and not found:
+        accepted = [place for place in places if place.verdict.accepted]
+        if self.show is not None and not accepted:
             warn(f"--show {self.show}: no submap was found, so there is nothing to show")
         elif self.show is not None:
             shown = shown_on_model(dataset, submaps, places, model, self.map.name, params)
             write_dataset(shown, self.show, overwrite=self.overwrite)
-        certain = "" if not found else f", to {_typical(found):.2g} m (standard deviation)"
+        certain = "" if not accepted else f", to {_typical(accepted):.2g} m (standard deviation)"
         say(
-            f"{len(found)} of {count(len(places), 'submap')} found on {self.map.name}"
+            f"{len(accepted)} of {count(len(places), 'submap')} found on {self.map.name}"
             f"{certain}; {count(len(windows), 'window')} searched, {seconds:.1f} s: {self.out}"
         )
-        if not found and places:
-            best = max(places, key=lambda one: one.verdict.registration.score)
+        if not accepted and places:
+            best = max(places, key=lambda place: place.verdict.registration.score)
             say(f"the best, {best.verdict.query_id}: {best.verdict.reason}")
 
 
-def _typical(found: list[Location]) -> float:
+def _typical(accepted: list[Location]) -> float:
     """Compute the median over places of the standard deviation in the worst direction [m]."""
-    stds = [std.max() for std in map(spread, found) if std is not None]
+    stds = [std.max() for std in map(spread, accepted) if std is not None]
     return float(np.median(stds)) if stds else float("nan")
 
 
@@ -174,9 +181,9 @@ def _read_circle(text: str) -> tuple[float, float, float]:
 
 def _poses_of(dataset: Dataset, path: Path | None) -> list[Pose]:
     """Give the pose of each submap, from a file or from odometry."""
-    numbers = {one.id: index_of(one.id) for one in dataset.submaps}
-    known = {number: name for name, number in numbers.items() if number is not None}
-    read = {} if path is None else read_poses(path, known)
+    numbers = {submap.id: index_of(submap.id) for submap in dataset.submaps}
+    names = {number: name for name, number in numbers.items() if number is not None}
+    read = {} if path is None else read_poses(path, names)
     poses: list[Pose] = []
     for submap in dataset.submaps:
         number = numbers[submap.id]

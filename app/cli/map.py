@@ -13,7 +13,7 @@ from app.cli.flags import Given
 from app.cli.inputs import ParamsFile, base_params, load, settled
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.errors import InputError
-from gpgrad_core.gradient_map import MapParams, point_noise
+from gpgrad_core.gradient_map import MapParams, map_grid, point_noise
 from gpgrad_core.outputs import MAP_ENDINGS, check_apart, check_output, write_map
 from gpgrad_core.outputs.georeferenced import write_cloud_optimised
 from gpgrad_core.outputs.maps import layers_of
@@ -58,6 +58,7 @@ class Map:
             )
         base = base_params(dataset, self.params)
         params = self.map.over(base.map)
+        map_grid(dataset.submaps[0], params.resolution)  # refuses one that is too large at once
         (cloud,) = dataset.submaps
         corner = np.zeros(3)
         if georeference is not None:

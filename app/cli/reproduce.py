@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import comb
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -10,34 +10,32 @@ from typing import Annotated, Any, cast
 import tyro
 from typing_extensions import Doc
 
-from app.cli.flags import Given
+from app.cli.flags import Given, Overwrite
 from app.cli.inputs import (
     ALL_PARAMS,
     USERS_CACHE,
     AllParams,
     Cache,
     ParamsFile,
-    base_params,
+    SeedFlag,
+    asked_params,
     load,
     open_store,
     tell_damaged,
 )
-from app.cli.outputs import Overwrite
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import EvaluationParams, Protocol, check_directory
-from gpgrad_core.evaluation.protocol import as_in_paper
 from gpgrad_core.evaluation.reproduction import TITLES, Subject, check_method, study
+from gpgrad_core.evaluation.sections import as_in_paper
 from gpgrad_core.methods import METHODS, Method, find_method
 from gpgrad_core.outputs import check_apart
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.params.fields import AUTOMATIC
-from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.run.whole import whole_folder
-from gpgrad_core.types import Dataset
 
 COMPARED = ("paper", "shot", "cshot", "gradient")
 """Methods of Fig. 8 unless others are named: the paper's, and gpgrad's default."""
@@ -76,11 +74,7 @@ class Reproduce:
             metavar="NAME [NAME ...]", help_behavior_hint=f"(default: {' '.join(COMPARED)})"
         ),
     ] = ()
-    seed: Annotated[
-        int | None,
-        Doc("Seed of all random choices."),
-        tyro.conf.arg(help_behavior_hint="(default: the registration's seed)"),
-    ] = None
+    seed: SeedFlag = None
     protocol: Annotated[
         Protocol,
         Doc(
@@ -100,7 +94,9 @@ class Reproduce:
         self._check_out()
         store = open_store(self.cache)
         datasets = [load(path) for path in self.datasets]
-        given = [self._params(dataset) for dataset in datasets]
+        asked = [
+            asked_params(dataset, self.params, self.pipeline, self.seed) for dataset in datasets
+        ]
         judging = EvaluationParams()
         judging = self.evaluation.over(
             as_in_paper(judging) if self.protocol == "paper" else judging
@@ -112,7 +108,7 @@ class Reproduce:
             num_jobs = sum(sizes) * len(methods)
             with progress_bar("reproduce") as progress:
                 with workers(num_workers(), num_jobs) as executor:
-                    for k, (dataset, params) in enumerate(zip(datasets, given, strict=True)):
+                    for k, (dataset, params) in enumerate(zip(datasets, asked, strict=True)):
                         low, high = (OF_PAIRS * sum(sizes[:end]) / sum(sizes) for end in (k, k + 1))
                         subjects.append(
                             study(
@@ -128,7 +124,7 @@ class Reproduce:
                         )
                 tell_damaged(store)
                 # Imported here because Matplotlib takes half a second to load.
-                from gpgrad_core.evaluation.reproduction.page import write_figures  # noqa: PLC0415
+                from gpgrad_core.evaluation.plots.paper import write_figures  # noqa: PLC0415
 
                 drawing = part(progress, OF_PAIRS, 1.0)
                 notes = write_figures(folder, subjects, numbers, self.command, drawing)
@@ -157,8 +153,8 @@ class Reproduce:
             SEEDS.check("--seed", self.seed)
         for number in self.figure:
             if number not in TITLES:
-                known = ", ".join(map(str, TITLES))
-                raise InputError(f"--figure {number}: there is no such figure; known: {known}")
+                numbers = ", ".join(map(str, TITLES))
+                raise InputError(f"--figure {number}: there is no such figure; known: {numbers}")
         if not self.datasets:
             raise InputError("missing: DATASET; name at least one dataset")
         places = [path.resolve() for path in self.datasets]
@@ -179,14 +175,8 @@ class Reproduce:
 
     def _earlier(self) -> tuple[str, ...]:
         """List what an earlier run has written; the page comes last."""
-        found = (path.name for pattern in FIGURES for path in self.out.glob(pattern))
-        return (*sorted(found), PAGE)
-
-    def _params(self, dataset: Dataset) -> PipelineParams:
-        params = self.pipeline.over(base_params(dataset, self.params))
-        if self.seed is None:
-            return params
-        return replace(params, registration=replace(params.registration, seed=self.seed))
+        drawn = (path.name for pattern in FIGURES for path in self.out.glob(pattern))
+        return (*sorted(drawn), PAGE)
 
 
 def _words(given: Given[Any], group: str = "") -> Iterator[str]:

@@ -7,8 +7,7 @@ from typing import Annotated
 import tyro
 from typing_extensions import Doc
 
-from app.cli.flags import Given
-from app.cli.outputs import Overwrite
+from app.cli.flags import Given, Overwrite
 from app.cli.terminal import count, progress_bar, say
 from gpgrad_core.datasets import (
     ElevationModel,

@@ -5,22 +5,15 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 from typing_extensions import Doc
 
-from app.cli.comparing import (
-    SchedulerFlag,
-    compare,
-    kept_in_memory,
-    shared,
-    workers_for,
-)
+from app.cli.comparing import SchedulerFlag, compare
 from app.cli.coordinates import CrsFlag, OriginFlag, georeference_of
-from app.cli.flags import Given
+from app.cli.flags import Given, Overwrite
 from app.cli.inputs import (
     ALL_PARAMS,
     USERS_CACHE,
@@ -28,13 +21,11 @@ from app.cli.inputs import (
     Cache,
     CandidatesFlag,
     ParamsFile,
-    base_params,
-    load_sources,
+    asked_params,
     open_store,
     settled,
     tell_damaged,
 )
-from app.cli.outputs import Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
 from app.recordings import built_first
 from gpgrad_core.datasets import outline_dataset
@@ -53,35 +44,33 @@ from gpgrad_core.outputs import (
 from gpgrad_core.pipeline import (
     DetectionResult,
     PipelineParams,
-    at_least_for_now,
-    check_affordable,
 )
+from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.run.whole import whole_folder
-from gpgrad_core.shortlist import Candidates, num_wanted, read_candidates
+from gpgrad_core.shortlist import Candidates, read_candidates
 from gpgrad_core.slam import (
     GraphParams,
     JoinedDatasets,
     LoopCloser,
+    MapCoordinates,
     MapErrors,
     MergeParams,
-    PlacedMap,
     Solution,
     SolverParams,
     check_solver,
+    find_coordinates,
     join_datasets,
     measure_errors,
     odometry_poses,
-    place_map,
     solution_files,
     solve_datasets,
     true_poses,
     write_merged,
-    write_places,
     write_solution,
+    write_track,
 )
 from gpgrad_core.types import LoopClosure
 
@@ -159,9 +148,9 @@ class Slam:
         given = None if report is None else restore_closures(report)
         check_solver()
         georeference = georeference_of(self.origin, self.crs, dataset.origin)
-        params = self.pipeline.over(base_params(dataset, self.params))
+        params = asked_params(dataset, self.params, self.pipeline)
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
-        some = [joined.load(k)[0] for k in representative(len(dataset.submaps))]
+        some = [joined.outline.load(k)[0] for k in representative(len(dataset.submaps))]
         params = settled(params, some, dataset.name, Memo(store=store))
         with whole_folder(self.out, earlier=self._names(joined)) as folder:
             self._check_out(joined)  # another process may just have ended
@@ -171,7 +160,15 @@ class Slam:
                     warn(note)
                 closures = given
             elif self.search_radius is None:
-                closures = self._compare(joined, params, folder, candidates, store)
+                closures = compare(
+                    joined.outline,
+                    params,
+                    folder / "closures.json",
+                    method=find_method("gradient"),
+                    store=store,
+                    candidates=candidates,
+                    scheduler=self.scheduler,
+                ).accepted
             else:
                 closures = self._detect(joined, params, graph, solver, folder, candidates, store)
             tell_damaged(store)
@@ -179,9 +176,9 @@ class Slam:
             solution = solve_datasets(joined, closures, graph, solver, trusted=trusted)
             with progress_bar("judge") as progress:
                 errors = measure_errors(solution, progress)
-            placed = self._write(folder, solution, errors, georeference, params)
-        if placed is not None:
-            say(_placed(placed))
+            coordinates = self._write(folder, solution, errors, georeference, params)
+        if coordinates is not None:
+            say(_placed(coordinates))
         for line in (*_corrected(solution, errors), str(self.out)):
             say(line)
 
@@ -192,25 +189,27 @@ class Slam:
         errors: MapErrors,
         georeference: Georeference | None,
         params: PipelineParams,
-    ) -> PlacedMap | None:
+    ) -> MapCoordinates | None:
         """Write the results; gives where the map lies, if that was asked for."""
-        joined, placed = solution.joined, None
+        joined, coordinates = solution.joined, None
         if georeference is not None:
             # The origin is the first dataset's; the truth of others may have another frame.
             first = set(next(iter(joined.traverses.values())))
-            known = true_poses(joined.outline.dataset)
-            true = {name: pose for name, pose in known.items() if name in first}
-            placed = place_map(solution.result.poses, true, georeference)
-            write_places(folder, joined.traverses, solution.result.poses, placed)
+            truth = true_poses(joined.outline.dataset)
+            true = {name: pose for name, pose in truth.items() if name in first}
+            coordinates = find_coordinates(solution.result.poses, true, georeference)
+            write_track(folder, joined.traverses, solution.result.poses, coordinates)
         with progress_bar("write") as progress:
-            write_solution(folder, solution, errors, progress, placed=placed)
+            write_solution(folder, solution, errors, progress, coordinates=coordinates)
         if self.merge:
             merged, terrain = self.merged.over(MergeParams()), params.map.terrain
             with progress_bar("merge") as progress:
-                notes = write_merged(folder, solution, terrain, merged, progress, placed=placed)
+                notes = write_merged(
+                    folder, solution, terrain, merged, progress, coordinates=coordinates
+                )
             for note in notes:
                 warn(note)
-        return placed
+        return coordinates
 
     def _names(self, joined: JoinedDatasets) -> tuple[str, ...]:
         """Name the files that this run may write; the last one is written last."""
@@ -222,37 +221,6 @@ class Slam:
         check_apart(
             [self.out / name for name in names], [*self.datasets, self.closures, self.params]
         )
-
-    def _compare(
-        self,
-        joined: JoinedDatasets,
-        params: PipelineParams,
-        folder: Path,
-        candidates: Candidates,
-        store: Store | None,
-    ) -> tuple[LoopClosure, ...]:
-        """Find the closures as `gpgrad detect` does, and write them beside the results."""
-        count_all = len(joined.outline.clouds)
-        num_pairs = sum(num_wanted(candidates, k) for k in range(count_all))
-        with (
-            at_least_for_now(store, count_all) as room,
-            workers_for(self.scheduler, num_pairs) as executor,
-        ):
-            kept = shared(room, executor, joined.outline)
-            check = partial(check_affordable, params=params)
-            dataset, sources = load_sources(
-                joined.outline, check, most_bytes=kept_in_memory(kept, executor)
-            )
-            return compare(
-                dataset,
-                sources,
-                params,
-                folder / "closures.json",
-                method=find_method("gradient"),
-                store=kept,
-                candidates=candidates,
-                executor=executor,
-            ).accepted
 
     def _detect(
         self,
@@ -282,7 +250,7 @@ class Slam:
             ) as closer,
         ):
             for k in range(total):
-                submap, notes = joined.load(k)
+                submap, notes = joined.outline.load(k)
                 for note in notes:
                     warn(note)
                 sizes[submap.id] = len(submap.points)
@@ -290,7 +258,6 @@ class Slam:
                     submap,
                     part(progress, (k / total) ** 2, ((k + 1) / total) ** 2),
                     starts_traverse=submap.id in joined.starts,
-                    solve=True,
                 )
             closures = closer.closures
         seconds = {"total": time.perf_counter() - start}
@@ -299,13 +266,13 @@ class Slam:
         return closures
 
 
-def _placed(placed: PlacedMap) -> str:
+def _placed(coordinates: MapCoordinates) -> str:
     """Say in which coordinates the map is, and what places it."""
-    by = "the true positions" if placed.by_truth else "odometry's frame, x east and y north"
-    longitude, latitude, height = placed.georeference.origin
+    by = "the true positions" if coordinates.by_truth else "odometry's frame, x east and y north"
+    system = coordinates.georeference
+    longitude, latitude, height = system.origin
     return (
-        f"in {placed.georeference.name}, origin {latitude:.7f}, {longitude:.7f}, {height:.2f} m, "
-        f"placed by {by}"
+        f"in {system.name}, origin {latitude:.7f}, {longitude:.7f}, {height:.2f} m, placed by {by}"
     )
 
 

@@ -11,9 +11,9 @@ from gpgrad_core.slam import (
     OptimisedGraph,
     build_pose_graph,
     optimise_pose_graph,
+    vertex_numbers,
     write_graph,
 )
-from gpgrad_core.slam.g2o import vertex_numbers
 from gpgrad_core.types import Dataset
 
 

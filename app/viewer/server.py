@@ -20,12 +20,12 @@ from app.viewer.permissions import READ_ALL, Permissions
 from app.viewer.runner import Capacity
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, resolve_parameters
+from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.helper import start_helper
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import single_threaded_libraries
-from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.types import Dataset
 
 # A page is served before these are loaded, which takes a second.

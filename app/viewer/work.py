@@ -16,8 +16,8 @@ import viser
 from app.viewer.runner import Job, Result, Runner
 from app.viewer.widgets.work_bar import WorkBar
 from gpgrad_core.errors import InputError
+from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.progress import Progress
-from gpgrad_core.run.whole import TemporaryFolder
 
 _log = logging.getLogger(__name__)
 

@@ -17,6 +17,9 @@ sys.path.insert(0, str(ROOT))
 import gpgrad_core  # noqa: E402 - found only now
 from gpgrad_core.datasets import demo_path, load_dataset  # noqa: E402
 from gpgrad_core.datasets.clouds import CLOUD_FORMATS  # noqa: E402
+from gpgrad_core.features import DETECTORS  # noqa: E402
+from gpgrad_core.features.extraction import MOST_BYTES  # noqa: E402
+from gpgrad_core.gradient_map import MOST_CELLS  # noqa: E402
 from gpgrad_core.params.fields import Field, parameters_of, with_unit  # noqa: E402
 from gpgrad_core.pipeline import PipelineParams, register_pair, resolve_parameters  # noqa: E402
 from gpgrad_core.run.memo import Memo  # noqa: E402
@@ -49,37 +52,56 @@ napoleon_attr_annotations = False  # the signature has the types
 napoleon_use_rtype = False
 
 
-class ParameterTable(Directive):
+class Table(Directive):
+    """A table whose rows come from the package, so that it is never out of date."""
+
+    def rows(self) -> list[str]:
+        """Give the lines of the table."""
+        raise NotImplementedError
+
+    def run(self) -> list[nodes.Node]:
+        """Write the table."""
+        holder = nodes.container()
+        self.state.nested_parse(StringList(self.rows(), "table"), self.content_offset, holder)
+        return holder.children
+
+
+class ParameterTable(Table):
     """A table of all parameters of a dataclass, from the same source as sliders and ``--help``."""
 
     required_arguments = 1
 
-    def run(self) -> list[nodes.Node]:
+    def rows(self) -> list[str]:
         """Write a row for each parameter."""
         params = getattr(gpgrad_core, self.arguments[0])
         rows = ["| parameter | default | range | meaning |", "|---|---|---|---|"]
         for field in parameters_of(params):
             shown = "automatic" if field.default is None else str(field.default)
             rows.append(f"| `{field.path}` | {shown} | {allowed(field)} | {field.doc} |")
-        return parsed(self, rows)
+        return rows
 
 
-class CloudFormats(Directive):
+class DetectorTable(Table):
+    """A table of all detectors of keypoints."""
+
+    def rows(self) -> list[str]:
+        """Write a row for each detector."""
+        rows = ["| detector | keypoints | searches at most |", "|---|---|---|"]
+        for detector in DETECTORS.values():
+            cells = min(MOST_BYTES / detector.bytes_a_cell, MOST_CELLS) / 1e6
+            seeks = detector.seeks
+            image = "the ground" if seeks == "landforms" else "the gradient image"
+            rows.append(f"| `{detector.name}` | {seeks} of {image} | {cells:.2g} million cells |")
+        return rows
+
+
+class CloudFormatTable(Table):
     """A table of the formats of clouds, from the readers themselves."""
 
-    def run(self) -> list[nodes.Node]:
+    def rows(self) -> list[str]:
         """Write a row for each ending."""
         rows = ["| ending | what is read |", "|---|---|"]
-        rows += [f"| `{ending}` | {kind.holds} |" for ending, kind in CLOUD_FORMATS.items()]
-        return parsed(self, rows)
-
-
-def parsed(directive: Directive, rows: list[str]) -> list[nodes.Node]:
-    """Make what a directive stands for of lines of Markdown."""
-    holder = nodes.container()
-    lines = StringList(rows, directive.name)
-    directive.state.nested_parse(lines, directive.content_offset, holder)
-    return holder.children
+        return rows + [f"| `{ending}` | {kind.holds} |" for ending, kind in CLOUD_FORMATS.items()]
 
 
 def allowed(field: Field) -> str:
@@ -125,5 +147,6 @@ def setup(app: Sphinx) -> None:
     """Add what Sphinx does not bring."""
     app.connect("build-finished", write_live_page)
     app.add_directive("parameters", ParameterTable)
-    app.add_directive("cloud-formats", CloudFormats)
+    app.add_directive("detectors", DetectorTable)
+    app.add_directive("cloud-formats", CloudFormatTable)
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))

@@ -28,10 +28,10 @@ from gpgrad_core.datasets.poses import (
 )
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
+from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes
+from gpgrad_core.run.memory import Spool, Waiting
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.run.spool import Spool, Waiting
-from gpgrad_core.run.whole import whole_folder
 from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset, Submap, SubmapSource
 

@@ -5,7 +5,7 @@ height is compared with the map's prediction: a Gaussian about the elevation, wi
 map's variance and the variance of a single point's noise.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
 from gpgrad_core.arrays import Array
+from gpgrad_core.evaluation.pages import TEMPLATES, render
 from gpgrad_core.evaluation.report import Section
 from gpgrad_core.fitting import fit_parameters
 from gpgrad_core.gradient_map import MapParams, ordinary_noise
@@ -90,15 +91,15 @@ def calibrate(
     measured = replace(params.map, noise_model="measured")
     kinds: dict[str, MapParams | None] = {"constant noise": constant, "measured noise": measured}
     for k, (name, start) in enumerate((("constant", constant), ("measured", measured))):
-        found = fit_parameters(seen, start.terrain, progress=part(progress, 0.2 * k, 0.2 * k + 0.2))
-        fitted = {one.name: getattr(found.params, one.name) for one in fields(found.params)}
+        fit = fit_parameters(seen, start.terrain, progress=part(progress, 0.2 * k, 0.2 * k + 0.2))
+        fitted = {field.name: getattr(fit.params, field.name) for field in fields(fit.params)}
         kinds[f"{name} noise, fitted"] = replace(start, **fitted)
     kinds["smoothed grid"] = None
     calibrations: list[Calibration] = []
-    for k, (name, of_map) in enumerate(kinds.items()):
-        predicted = [_predict(*pair, of_map, params) for pair in split]
+    for k, (name, map_params) in enumerate(kinds.items()):
+        predicted = [_predict(*pair, map_params, params) for pair in split]
         error, std = (np.concatenate(values) for values in zip(*predicted, strict=True))
-        calibrations.append(judge_errors(name, error, std, of_map))
+        calibrations.append(judge_errors(name, error, std, map_params))
         progress(0.4 + 0.6 * (k + 1) / len(kinds))
     return tuple(calibrations)
 
@@ -120,17 +121,17 @@ def _split(submap: Submap, seed: int) -> tuple[Submap, Submap]:
 
 
 def _predict(
-    seen: Submap, unseen: Submap, of_map: MapParams | None, params: PipelineParams
+    seen: Submap, unseen: Submap, map_params: MapParams | None, params: PipelineParams
 ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
     """Compute the errors at unseen points, and the standard deviations predicted for them [m]."""
-    if of_map is None:
+    if map_params is None:
         made, scatter = smooth(seen, params)
-        of_point = _at(made, scatter, unseen)
+        point_variance = _at(made, scatter, unseen)
     else:
-        made = infer_gradient_map(seen, of_map)
-        of_point = ordinary_noise(unseen, seen, of_map.terrain) ** 2
+        made = infer_gradient_map(seen, map_params)
+        point_variance = ordinary_noise(unseen, seen, map_params.terrain) ** 2
     error = unseen.points[:, 2] - _at(made, made.elevation, unseen)
-    variance = _at(made, made.variance, unseen) + of_point
+    variance = _at(made, made.variance, unseen) + point_variance
     return error, np.sqrt(np.maximum(variance, LEAST_STD**2))
 
 
@@ -168,32 +169,15 @@ def judge_errors(
 
 def describe_calibration(judged: Sequence[Calibration]) -> Section:
     """Describe the calibration as a section of the report."""
-    lines = [
-        "## Calibration of the maps",
-        "",
-        f"{judged[0].num_points:,} points that the maps have not seen: {HELD_OUT:.0%} of the "
-        "points of some submaps. **density**: mean negative log predictive density of a height in "
-        "metres; less is better. **within**: share of the heights in the interval that should hold "
-        "68.3 % and 95 %. **error**: rms of the elevation against single noisy points.",
-        "",
-        "| map | density | within 68.3 % | within 95 % | error [m] | length-scale [m] |",
-        "|---|---|---|---|---|---|",
-    ]
-    for one in judged:
-        scale = "n/a" if one.params is None else f"{one.params.terrain.length_scale:.3g}"
-        lines.append(
-            f"| {one.name} | {one.density:.3f} | {one.within_68:.1%} | {one.within_95:.1%} | "
-            f"{one.error_rms:.4f} | {scale} |"
-        )
-    content: Mapping[str, object] = {one.name: _content(one) for one in judged}
-    return Section("calibration", content, "\n".join([*lines, ""]))
-
-
-def _content(one: Calibration) -> dict[str, object]:
-    return {
-        "num_points": one.num_points,
-        "negative_log_predictive_density": one.density,
-        "within_68": one.within_68,
-        "within_95": one.within_95,
-        "error_rms": one.error_rms,
+    text = render(TEMPLATES / "calibration.md", judged=judged, held_out=HELD_OUT)
+    content = {
+        kind.name: {
+            "num_points": kind.num_points,
+            "negative_log_predictive_density": kind.density,
+            "within_68": kind.within_68,
+            "within_95": kind.within_95,
+            "error_rms": kind.error_rms,
+        }
+        for kind in judged
     }
+    return Section("calibration", content, text)

@@ -1,16 +1,15 @@
 """Judges detections by the true poses: the function `evaluate`."""
 
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import count
 from math import radians
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation.bootstrap import Interval, Resamples, draw_weights, resample
+from gpgrad_core.evaluation.names import file_names
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.pose_error import (
     Bin,
@@ -22,12 +21,16 @@ from gpgrad_core.evaluation.pose_error import (
     summarise_errors,
 )
 from gpgrad_core.evaluation.precision_recall import (
+    Interval,
     PrecisionRecall,
+    Resamples,
     average_precision,
     best_f1,
+    draw_weights,
     precision_by_inliers,
     precision_recall,
     recall_at_full_precision,
+    resample,
 )
 from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
@@ -52,33 +55,53 @@ class Summary:
     value: float
     interval: Interval | None = None
 
+    def text(self, *, sign: Literal["", "+"] = "") -> str:
+        """Write the figure, and its interval if there is one; with ``+`` a sign before each.
+
+        >>> Summary(0.5).text(), Summary(0.5, Interval(0.25, 0.75)).text(sign="+")
+        ('0.500', '+0.500 [+0.25, +0.75]')
+        """
+        if self.interval is None:
+            return f"{self.value:{sign}.3f}"
+        low, high = self.interval.low, self.interval.high
+        return f"{self.value:{sign}.3f} [{low:{sign}.2f}, {high:{sign}.2f}]"
+
+
+@dataclass(frozen=True)
+class BestF1(Summary):
+    """The largest harmonic mean of precision and recall.
+
+    Attributes:
+        threshold: The score at which it is reached.
+    """
+
+    threshold: float = 0.0
+
 
 @dataclass(frozen=True, eq=False)
 class Ranked:
     """How well a method ranks the pairs, if at least one of them is true.
 
     Attributes:
-        by_score: Precision and recall at every score that occurs.
-        by_inliers: Precision and recall at n = 1 … 20 inliers.
         average_precision: Area under `by_score`.
         recall_at_full_precision: Largest recall without a false pair.
         f1: Largest harmonic mean of precision and recall over all scores.
-        f1_threshold: The score at which it is reached.
-        average_precision_by_inliers: Average precision of the ranking by inliers alone.
-        recall_at_full_precision_by_inliers: Recall at full precision by inliers alone.
         lead: The first method's average precision minus this one's, on the same resamples; None
             for the first method.
+        average_precision_by_inliers: Average precision of the ranking by inliers alone.
+        recall_at_full_precision_by_inliers: Recall at full precision by inliers alone.
+        by_score: Precision and recall at every score that occurs.
+        by_inliers: Precision and recall at n = 1 … 20 inliers.
     """
 
-    by_score: PrecisionRecall
-    by_inliers: PrecisionRecall
     average_precision: Summary
     recall_at_full_precision: Summary
-    f1: Summary
-    f1_threshold: float
+    f1: BestF1
+    lead: Summary | None
     average_precision_by_inliers: float
     recall_at_full_precision_by_inliers: float
-    lead: Summary | None = None
+    by_score: PrecisionRecall
+    by_inliers: PrecisionRecall
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +109,6 @@ class RuleVerdict:
     """The results of a method under one rule.
 
     Attributes:
-        ranked: Results of its ranking; None if the rule calls no pair true.
         accepted_true: Number of accepted pairs that are true.
         accepted_false: Number of accepted pairs that are false.
         accepted_grey: Number of accepted pairs that the rule leaves out as grey.
@@ -97,9 +119,9 @@ class RuleVerdict:
         pose_error: Errors of the accepted true pairs.
         by_overlap: Counts of the touching pairs, by the overlap that the rule measures.
         by_yaw: Counts of the true pairs, by the relative yaw of the submaps [rad].
+        ranked: Results of its ranking; None if the rule calls no pair true.
     """
 
-    ranked: Ranked | None
     accepted_true: int
     accepted_false: int
     accepted_grey: int
@@ -109,6 +131,7 @@ class RuleVerdict:
     pose_error: PoseErrorSummary
     by_overlap: tuple[Bin, ...]
     by_yaw: tuple[Bin, ...]
+    ranked: Ranked | None
 
 
 @dataclass(frozen=True)
@@ -175,17 +198,14 @@ class Evaluation:
     @property
     def file_names(self) -> tuple[str, ...]:
         """Names of the methods as parts of file names, all different."""
-        names: list[str] = []
-        for method in self.methods:
-            plain = re.sub(r"[^\w-]+", "_", method.name).strip("_") or "method"
-            name = next(one for one in _numbered(plain) if one not in names)
-            names.append(name)
-        return tuple(names)
+        return file_names((method.name for method in self.methods), "method")
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was left out or assumed, one line each."""
-        return self.pairs.notes + tuple(note for one in self.methods for note in one.ranking.notes)
+        return self.pairs.notes + tuple(
+            note for method in self.methods for note in method.ranking.notes
+        )
 
 
 def evaluate(
@@ -281,23 +301,23 @@ def _rank_all(
         curve_by_inliers = precision_recall(inliers.astype(np.float64), positive)
         samples = resample(ranking.score[judged], positive, weights[:, judged])
         average = average_precision(curve)
-        f1, f1_threshold = best_f1(curve)
+        f1, threshold = best_f1(curve)
         lead = None
         if first is None:
             first = average, samples
         else:
             behind = first[1].average_precision - samples.average_precision
             lead = Summary(first[0] - average, Interval.of(behind))
+        full = recall_at_full_precision(curve)
         ranked[name] = Ranked(
-            curve,
-            precision_by_inliers(inliers, positive),
             Summary(average, Interval.of(samples.average_precision)),
-            Summary(recall_at_full_precision(curve), Interval.of(samples.recall_at_full_precision)),
-            Summary(f1, Interval.of(samples.f1)),
-            f1_threshold,
+            Summary(full, Interval.of(samples.recall_at_full_precision)),
+            BestF1(f1, Interval.of(samples.f1), threshold),
+            lead,
             average_precision(curve_by_inliers),
             recall_at_full_precision(curve_by_inliers),
-            lead,
+            curve,
+            precision_by_inliers(inliers, positive),
         )
     return ranked
 
@@ -324,8 +344,3 @@ def _judge(
         by_overlap=break_down(rule.measured(pairs), OVERLAP_EDGES, touching, accepted, errors),
         by_yaw=break_down(np.abs(pairs.relative_yaw), YAW_EDGES, positive, accepted, errors),
     )
-
-
-def _numbered(name: str) -> Iterator[str]:
-    yield name
-    yield from (f"{name}_{k}" for k in count(2))

@@ -113,27 +113,27 @@ def measure_pairs(
     Raises:
         InputError: If fewer than two submaps have a true pose, or none of the pairs has.
     """
-    known = [submap for submap in dataset.submaps if submap.pose_true is not None]
-    if len(known) < 2:
+    placed = [submap for submap in dataset.submaps if submap.pose_true is not None]
+    if len(placed) < 2:
         raise InputError(
-            f"{dataset.name}: {len(known)} of {len(dataset.submaps)} submaps have a true pose, and "
-            "two are needed to judge a pair: add poses_gt.txt with rows "
+            f"{dataset.name}: {len(placed)} of {len(dataset.submaps)} submaps have a true pose, "
+            "and two are needed to judge a pair: add poses_gt.txt with rows "
             "`index tx ty tz qx qy qz qw`"
         )
     footprints: list[Footprint] = []
-    for k, submap in enumerate(known):
+    for k, submap in enumerate(placed):
         assert submap.pose_true is not None
         footprints.append(make_footprint(submap.pose_true.apply(submap.points)))
-        progress(0.5 * (k + 1) / len(known))
-    poses = [submap.pose_true.planar for submap in known if submap.pose_true is not None]
-    numbers = _numbers(known)
-    pairs = [(query, database) for database, query in combinations(range(len(known)), 2)]
+        progress(0.5 * (k + 1) / len(placed))
+    poses = [submap.pose_true.planar for submap in placed if submap.pose_true is not None]
+    numbers = _numbers(placed)
+    pairs = [(query, database) for database, query in combinations(range(len(placed)), 2)]
     pairs.sort()
     notes = _notes(dataset)
     if only is not None:
         wanted = {frozenset(pair) for pair in only}
         all_of_them = len(pairs)
-        pairs = [pair for pair in pairs if frozenset(known[k].id for k in pair) in wanted]
+        pairs = [pair for pair in pairs if frozenset(placed[k].id for k in pair) in wanted]
         if not pairs:
             raise InputError(f"{dataset.name}: none of the pairs has two true poses there")
         notes = (
@@ -147,7 +147,7 @@ def measure_pairs(
             progress(0.5 + 0.5 * k / len(pairs))
     query, database = np.array(pairs, dtype=np.intp).T
     return TruePairs(
-        ids=tuple(submap.id for submap in known),
+        ids=tuple(submap.id for submap in placed),
         world_xy=np.array([[pose.x, pose.y] for pose in poses]),
         query=query,
         database=database,

@@ -80,24 +80,24 @@ class Bin:
 
 
 def pose_errors(
-    found: tuple[SE2 | None, ...],
+    estimated: tuple[SE2 | None, ...],
     true: tuple[SE2, ...],
     max_offset: float = MAX_OFFSET,
     max_turn: float = radians(MAX_TURN),
 ) -> PoseErrors:
     """Compare motions with the true ones.
 
-    The error is the motion ``T_true⁻¹ T_found``. Its length is the distance of the query's origin
-    from its true position, and its angle is the error of the heading.
+    The error is the motion ``T_true⁻¹ T_estimated``. Its length is the distance of the query's
+    origin from its true position, and its angle is the error of the heading.
 
     Args:
-        found: ``T_database_query`` of every pair; None if nothing was estimated.
+        estimated: ``T_database_query`` of every pair; None if nothing was estimated.
         true: The true ``T_database_query`` of every pair.
         max_offset: Largest distance at which a motion is right [m].
         max_turn: Largest angle at which a motion is right [rad].
     """
     offset, turn = np.full(len(true), np.inf), np.full(len(true), np.inf)
-    for k, (motion, truth) in enumerate(zip(found, true, strict=True)):
+    for k, (motion, truth) in enumerate(zip(estimated, true, strict=True)):
         if motion is not None:
             left = truth.inverse() @ motion
             offset[k], turn[k] = np.hypot(left.x, left.y), abs(left.yaw)

@@ -1,6 +1,6 @@
 """Brings a method's verdicts into the order of the true pairs."""
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float, Int
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.overlap import TruePairs
-from gpgrad_core.outputs import ClosureReport, PairRecord
+from gpgrad_core.outputs import ClosureReport
 from gpgrad_core.pipeline import DetectionResult
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Array, Dataset, LoopClosure, read_only
+from gpgrad_core.types import Array, Dataset, read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ def rank_pairs(
         InputError: If a pair names a submap that the dataset does not have, pairs a submap with
             itself, is listed twice, or has a score that is not a finite number.
     """
-    known = {submap.id for submap in dataset.submaps}
+    ids = {submap.id for submap in dataset.submaps}
     score = np.full(len(pairs), -np.inf)
     num_inliers = np.zeros(len(pairs), dtype=np.intp)
     accepted = np.zeros(len(pairs), dtype=np.bool_)
@@ -78,7 +78,7 @@ def rank_pairs(
     listed: set[frozenset[str]] = set()
     for verdict in _verdicts(detection):
         both = frozenset((verdict.query, verdict.database))
-        _check(verdict, both, known, listed, dataset.name, name)
+        _check(verdict, both, ids, listed, dataset.name, name)
         listed.add(both)
         row = pairs.rows.get(both)
         if row is None:
@@ -100,13 +100,13 @@ def rank_pairs(
 def _check(
     verdict: _Verdict,
     both: frozenset[str],
-    known: set[str],
+    ids: set[str],
     listed: set[frozenset[str]],
     dataset: str,
     name: str,
 ) -> None:
     pair = f"{name}: pair {verdict.query}, {verdict.database}"
-    for strange in sorted(both - known):
+    for strange in sorted(both - ids):
         raise InputError(
             f"{pair}: {dataset} has no submap {strange!r}; evaluate it on the dataset that it was "
             "made from"
@@ -119,30 +119,15 @@ def _check(
         raise InputError(f"{pair}: the score must be a finite number, got {verdict.score!r}")
 
 
-def _verdicts(detection: DetectionResult | ClosureReport) -> Iterable[_Verdict]:
+def _verdicts(detection: DetectionResult | ClosureReport) -> Iterator[_Verdict]:
     if isinstance(detection, ClosureReport):
-        return map(_of_record, detection.pairs)
-    return map(_of_closure, detection.closures)
-
-
-def _of_record(pair: PairRecord) -> _Verdict:
-    return _Verdict(
-        pair.query,
-        pair.database,
-        pair.score,
-        pair.num_inliers,
-        pair.accepted,
-        pair.T_database_query,
-    )
-
-
-def _of_closure(closure: LoopClosure) -> _Verdict:
-    found = closure.registration
-    return _Verdict(
-        closure.query_id,
-        closure.database_id,
-        found.score,
-        found.num_inliers,
-        closure.accepted,
-        found.T_database_query,
-    )
+        for pair in detection.pairs:
+            motion = pair.T_database_query
+            ends = pair.query, pair.database
+            yield _Verdict(*ends, pair.score, pair.num_inliers, pair.accepted, motion)
+        return
+    for closure in detection.closures:
+        registration, ends = closure.registration, (closure.query_id, closure.database_id)
+        score, num_inliers = registration.score, registration.num_inliers
+        motion = registration.T_database_query
+        yield _Verdict(*ends, score, num_inliers, closure.accepted, motion)

@@ -4,30 +4,32 @@ import json
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, fields, is_dataclass
+from math import degrees
 from pathlib import Path
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import cast
 
 import numpy as np
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict, RuleVerdict
+from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict
 from gpgrad_core.evaluation.overlap import TruePairs
-from gpgrad_core.evaluation.precision_recall import PrecisionRecall
+from gpgrad_core.evaluation.pages import TEMPLATES, cell, render
 from gpgrad_core.evaluation.rules import Labels, Rule
-from gpgrad_core.evaluation.text import describe
 from gpgrad_core.outputs import ClosureReport, replacing, write_closures
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.version import VERSION
 
-
-@runtime_checkable
-class Picture(Protocol):
-    """Something that can be saved as a picture, such as a figure of matplotlib."""
-
-    def savefig(self, fname: Path) -> None:
-        """Write the picture; the ending of the name chooses the format."""
-        ...
+SHOWN_INLIERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20)
+UNKNOWN = "n/a"
+CAPTIONS = {
+    "precision_recall_by_inliers": "Like the paper's Fig. 8: the threshold is n = 1 to 20 inliers.",
+    "precision_recall": "Precision over recall of all methods. A star marks what a method accepts.",
+    "precision_by_inliers": "Like the paper's Fig. 9: precision and recall against n.",
+    "affinity_": "The true overlap of all pairs, and the scores of a method.",
+    "loops_": "The loop closures of a method on the true traverse.",
+}
+"""Captions of figures by the beginning of their names; the first that fits is used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +40,11 @@ class Section:
         key: Its key in ``report.json``.
         content: Its value there: numbers, texts, lists and tables by name.
         text: Its Markdown, which begins with a heading.
-        figures: Its pictures by file name without the ending.
     """
 
     key: str
-    content: Mapping[str, Any]
+    content: Mapping[str, object]
     text: str
-    figures: Mapping[str, Picture] = field(default_factory=dict[str, Picture])
 
 
 def check_directory(
@@ -111,7 +111,7 @@ def write_report(
         InputError: If the folder cannot be made or written to.
     """
     # Imported here because Matplotlib takes half a second to load.
-    from gpgrad_core.evaluation.figures import draw_figures  # noqa: PLC0415
+    from gpgrad_core.evaluation.plots.report import draw_report  # noqa: PLC0415
 
     directory = check_directory(directory)
     directory.mkdir(exist_ok=True)
@@ -121,17 +121,15 @@ def write_report(
         if method.name in closures:
             written.append(directory / f"closures_{name}.json")
             write_closures(written[-1], closures[method.name])
-    figures: dict[str, Picture] = dict(draw_figures(evaluation))
-    for section in sections:
-        figures.update(section.figures)
+    figures = draw_report(evaluation)
     for k, (name, figure) in enumerate(figures.items()):
         written.append(directory / f"{name}.png")
         with replacing(written[-1]) as unfinished:
             figure.savefig(unfinished)
         progress((k + 1) / len(figures))
-    text = "\n".join([describe(evaluation, list(figures)), *(part.text for part in sections)])
+    text = describe(evaluation, list(figures), sections)
     with replacing(directory / "report.md") as unfinished:
-        unfinished.write_text(text.rstrip() + "\n", encoding="utf-8")
+        unfinished.write_text(text, encoding="utf-8")
     content = report_evaluation(evaluation)
     content |= {section.key: _plain(section.content) for section in sections}
     content["figures"] = [f"{name}.png" for name in figures]
@@ -143,16 +141,69 @@ def write_report(
     return (*written, directory / "report.md", directory / "report.json")
 
 
-def report_evaluation(evaluation: Evaluation) -> dict[str, Any]:
+def describe(
+    evaluation: Evaluation, figures: Sequence[str] = (), sections: Sequence[Section] = ()
+) -> str:
+    """Write the text of the report in Markdown.
+
+    Args:
+        evaluation: The results to report.
+        figures: Names of the pictures beside it, without their ending.
+        sections: Additional sections.
+    """
+    text = render(
+        TEMPLATES / "report.md",
+        evaluation=evaluation,
+        judged=[
+            (rule, labels, [(method.name, method.rules[k]) for method in evaluation.methods])
+            for k, (rule, labels) in enumerate(
+                zip(evaluation.rules, evaluation.labels, strict=True)
+            )
+        ],
+        figures=[(name, _caption(name)) for name in figures],
+        sections=sections,
+        shown_inliers=SHOWN_INLIERS,
+        version=VERSION,
+        cell=cell,
+        share=_share,
+        percent=_percent,
+        centimetres=_centimetres,
+        turn=_turn,
+        degrees=degrees,
+    )
+    return text.rstrip() + "\n"
+
+
+def _share(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else UNKNOWN
+
+
+def _percent(share: float | None) -> str:
+    return UNKNOWN if share is None else f"{100 * share:.1f} %"
+
+
+def _centimetres(metres: float | None) -> str:
+    return UNKNOWN if metres is None else f"{100 * metres:.1f} cm"
+
+
+def _turn(radians: float | None) -> str:
+    return UNKNOWN if radians is None else f"{degrees(radians):.2f}°"
+
+
+def _caption(name: str) -> str:
+    return next((text for start, text in CAPTIONS.items() if name.startswith(start)), name)
+
+
+def report_evaluation(evaluation: Evaluation) -> dict[str, object]:
     """Make the content of ``report.json``: metres, radians, and null for unknown."""
     return cast(
-        "dict[str, Any]",
+        "dict[str, object]",
         _plain(
             {
                 "dataset": evaluation.dataset,
                 "gpgrad": VERSION,
                 "seed": evaluation.seed,
-                "params": asdict(evaluation.params),
+                "params": evaluation.params,
                 "notes": evaluation.notes,
                 "rules": [
                     _rule(rule, labels)
@@ -165,7 +216,7 @@ def report_evaluation(evaluation: Evaluation) -> dict[str, Any]:
     )
 
 
-def _rule(rule: Rule, labels: Labels) -> dict[str, Any]:
+def _rule(rule: Rule, labels: Labels) -> dict[str, object]:
     return {
         "name": rule.name,
         "measure": rule.measure,
@@ -177,7 +228,7 @@ def _rule(rule: Rule, labels: Labels) -> dict[str, Any]:
     }
 
 
-def _method(evaluation: Evaluation, method: MethodVerdict) -> dict[str, Any]:
+def _method(evaluation: Evaluation, method: MethodVerdict) -> dict[str, object]:
     return {
         "name": method.name,
         "seconds": method.ranking.seconds,
@@ -186,49 +237,13 @@ def _method(evaluation: Evaluation, method: MethodVerdict) -> dict[str, Any]:
         "accepted_wrong_motion": method.accepted.wrong_motion,
         "accepted_no_overlap": method.accepted.no_overlap,
         "rules": {
-            rule.measure: _verdict(verdict)
+            rule.measure: verdict
             for rule, verdict in zip(evaluation.rules, method.rules, strict=True)
         },
     }
 
 
-def _verdict(verdict: RuleVerdict) -> dict[str, Any]:
-    content: dict[str, Any] = {
-        "accepted_true": verdict.accepted_true,
-        "accepted_false": verdict.accepted_false,
-        "accepted_grey": verdict.accepted_grey,
-        "accepted_grey_near": verdict.accepted_grey_near,
-        "missed": verdict.missed,
-        "near": verdict.near,
-        "pose_error": asdict(verdict.pose_error),
-        "by_overlap": [asdict(one) for one in verdict.by_overlap],
-        "by_yaw": [asdict(one) for one in verdict.by_yaw],
-        "ranked": None,
-    }
-    ranked = verdict.ranked
-    if ranked is not None:
-        content["ranked"] = {
-            "average_precision": asdict(ranked.average_precision),
-            "recall_at_full_precision": asdict(ranked.recall_at_full_precision),
-            "f1": asdict(ranked.f1) | {"threshold": ranked.f1_threshold},
-            "lead": ranked.lead and asdict(ranked.lead),
-            "average_precision_by_inliers": ranked.average_precision_by_inliers,
-            "recall_at_full_precision_by_inliers": ranked.recall_at_full_precision_by_inliers,
-            "by_score": _curve(ranked.by_score),
-            "by_inliers": _curve(ranked.by_inliers),
-        }
-    return content
-
-
-def _curve(curve: PrecisionRecall) -> dict[str, Any]:
-    return {
-        "thresholds": curve.thresholds,
-        "precision": curve.precision,
-        "recall": curve.recall,
-    }
-
-
-def _pairs(pairs: TruePairs, evaluation: Evaluation) -> list[dict[str, Any]]:
+def _pairs(pairs: TruePairs, evaluation: Evaluation) -> list[dict[str, object]]:
     return [
         {
             "query": pairs.ids[pairs.query[k]],
@@ -236,7 +251,7 @@ def _pairs(pairs: TruePairs, evaluation: Evaluation) -> list[dict[str, Any]]:
             "box_iou": pairs.box_iou[k],
             "surface_overlap": pairs.surface_overlap[k],
             "height_difference": pairs.height_difference[k],
-            "T_database_query": asdict(pairs.T_database_query[k]),
+            "T_database_query": pairs.T_database_query[k],
             "methods": {
                 method.name: {
                     "score": method.ranking.score[k],
@@ -254,14 +269,16 @@ def _pairs(pairs: TruePairs, evaluation: Evaluation) -> list[dict[str, Any]]:
 
 def _plain(value: object) -> object:
     """Convert to what JSON has: numbers of nine digits, and null for those that are not finite."""
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in cast("Mapping[Any, object]", value).items()}
-    if isinstance(value, np.ndarray):
+        return {
+            str(key): _plain(item) for key, item in cast("Mapping[object, object]", value).items()
+        }
+    if isinstance(value, np.ndarray | np.generic):
         return _plain(cast("object", value.tolist()))
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in cast("Sequence[object]", value)]
-    if isinstance(value, np.generic):
-        return _plain(cast("object", value.item()))
+        return [_plain(item) for item in cast("Sequence[object]", value)]
     if isinstance(value, float):
         return float(f"{value:.9g}") if math.isfinite(value) else None
     return value

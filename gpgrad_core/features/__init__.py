@@ -1,7 +1,6 @@
-"""Keypoints of a gradient map and their descriptors; each detector has its own file."""
+"""Keypoints of a gradient map and their descriptors; `registry.DETECTORS` lists the detectors."""
 
 from gpgrad_core.features.extraction import (
-    DetectorName,
     DetectorParams,
     FeatureParams,
     check_detector,
@@ -9,9 +8,10 @@ from gpgrad_core.features.extraction import (
     extract_features,
     select_trusted,
 )
+from gpgrad_core.features.registry import DETECTORS
 
 __all__ = [
-    "DetectorName",
+    "DETECTORS",
     "DetectorParams",
     "FeatureParams",
     "check_detector",

@@ -1,11 +1,14 @@
-"""The result of a detector, in pixels of the image."""
+"""What a detector is, and what it finds, in pixels of the image."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from gpgrad_core.arrays import NDArray
+from gpgrad_core.types import GradientMap
 
 Image = Float[NDArray[np.float64], "rows columns"]
 
@@ -25,3 +28,22 @@ class Detection:
     diameters: Float[NDArray[np.float64], "k"]
     responses: Float[NDArray[np.float64], "k"]
     descriptors: Float[NDArray[np.float32], "k d"] | UInt8[NDArray[np.uint8], "k d"]
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A way to find keypoints and to describe them.
+
+    Attributes:
+        name: What flags, files and the viewer call it.
+        detect: Finds and describes keypoints on a whole map, trusted or not. Detectors of 8-bit
+            images are told which steepness is white [m/m]; the others ignore it.
+        seeks: What its keypoints are: blobs or corners of the gradient image, or landforms (hills,
+            pits and saddles).
+        bytes_a_cell: Memory that it takes for a cell of the map, measured on 1 to 4 million cells.
+    """
+
+    name: str
+    detect: Callable[[GradientMap, float], Detection]
+    seeks: Literal["blobs", "corners", "landforms"]
+    bytes_a_cell: int

@@ -1,31 +1,22 @@
 """Extracts keypoints from the trusted cells of a gradient map, and describes them."""
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import numpy as np
 from typing_extensions import Doc
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.features.detection import Detection
-from gpgrad_core.features.opencv import detect_with_opencv
-from gpgrad_core.features.slope_field import detect_slope_field
-from gpgrad_core.features.surf import detect_surf
+from gpgrad_core.features.registry import DETECTORS
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.types import MAX_STD_RATIO, Features, GradientMap, Grid
 
-DetectorName = Literal["akaze", "kaze", "sift", "orb", "surf", "slope"]
+if TYPE_CHECKING:
+    DetectorName: TypeAlias = str
+else:
+    DetectorName = Literal[tuple(DETECTORS)]  # the choices of flags, files and the viewer
 
-BYTES_A_CELL: dict[DetectorName, int] = {
-    "slope": 40,
-    "akaze": 95,
-    "kaze": 530,
-    "sift": 235,
-    "orb": 20,
-    "surf": 150,
-}
-"""Memory that a detector takes for a cell of the map (measured on 1 to 4 million cells)."""
 MOST_BYTES = 9e8
 """Largest memory that a detector may take."""
 
@@ -111,16 +102,16 @@ def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Featur
         InputError: If the detector would take too much memory.
     """
     check_detector(gradient_map.grid, params)
-    found = _detect(gradient_map, params)
+    detection = DETECTORS[params.name].detect(gradient_map, params.gradient_range)
     grid = gradient_map.grid
     last = np.array(grid.shape[::-1]) - 1
-    column, row = np.clip(np.rint(found.pixels), 0, last).astype(np.intp).T
+    column, row = np.clip(np.rint(detection.pixels), 0, last).astype(np.intp).T
     return Features(
-        positions=grid.to_position(found.pixels),
-        scales=grid.resolution * found.diameters,
-        responses=found.responses,
+        positions=grid.to_position(detection.pixels),
+        scales=grid.resolution * detection.diameters,
+        responses=detection.responses,
         std_ratios=np.minimum(gradient_map.std[row, column] / gradient_map.detail_std, 1.0),
-        descriptors=found.descriptors,
+        descriptors=detection.descriptors,
     )
 
 
@@ -134,7 +125,7 @@ def check_detector(grid: Grid, params: DetectorParams) -> None:
     Raises:
         InputError: If it would take more memory than allowed; the message says what to change.
     """
-    needed = grid.num_cells * BYTES_A_CELL[params.name]
+    needed = grid.num_cells * DETECTORS[params.name].bytes_a_cell
     if needed > MOST_BYTES:
         coarser = np.ceil(1000 * grid.resolution * np.sqrt(needed / MOST_BYTES)) / 1000
         raise InputError(
@@ -157,13 +148,3 @@ def select_trusted(features: Features, params: FeatureParams) -> Features:
     trusted = np.flatnonzero(features.std_ratios <= params.max_std_ratio)
     strongest = np.argsort(-features.responses[trusted], kind="stable")[: params.max_keypoints]
     return features.select(trusted[np.sort(strongest)])
-
-
-def _detect(gradient_map: GradientMap, params: DetectorParams) -> Detection:
-    match params.name:
-        case "slope":
-            return detect_slope_field(gradient_map)
-        case "surf":
-            return detect_surf(gradient_map.gradient)
-        case "akaze" | "kaze" | "sift" | "orb":
-            return detect_with_opencv(gradient_map.gradient, params.name, params.gradient_range)

@@ -1,62 +1,53 @@
-"""OpenCV's detectors: AKAZE, KAZE, SIFT and ORB."""
+"""OpenCV's detectors, such as AKAZE, KAZE, SIFT and ORB, on the gradient image."""
 
-from typing import Literal
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.features.detection import Detection, Image
-
-OpenCVName = Literal["akaze", "kaze", "sift", "orb"]
+from gpgrad_core.features.detection import Detection
+from gpgrad_core.types import GradientMap
 
 MIN_IMAGE_SIDE = 16
 """Smallest side of an image [pixels]. Smaller images have no keypoints, and OpenCV's pyramids fail
 on them."""
-MIN_ORB_SIDE = 64
-"""Smallest side of an image for ORB [pixels]. ORB leaves a margin of 31 pixels on every side, and
-fails on images that are nothing else."""
-MAX_ORB_KEYPOINTS = 5000
-"""ORB needs a limit; the strongest are selected later."""
 
 
-def detect_with_opencv(image: Image, name: OpenCVName, white: float) -> Detection:
-    """Detect and describe keypoints with one of OpenCV's detectors.
+def opencv_detector(
+    create: str,
+    *,
+    as_bytes: bool = False,
+    least_side: int = MIN_IMAGE_SIDE,
+    **options: float,
+) -> Callable[[GradientMap, float], Detection]:
+    """Adapt one of OpenCV's detectors.
 
-    No threshold depends on the contrast, so that gentle ground has as many keypoints as steep
-    ground. The strongest are selected later.
+    Its options should set no threshold on the contrast, so that gentle ground has as many
+    keypoints as steep ground. The strongest are selected later.
 
     Args:
-        image: The gradient image (rows, columns) [m/m].
-        name: Name of the detector.
-        white: Value that is white in the 8-bit image for SIFT and ORB, which accept no other
-            [m/m].
+        create: Name of OpenCV's function that makes it.
+        as_bytes: Whether it takes 8-bit images only.
+        least_side: Smallest side of an image that it can search [pixels].
+        options: What that function is called with.
     """
-    detector = _detector(name)
-    shown = _as_bytes(image, white) if name in ("sift", "orb") else image.astype(np.float32)
-    smallest = MIN_ORB_SIDE if name == "orb" else MIN_IMAGE_SIDE
-    # ORB also fails on an image without any corner, such as flat ground.
-    blank = min(image.shape) < smallest or shown.min() == shown.max()
-    keypoints, described = ([], None) if blank else detector.detectAndCompute(shown, None)
-    return Detection(
-        pixels=np.array([keypoint.pt for keypoint in keypoints], np.float64).reshape(-1, 2),
-        diameters=np.array([keypoint.size for keypoint in keypoints], np.float64),
-        responses=np.array([keypoint.response for keypoint in keypoints], np.float64),
-        descriptors=_as_descriptors(described, detector),
-    )
 
+    def detect(gradient_map: GradientMap, white: float) -> Detection:
+        detector = _create(create, **options)
+        image = gradient_map.gradient
+        shown = _as_bytes(image, white) if as_bytes else image.astype(np.float32)
+        # ORB fails on an image without any corner, such as flat ground.
+        blank = min(image.shape) < least_side or shown.min() == shown.max()
+        keypoints, described = ([], None) if blank else detector.detectAndCompute(shown, None)
+        return Detection(
+            pixels=np.array([keypoint.pt for keypoint in keypoints], np.float64).reshape(-1, 2),
+            diameters=np.array([keypoint.size for keypoint in keypoints], np.float64),
+            responses=np.array([keypoint.response for keypoint in keypoints], np.float64),
+            descriptors=_as_descriptors(described, detector),
+        )
 
-def _detector(name: OpenCVName) -> cv2.Feature2D:
-    match name:
-        case "akaze":
-            # AKAZE scales its contrast to the image, so gentle and steep ground give the same.
-            return _create("AKAZE_create", threshold=1e-6)
-        case "kaze":
-            return _create("KAZE_create", threshold=1e-6)
-        case "sift":
-            return _create("SIFT_create", nfeatures=0, contrastThreshold=0.0, edgeThreshold=10.0)
-        case "orb":
-            return _create("ORB_create", nfeatures=MAX_ORB_KEYPOINTS, fastThreshold=1)
+    return detect
 
 
 def _create(name: str, **options: float) -> cv2.Feature2D:
@@ -66,7 +57,7 @@ def _create(name: str, **options: float) -> cv2.Feature2D:
     return getattr(home, name)(**options)
 
 
-def _as_bytes(image: Image, white: float) -> NDArray[np.uint8]:
+def _as_bytes(image: NDArray[np.float64], white: float) -> NDArray[np.uint8]:
     return np.rint(np.clip(image / white, 0.0, 1.0) * 255).astype(np.uint8)
 
 

@@ -71,16 +71,16 @@ def detect_slope_field(gradient_map: GradientMap) -> Detection:
     slopes = _weighted_slopes(gradient_map, stride)
     unit = length / stride  # the scale of comparison in cells
     smoothed = [_smooth(slopes, scale * unit) for scale in SCALES]
-    found = [
+    of_scales = [
         _find_keypoints(field, scale * unit) for field, scale in zip(smoothed, SCALES, strict=True)
     ]
-    cells = np.concatenate([keypoints.cells for keypoints in found])
+    cells = np.concatenate([keypoints.cells for keypoints in of_scales])
     last = np.array(gradient_map.grid.shape[::-1]) - 1.0
     return Detection(
         # The centre of a cell of stride x stride pixels; the last cells reach beyond the image.
         pixels=np.clip(stride * cells.astype(np.float64) + (stride - 1) / 2, 0.0, last),
-        diameters=2 * stride * np.concatenate([keypoints.sigmas for keypoints in found]),
-        responses=np.concatenate([keypoints.responses for keypoints in found]),
+        diameters=2 * stride * np.concatenate([keypoints.sigmas for keypoints in of_scales]),
+        responses=np.concatenate([keypoints.responses for keypoints in of_scales]),
         descriptors=_describe(cells, smoothed[0], smoothed[-1], unit),
     )
 
@@ -124,7 +124,7 @@ def _find_keypoints(smoothed: Slopes, sigma: float) -> _Keypoints:
     """
     bands = _bands(smoothed.shape)
     steepest = max(float(np.abs(_slope(smoothed[band])).max(initial=0.0)) for band in bands)
-    found: dict[int, list[tuple[Points, NDArray[np.float64]]]] = {1: [], -1: []}
+    peaks_by_sign: dict[int, list[tuple[Points, NDArray[np.float64]]]] = {1: [], -1: []}
     for band in bands:
         # A peak depends on two rows on either side.
         first = max(band.start - 2, 0)
@@ -140,13 +140,13 @@ def _find_keypoints(smoothed: Slopes, sigma: float) -> _Keypoints:
             row += band.start - first
             offset = [_peak_offset(strength, row, column, axis) for axis in (1, 0)]
             where = np.column_stack([column, row + first])
-            found[sign].append(
+            peaks_by_sign[sign].append(
                 (
                     where + np.column_stack(offset).astype(np.float32),
                     sigma * strength[row, column].astype(np.float64),
                 )
             )
-    cells, responses = zip(*found[1], *found[-1], strict=True)
+    cells, responses = zip(*peaks_by_sign[1], *peaks_by_sign[-1], strict=True)
     where = np.concatenate(cells).astype(np.float32)
     return _Keypoints(where, np.full(len(where), sigma), np.concatenate(responses))
 

@@ -1,8 +1,16 @@
-"""How exact the solution of a fit has to be; both fast solvers use the same limits."""
+"""How exact the solution of a fit has to be, and what it may cost: limits of both fast solvers.
+
+The cost is told before the work, so that what costs too much is refused and not begun.
+"""
 
 from dataclasses import dataclass
 from math import log10
 
+MOST_SECONDS = 30.0
+"""Longest time that a fit may be estimated to take, on two cores of 2.8 GHz."""
+MOST_BYTES = 1.35e9
+"""Largest memory that a fit may be estimated to take. With the fields of the largest grid and what
+a process needs anyway, it stays below 2 GB."""
 INFORMATION_LEFT = 1e4
 """Up to this information the residual need not be smaller."""
 SIGNAL_SEEN = 2.0
@@ -64,8 +72,8 @@ class Accuracy:
             information: See `spacing.information`.
             signal_to_noise: Standard deviation of the terrain, in those of a usual point.
         """
-        known = (INFORMATION_LEFT / information) ** 0.5
-        return self.residual * min(1.0, known, signal_to_noise / SIGNAL_SEEN)
+        left = (INFORMATION_LEFT / information) ** 0.5
+        return self.residual * min(1.0, left, signal_to_noise / SIGNAL_SEEN)
 
 
 def _wider(information: float) -> float:
@@ -77,3 +85,27 @@ EXACT = Accuracy()
 """The accuracy of all results."""
 ROUGH = Accuracy(residual=0.1, ripple=0.3, lattice_halo=2.5, tile_halo=2.0)
 """For a picture that a better one soon replaces: within 10 %, in half the time or less."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The estimated cost of a fit and its samples.
+
+    Attributes:
+        seconds: Time on two cores of 2.8 GHz [s].
+        num_bytes: Largest memory at a time [bytes].
+    """
+
+    seconds: float
+    num_bytes: float
+
+    @property
+    def excess(self) -> float:
+        """How many times more than allowed it is; at most 1 if it is allowed."""
+        return max(self.seconds / MOST_SECONDS, self.num_bytes / MOST_BYTES)
+
+    def __str__(self) -> str:
+        """Say it in words, with what is allowed."""
+        if self.seconds / MOST_SECONDS >= self.num_bytes / MOST_BYTES:
+            return f"about {self.seconds:,.0f} s (at most {MOST_SECONDS:g} s)"
+        return f"about {self.num_bytes / 1e9:,.2f} GB (at most {MOST_BYTES / 1e9:g} GB)"

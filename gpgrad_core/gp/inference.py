@@ -8,8 +8,7 @@ from jaxtyping import Float
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp import lattice, tiles
-from gpgrad_core.gp.accuracy import EXACT, Accuracy
-from gpgrad_core.gp.cost import Cost
+from gpgrad_core.gp.accuracy import EXACT, Accuracy, Cost
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import LatticePosterior, fit_lattice
 from gpgrad_core.gp.spacing import check_solvable, information
@@ -60,11 +59,11 @@ def fit_gp(
     if solver == "auto":
         solver = _faster(points, kernel, noise_std, accuracy)
     if solver == "tiles":
-        found = fit_tiles(
+        posterior = fit_tiles(
             points, kernel, noise_std, mean=mean, accuracy=accuracy, progress=progress
         )
-        if found is not None:
-            return found
+        if posterior is not None:
+            return posterior
     return fit_lattice(points, kernel, noise_std, mean=mean, accuracy=accuracy, progress=progress)
 
 
@@ -77,11 +76,11 @@ def _faster(
     """Choose the solver that is exact enough and faster; refuse what would cost too much."""
     xy, noise_variance = points[:, :2], np.broadcast_to(np.square(noise_std), len(points))
     bits, costs = _costs(xy, kernel, noise_variance, accuracy)
-    solver = min(costs, key=lambda one: costs[one].seconds)
+    solver = min(costs, key=lambda name: costs[name].seconds)
     if bits > BETTER_BY_TILES and costs["tiles"].seconds <= WORTH_SECONDS:
         solver = "tiles"
     if costs[solver].excess > 1:
-        solver = min(costs, key=lambda one: costs[one].excess)
+        solver = min(costs, key=lambda name: costs[name].excess)
     if costs[solver].excess > 1:
         width, height = xy.max(axis=0) - xy.min(axis=0)
         raise InputError(
@@ -127,12 +126,13 @@ def _cure(
 
     cures: list[str] = []
     longer = [round_up(kernel.length_scale * 1.3**k) for k in range(1, 10)]
-    enough = next((one for one in longer if affordable(slice(None), one)), None)
+    enough = next((value for value in longer if affordable(slice(None), value)), None)
     if enough is not None:
         cures.append(f"raise the length-scale to {enough:g} m or more")
     fewer = [2**k for k in range(1, 12) if 3 * 2**k <= len(xy)]
     every = next(
-        (one for one in fewer if affordable(slice(None, None, one), kernel.length_scale)), None
+        (value for value in fewer if affordable(slice(None, None, value), kernel.length_scale)),
+        None,
     )
     if every is not None:
         cures.append(f"set max_points to {len(xy) // every:,} or fewer")

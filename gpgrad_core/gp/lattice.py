@@ -17,10 +17,9 @@ from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.accuracy import EXACT, Accuracy
+from gpgrad_core.gp.accuracy import EXACT, Accuracy, Cost
 from gpgrad_core.gp.block_tridiagonal import NotPositiveDefiniteError
 from gpgrad_core.gp.cloud import Cloud
-from gpgrad_core.gp.cost import Cost
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import TerrainFields, clip_variance

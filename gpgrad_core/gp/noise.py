@@ -78,21 +78,21 @@ def measure_noise(
     usual = STARTED_WITHIN * float(np.median(np.abs(residual)))
     squares = np.minimum(residual**2, usual**2)
     variance = _pooled(cells, squares, np.maximum(cells.counts - 1, 0), prior)
-    known = np.zeros(len(cells.counts), bool)
+    has_plane = np.zeros(len(cells.counts), bool)
     # By this factor n points scatter less about their own plane than about the ground.
     left = np.sqrt(np.maximum(1 - 3 / np.maximum(cells.counts, LEAST_POINTS), 0.0))
     for _ in range(ROUNDS):
         limit = CLIPPED_AT * np.sqrt(variance)[cells.owner]
         weight = np.minimum(1.0, limit / np.maximum(np.abs(residual), 1e-12))
-        residual, known = cells.off_plane(points, weight)
+        residual, has_plane = cells.off_plane(points, weight)
         clipped = np.minimum(np.abs(residual), limit * left[cells.owner])
-        squares = np.where(known[cells.owner], clipped**2 / _clipped_mean_square(), 0.0)
-        freedom = np.where(known, cells.counts - 3, 0)
+        squares = np.where(has_plane[cells.owner], clipped**2 / _clipped_mean_square(), 0.0)
+        freedom = np.where(has_plane, cells.counts - 3, 0)
         variance = _pooled(cells, squares, freedom, prior)
     std = np.sqrt(variance)
     there = std[cells.owner]
     off = np.abs(residual)
-    outlying = known[cells.owner] & (off > OUTLYING * there)
+    outlying = has_plane[cells.owner] & (off > OUTLYING * there)
     # As with Student's t: beyond the limit, the noise is as large as the residual.
     point_std = np.where(outlying, off, there)
     return MeasuredNoise(point_std, outlying, cells.low, cells.side, std.reshape(cells.shape))
@@ -175,11 +175,11 @@ class _Cells:
         xx, xy, yy = (self.sum(weight * a * b) for a, b in ((x, x), (x, y), (y, y)))
         xz, yz = self.sum(weight * x * z), self.sum(weight * y * z)
         area = xx * yy - xy**2
-        known = (self.counts >= LEAST_POINTS) & (area > 1e-3 * (xx + yy) ** 2)
-        area = np.where(known, area, 1.0)
-        along_x = np.where(known, (xz * yy - yz * xy) / area, 0.0)
-        along_y = np.where(known, (yz * xx - xz * xy) / area, 0.0)
-        return z - along_x[self.owner] * x - along_y[self.owner] * y, known
+        has_plane = (self.counts >= LEAST_POINTS) & (area > 1e-3 * (xx + yy) ** 2)
+        area = np.where(has_plane, area, 1.0)
+        along_x = np.where(has_plane, (xz * yy - yz * xy) / area, 0.0)
+        along_y = np.where(has_plane, (yz * xx - xz * xy) / area, 0.0)
+        return z - along_x[self.owner] * x - along_y[self.owner] * y, has_plane
 
 
 MOST_CELLS = 1_000_000

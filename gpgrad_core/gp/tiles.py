@@ -14,9 +14,8 @@ from jaxtyping import Bool, Float, Int
 from numpy.polynomial.chebyshev import chebvander
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.gp.accuracy import EXACT, Accuracy
+from gpgrad_core.gp.accuracy import EXACT, Accuracy, Cost
 from gpgrad_core.gp.cloud import Cloud
-from gpgrad_core.gp.cost import Cost
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import TerrainFields, clip_variance
@@ -320,15 +319,15 @@ class _Tiling:
         own = self.owner(xy)
         reach = int(np.ceil(halo / self.side))
         steps = np.arange(-reach, reach + 1)
-        found: list[Int[Indices, "f 3"]] = []
+        seen: list[Int[Indices, "f 3"]] = []
         for step in np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2):
             tile = own + step
             corner = np.array(self.low) + tile * self.side
             exists = (tile >= 0) & (tile < np.array(self.counts))
             near = (xy >= corner - halo) & (xy <= corner + self.side + halo)
             point = np.flatnonzero((exists & near).all(axis=1))
-            found.append(np.column_stack([tile[point], point]))
-        rows = np.concatenate(found)
+            seen.append(np.column_stack([tile[point], point]))
+        rows = np.concatenate(seen)
         rows = rows[np.lexsort(rows.T[::-1])]  # by column, row, point
         first = np.flatnonzero(np.any(rows[1:, :2] != rows[:-1, :2], axis=1)) + 1
         groups = [

@@ -17,7 +17,7 @@ from gpgrad_core.images import (
     fit_two_views,
     nearest_words,
 )
-from gpgrad_core.methods.outcome import outcome
+from gpgrad_core.methods.rival import unchecked
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
@@ -80,14 +80,14 @@ class AppearanceDetector:
         """Score a pair by its similarity, and by epipolar inliers if it is similar enough."""
         similarity = query.similarity.get(database.place, 0.0)
         if similarity < MIN_SIMILARITY:
-            return outcome(None, np.zeros(0, bool), similarity)
+            return unchecked(None, np.zeros(0, bool), similarity)
         counts = [
             epipolar_inliers(a, b, self.params.registration.seed)
             for a in query.images
             for b in database.images
         ]
         most = max(counts)
-        return outcome(None, np.ones(most, bool), similarity + most)
+        return unchecked(None, np.ones(most, bool), similarity + most)
 
 
 def see(submap: Submap) -> SeenSubmap:
@@ -128,17 +128,17 @@ class Vocabulary:
         """
         descriptors = np.concatenate([image.descriptors for image in seen.images])
         nearest = nearest_words(descriptors, self._words)
-        known = np.flatnonzero(nearest >= 0)
+        resembled = np.flatnonzero(nearest >= 0)
         scores = dict.fromkeys(self._num_words_at, 0.0)
-        for word in nearest[known]:
+        for word in nearest[resembled]:
             places = self._seen_at[word]
             idf = np.log1p(len(self._num_words_at) / len(places))
             for place, count in places.items():
                 scores[place] += count / self._num_words_at[place] * idf
-        for descriptor, word in zip(descriptors[known], nearest[known], strict=True):
+        for descriptor, word in zip(descriptors[resembled], nearest[resembled], strict=True):
             self._words[word] &= descriptor
             self._note(int(word), seen.place)
-        new = np.setdiff1d(np.arange(len(descriptors)), known)
+        new = np.setdiff1d(np.arange(len(descriptors)), resembled)
         self._words = np.concatenate([self._words, descriptors[new]])
         self._seen_at += [{seen.place: 1} for _ in new]
         self._num_words_at[seen.place] = max(1, len(descriptors))

@@ -1,21 +1,19 @@
 """Fast point feature histograms with RANSAC, or with fast global registration (Open3D)."""
 
 from threading import Lock
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.libraries import load_library
-from gpgrad_core.methods.cloud_detector import CloudDetector
 from gpgrad_core.methods.described_clouds import (
     DescribedCloud,
     mutual_matches,
     register_by_ransac,
     thinned,
 )
-from gpgrad_core.methods.outcome import outcome, seen_from_above
+from gpgrad_core.methods.rival import CloudDetector, seen_from_above, unchecked
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
@@ -44,7 +42,7 @@ def describe_fpfh(submap: Submap, params: PipelineParams) -> DescribedCloud:
     """Describe every voxel of a submap."""
     voxel = VOXEL * params.map.terrain.length_scale
     cloud = thinned(submap, voxel, NORMAL_RADIUS * voxel)
-    o3d: Any = load_library("open3d")
+    o3d = load_library("open3d")
     search = o3d.geometry.KDTreeSearchParamHybrid(
         radius=FEATURE_RADIUS * voxel, max_nn=FEATURE_NEIGHBOURS
     )
@@ -65,9 +63,9 @@ def register_by_fgr(
     """
     pairs = mutual_matches(query, database)
     if len(pairs) < 3:
-        return outcome(None, np.zeros(len(pairs), bool))
+        return unchecked(None, np.zeros(len(pairs), bool))
     radius = params.registration.radius(None)
-    o3d: Any = load_library("open3d")
+    o3d = load_library("open3d")
     option = o3d.pipelines.registration.FastGlobalRegistrationOption(
         use_absolute_scale=True, maximum_correspondence_distance=radius
     )
@@ -79,13 +77,13 @@ def register_by_fgr(
     )
     with _open3d_random:  # Open3D has one random generator for the whole process
         o3d.utility.random.seed(params.registration.seed)
-        found = o3d.pipelines.registration.registration_fgr_based_on_correspondence(*arguments)
-    motion = np.array(found.transformation, dtype=np.float64)
+        solution = o3d.pipelines.registration.registration_fgr_based_on_correspondence(*arguments)
+    motion = np.array(solution.transformation, dtype=np.float64)
     moved = query.points[pairs[:, 0]] @ motion[:3, :3].T + motion[:3, 3]
     inliers = np.linalg.norm(moved - database.points[pairs[:, 1]], axis=1) <= radius
-    return outcome(seen_from_above(motion, query.middle), inliers)
+    return unchecked(seen_from_above(motion, query.middle), inliers)
 
 
-def _cloud(points: Float[Array, "n 3"]) -> Any:
-    o3d: Any = load_library("open3d")
+def _cloud(points: Float[Array, "n 3"]) -> object:
+    o3d = load_library("open3d")
     return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(points)))

@@ -77,11 +77,11 @@ def _with_defaults(params: P, usual: P, wanted: P) -> P:
     """Replace each value that is the usual one by the wanted one."""
     changes: dict[str, object] = {}
     for field in fields(cast("Any", params)):
-        value, of_usual, of_wanted = (getattr(one, field.name) for one in (params, usual, wanted))
+        value, default, paper = (getattr(group, field.name) for group in (params, usual, wanted))
         if is_dataclass(value):
-            changes[field.name] = _with_defaults(value, of_usual, of_wanted)
-        elif value == of_usual:
-            changes[field.name] = of_wanted
+            changes[field.name] = _with_defaults(value, default, paper)
+        elif value == default:
+            changes[field.name] = paper
     return cast("P", replace(cast("Any", params), **changes))
 
 
@@ -175,7 +175,7 @@ def infer_tuned(
 
 def with_terrain(params: PipelineParams, terrain: TerrainParams) -> PipelineParams:
     """Put the terrain's parameters of one submap into those of the pipeline."""
-    of_map = replace(
+    map_params = replace(
         params.map,
         length_scale=terrain.length_scale,
         noise_std=terrain.noise_std,
@@ -183,7 +183,7 @@ def with_terrain(params: PipelineParams, terrain: TerrainParams) -> PipelinePara
         noise_factor=terrain.noise_factor,
         signal_std=terrain.signal_std,
     )
-    return replace(params, map=of_map)
+    return replace(params, map=map_params)
 
 
 def register_paper_pair(
@@ -210,25 +210,25 @@ def register_paper_pair(
         InputError: If a submap's map cannot be made.
     """
     detector = PaperDetector(params, memo)
-    of_query = detector.extract(detector.infer(query, part(progress, 0.0, 0.4)))
-    of_database = detector.extract(detector.infer(database, part(progress, 0.4, 0.8)))
-    matches, registration = detector.match_and_register(of_query, of_database)
+    query_side = detector.extract(detector.infer(query, part(progress, 0.0, 0.4)))
+    database_side = detector.extract(detector.infer(database, part(progress, 0.4, 0.8)))
+    matches, registration = detector.match_and_register(query_side, database_side)
     progress(1.0)
     return PaperPair(
-        of_query.gradient_map,
-        of_database.gradient_map,
-        of_query.features,
-        of_database.features,
+        query_side.gradient_map,
+        database_side.gradient_map,
+        query_side.features,
+        database_side.features,
         matches,
         registration,
         judge_pair(query, database, registration, params, memo),
-        of_query.terrain,
-        of_database.terrain,
+        query_side.terrain,
+        database_side.terrain,
     )
 
 
 @dataclass(frozen=True, eq=False)
-class PaperDetector(TunedDetector):
+class PaperDetector(TunedDetector[TunedMap, PaperSubmap]):
     """The paper as a `LoopDetector`: every submap's own tuning, SURF, and Algorithm 1 as printed.
 
     Attributes:
@@ -255,8 +255,8 @@ class PaperDetector(TunedDetector):
 
     def hyperparameters(self, extracted: PaperSubmap) -> Hyperparameters:
         """Give the submap's own hyperparameters."""
-        of_map = extracted.gradient_map
-        return Hyperparameters(of_map.length_scale, of_map.signal_std, extracted.terrain.noise_std)
+        made = extracted.gradient_map
+        return Hyperparameters(made.length_scale, made.signal_std, extracted.terrain.noise_std)
 
     def compare(self, query: PaperSubmap, database: PaperSubmap) -> Registration:
         """Register the query to the database; the score is n."""

@@ -9,15 +9,13 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.appearance import appearance_detector
 from gpgrad_core.methods.chance import chance_detector
-from gpgrad_core.methods.cshot import cshot_detector
 from gpgrad_core.methods.elevation import elevation_detector, elevation_params
 from gpgrad_core.methods.fpfh import fgr_detector, fpfh_detector
-from gpgrad_core.methods.kiss_matcher import kiss_matcher_detector
-from gpgrad_core.methods.map_closures import map_closures_detector
-from gpgrad_core.methods.outcome import judged_by_inliers
 from gpgrad_core.methods.paper import PaperDetector, paper_params
+from gpgrad_core.methods.peers import kiss_matcher_detector, map_closures_detector
+from gpgrad_core.methods.rival import judged_by_inliers
 from gpgrad_core.methods.scan_context import judged_by_context, scan_context_detector
-from gpgrad_core.methods.shot import shot_detector
+from gpgrad_core.methods.shot import cshot_detector, shot_detector
 from gpgrad_core.methods.smoothed import smoothed_detector
 from gpgrad_core.pipeline import (
     MapDetector,
@@ -136,13 +134,7 @@ METHODS: dict[str, Method] = {
             automatic="dataset",
         ),
         Method("smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector),
-        Method(
-            "fpfh",
-            "FPFH and RANSAC.",
-            fpfh_detector,
-            judged_by_inliers,
-            package="open3d",
-        ),
+        Method("fpfh", "FPFH and RANSAC.", fpfh_detector, judged_by_inliers, package="open3d"),
         Method(
             "fgr",
             "FPFH and fast global registration.",

@@ -1,16 +1,14 @@
 """Scan Context (Kim 2018): polar images of the largest heights, compared column by column."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.libraries import load_library
-from gpgrad_core.methods.cloud_detector import CloudDetector
 from gpgrad_core.methods.described_clouds import height_between, thinned
-from gpgrad_core.methods.outcome import outcome, seen_from_above
+from gpgrad_core.methods.rival import CloudDetector, seen_from_above, unchecked
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
@@ -170,8 +168,8 @@ def register_by_context(
     """
     gap = np.linalg.norm(query.ring_keys - database.ring_keys[0], axis=1)
     near = np.argsort(gap, kind="stable")[:ROOTS_COMPARED]
-    found = distances(query.contexts[near], database.contexts[0])
-    best, shift = np.unravel_index(int(np.argmin(found)), found.shape)
+    apart = distances(query.contexts[near], database.contexts[0])
+    best, shift = np.unravel_index(int(np.argmin(apart)), apart.shape)
     motion = np.eye(4)
     yaw = -2 * np.pi * int(shift) / SECTORS
     c, s = np.cos(yaw), np.sin(yaw)
@@ -179,7 +177,7 @@ def register_by_context(
     motion[:2, 3] = database.roots[0] - motion[:2, :2] @ query.roots[near[best]]
     motion, inliers = _align(query, database, motion, params.registration.radius(None))
     middle = query.points.mean(axis=0, keepdims=True)
-    return outcome(seen_from_above(motion, middle), inliers, 1.0 - float(found[best, shift]))
+    return unchecked(seen_from_above(motion, middle), inliers, 1.0 - float(apart[best, shift]))
 
 
 def _align(
@@ -189,29 +187,22 @@ def _align(
     radius: float,
 ) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "k"]]:
     """Align two clouds by ICP; gives the motion, and the points that have a partner."""
-    o3d: Any = load_library("open3d")
-    tools: Any = o3d.pipelines.registration
-    source, target = (_cloud(one) for one in (query, database))
+    o3d = load_library("open3d")
+    tools = o3d.pipelines.registration
+    source, target = (_cloud(described) for described in (query, database))
     motion = motion.copy()
     motion[2, 3] = height_between(query.points, database.points, motion, radius)
-    found: Any = None
+    to_planes, inliers = tools.TransformationEstimationPointToPlane(), np.zeros(0, bool)
     for reach in (COARSE, FINE):
-        found = tools.registration_icp(
-            source,
-            target,
-            reach * radius,
-            motion,
-            tools.TransformationEstimationPointToPlane(),
-        )
-        motion = np.array(found.transformation, dtype=np.float64)
-    inliers = np.zeros(len(query.points), bool)
-    pairs: Int[NDArray[np.int32], "m 2"] = np.asarray(found.correspondence_set)
-    inliers[pairs[:, 0]] = True
+        aligned = tools.registration_icp(source, target, reach * radius, motion, to_planes)
+        motion = np.array(aligned.transformation, dtype=np.float64)
+        inliers = np.zeros(len(query.points), bool)
+        inliers[np.asarray(aligned.correspondence_set)[:, 0]] = True
     return motion, inliers
 
 
-def _cloud(one: ContextCloud) -> Any:
-    o3d: Any = load_library("open3d")
-    cloud: Any = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(one.points)))
-    cloud.normals = o3d.utility.Vector3dVector(np.array(one.normals))
+def _cloud(described: ContextCloud) -> object:
+    o3d = load_library("open3d")
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(described.points)))
+    cloud.normals = o3d.utility.Vector3dVector(np.array(described.normals))
     return cloud

@@ -1,15 +1,20 @@
-"""Signatures of histograms of orientations: SHOT-352 (Tombari 2010)."""
+"""Signatures of histograms of orientations: SHOT-352 (Tombari 2010) and CSHOT-1344 (Tombari 2011).
+
+SHOT counts the normals around keypoints of high curvature, and CSHOT the colours as well (the
+paper's Sec. VII-C).
+"""
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from gpgrad_core.arrays import Array
-from gpgrad_core.methods.cloud_detector import CloudDetector
-from gpgrad_core.methods.curvature import curved_keypoints
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.described_clouds import DescribedCloud, register_by_ransac, thinned
-from gpgrad_core.methods.neighbours import Neighbours, neighbours_within
+from gpgrad_core.methods.rival import CloudDetector
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Submap
@@ -26,19 +31,9 @@ AZIMUTHS, ELEVATIONS, SHELLS = 8, 2, 2
 COSINES = 11
 SECTORS = AZIMUTHS * ELEVATIONS * SHELLS
 MIN_NEIGHBOURS = 5
-
-
-def shot_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedCloud]:
-    """Make SHOT-352 on keypoints of high curvature, with RANSAC."""
-    return CloudDetector(describe_shot, register_by_ransac, params, memo)
-
-
-def describe_shot(submap: Submap, params: PipelineParams) -> DescribedCloud:
-    """Describe a submap's keypoints with SHOT-352."""
-    surface = curved_surface(submap, params)
-    described = shot(surface.points, surface.normals, surface.keypoints, surface.radius)
-    middle = submap.points.mean(axis=0, keepdims=True)
-    return DescribedCloud(surface.keypoints, described.astype(np.float32), middle)
+COLOR_DIFFERENCES = 31
+LAB_RANGE = np.array([100.0, 120.0, 120.0])
+"""Ranges of L, a and b, by which they are divided, as in the Point Cloud Library."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +53,47 @@ class CurvedSurface:
     colors: Float[Array, "n 3"] | None
     keypoints: Float[Array, "k 3"]
     radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbours:
+    """Pairs (query, neighbour), sorted by query and then by the neighbour's index.
+
+    Attributes:
+        query: Index of the query of each pair (p,).
+        index: Index of the neighbour of each pair (p,).
+        counts: Number of neighbours of each query (q,).
+    """
+
+    query: Int[NDArray[np.int64], "p"]
+    index: Int[NDArray[np.int64], "p"]
+    counts: Int[NDArray[np.int64], "q"]
+
+    def sum_up(self, values: Float[Array, "p c"]) -> Float[Array, "q c"]:
+        """Sum values of the pairs (p, c) for each query (q, c)."""
+        columns = [
+            np.bincount(self.query, column, len(self.counts)).astype(np.float64)
+            for column in values.T
+        ]
+        return np.column_stack(columns)
+
+
+def shot_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedCloud]:
+    """Make SHOT-352 on keypoints of high curvature, with RANSAC."""
+    return CloudDetector(describe_shot, register_by_ransac, params, memo)
+
+
+def cshot_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedCloud]:
+    """Make CSHOT on keypoints of high curvature, with RANSAC, for coloured clouds."""
+    return CloudDetector(describe_cshot, register_by_ransac, params, memo)
+
+
+def describe_shot(submap: Submap, params: PipelineParams) -> DescribedCloud:
+    """Describe a submap's keypoints with SHOT-352."""
+    surface = curved_surface(submap, params)
+    described = shot(surface.points, surface.normals, surface.keypoints, surface.radius)
+    middle = submap.points.mean(axis=0, keepdims=True)
+    return DescribedCloud(surface.keypoints, described.astype(np.float32), middle)
 
 
 def curved_surface(submap: Submap, params: PipelineParams) -> CurvedSurface:
@@ -172,3 +208,123 @@ def sector_histograms(
     histograms = histograms.reshape(-1, length)
     norms = np.linalg.norm(histograms, axis=1, keepdims=True)
     return histograms / np.maximum(norms, 1e-12)
+
+
+def describe_cshot(submap: Submap, params: PipelineParams) -> DescribedCloud:
+    """Describe a submap's keypoints by CSHOT-1344.
+
+    Raises:
+        InputError: If the submap's points have no colours.
+    """
+    surface = curved_surface(submap, params)
+    if surface.colors is None:
+        raise InputError(
+            f"{submap.id}: cshot needs the colours of the points, and this cloud has none; "
+            "use shot, or clouds with red, green and blue"
+        )
+    points, keypoints, radius = surface.points, surface.keypoints, surface.radius
+    shape = shot(points, surface.normals, keypoints, radius)
+    colors = color_shot(points, surface.colors, keypoints, radius)
+    described = np.hstack([shape, colors]) / np.sqrt(2)
+    middle = submap.points.mean(axis=0, keepdims=True)
+    return DescribedCloud(keypoints, described.astype(np.float32), middle)
+
+
+def color_shot(
+    points: Float[Array, "n 3"],
+    colors: Float[Array, "n 3"],
+    keypoints: Float[Array, "k 3"],
+    radius: float,
+) -> Float[Array, "k 992"]:
+    """Describe keypoints by how much the colours around them differ from their own.
+
+    This is like `shot`, with the L1 distance of CIELab colours in place of the cosine of the
+    normals.
+
+    Args:
+        points: Points of the cloud (n, 3) [m]; the keypoints are among them.
+        colors: Red, green and blue of the points (n, 3) in [0, 1].
+        keypoints: The keypoints (k, 3) [m].
+        radius: Radius of the support [m].
+
+    Returns:
+        Descriptors of unit length (k, 992).
+    """
+    lab = cv2.cvtColor(colors.astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0] / LAB_RANGE
+    near = neighbours_within(points, keypoints, radius)
+    offsets = np.linalg.norm(points[near.index] - keypoints[near.query], axis=1)
+    own = np.full(len(keypoints), -1, dtype=np.int64)
+    own[near.query[offsets == 0]] = near.index[offsets == 0]
+    difference = np.abs(lab[near.index] - lab[own[near.query]]).sum(axis=1) / 3
+    frames = local_frames(points, keypoints, near, radius)
+    sectors = sectors_of(points, keypoints, near, frames, radius)
+    values = np.clip(difference, 0, 1) * COLOR_DIFFERENCES
+    return sector_histograms(near, sectors, values, COLOR_DIFFERENCES)
+
+
+def surface_variation(points: Float[Array, "n 3"], radius: float) -> Float[Array, "n"]:
+    """Measure how far each neighbourhood is from flat (Pauly 2002).
+
+    It is the smallest eigenvalue of the neighbourhood's covariance, divided by the sum of all
+    three.
+
+    Args:
+        points: Points of a cloud (n, 3) [m].
+        radius: Radius of a neighbourhood [m].
+
+    Returns:
+        The variation of each point (n,) in [0, 1/3]; 0 if it has fewer than five neighbours.
+    """
+    near = neighbours_within(points, points, radius)
+    offsets = points[near.index] - points[near.query]
+    sums = near.sum_up(offsets)
+    products = near.sum_up((offsets[:, :, None] * offsets[:, None, :]).reshape(-1, 9))
+    counts = np.maximum(near.counts, 1)[:, None]
+    mean = sums / counts
+    covariance = (products / counts).reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None, :]
+    values = np.linalg.eigvalsh(covariance)
+    total = np.maximum(values.sum(axis=1), 1e-12)
+    return np.where(near.counts >= 5, np.maximum(values[:, 0], 0) / total, 0.0)
+
+
+def curved_keypoints(
+    points: Float[Array, "n 3"], radius: float, spacing: float, most: int
+) -> Int[NDArray[np.intp], "k"]:
+    """Choose the points whose curvature is highest in their neighbourhood, the highest first.
+
+    Args:
+        points: Points of a thinned cloud (n, 3) [m].
+        radius: Radius of the neighbourhoods whose curvature is measured [m].
+        spacing: Smallest distance between two keypoints [m].
+        most: Largest number of keypoints.
+
+    Returns:
+        The indices of the keypoints (k,).
+    """
+    curvature = surface_variation(points, radius)
+    near = neighbours_within(points, points, spacing)
+    highest = np.zeros(len(points))
+    np.maximum.at(highest, near.query, curvature[near.index])
+    peaks = np.flatnonzero((curvature >= highest) & (curvature > 0))
+    return peaks[np.argsort(-curvature[peaks], kind="stable")[:most]]
+
+
+def neighbours_within(
+    points: Float[Array, "n 3"], queries: Float[Array, "q 3"], radius: float
+) -> Neighbours:
+    """Find the points within a radius of each query.
+
+    Args:
+        points: Points (n, 3) [m].
+        queries: Positions (q, 3) [m]. A query that is one of the points is its own neighbour.
+        radius: The radius [m].
+    """
+    core = load_library("open3d").core
+    search = core.nns.NearestNeighborSearch(core.Tensor(points))
+    search.fixed_radius_index(radius)
+    neighbours, _, splits = search.fixed_radius_search(core.Tensor(queries), radius, False)
+    index, ends = neighbours.numpy().astype(np.int64), splits.numpy().astype(np.int64)
+    counts = np.diff(ends)
+    query = np.repeat(np.arange(len(queries)), counts)
+    order = np.lexsort([index, query])  # the order of the search may depend on its threads
+    return Neighbours(query, index[order], counts)

@@ -15,7 +15,7 @@ from gpgrad_core.datasets.folder import (
     TRUTH_FILE,
 )
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.whole import ProcessLock
+from gpgrad_core.run.folders import ProcessLock
 
 OWN_FILES = (INFO_FILE, TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES)
 OWN_FOLDERS = ("submaps", "images")

@@ -14,7 +14,7 @@ from gpgrad_core.georeference import EXTRA, Georeference
 from gpgrad_core.libraries import load_library
 from gpgrad_core.outputs.files import replacing
 from gpgrad_core.outputs.maps import Layer, write_raster
-from gpgrad_core.run.whole import TemporaryFolder
+from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.types import Grid
 
 LAS_STEP = 0.001

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_origin,
 
 from typing_extensions import Doc
 
+from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
 
 P = TypeVar("P")
@@ -71,7 +72,7 @@ def fields_of(params: type, prefix: str = "") -> tuple[Field, ...]:
     Raises:
         TypeError: If a field is of another type.
     """
-    found: list[Field] = []
+    listed: list[Field] = []
     hints = get_type_hints(params, include_extras=True)
     for field in fields(params):
         hint: Any = hints[field.name]
@@ -90,7 +91,7 @@ def fields_of(params: type, prefix: str = "") -> tuple[Field, ...]:
         default = field.default
         if default is MISSING:
             default = None if field.default_factory is MISSING else field.default_factory()
-        found.append(
+        listed.append(
             Field(
                 prefix + field.name,
                 kind,
@@ -100,7 +101,7 @@ def fields_of(params: type, prefix: str = "") -> tuple[Field, ...]:
                 next((extra.documentation for extra in extras if isinstance(extra, Doc)), ""),
             )
         )
-    return tuple(found)
+    return tuple(listed)
 
 
 def parameters_of(params: type, prefix: str = "") -> tuple[Field, ...]:
@@ -110,33 +111,36 @@ def parameters_of(params: type, prefix: str = "") -> tuple[Field, ...]:
         params: A dataclass, as for `fields_of`.
         prefix: Beginning of the paths.
     """
-    found: list[Field] = []
+    listed: list[Field] = []
     for field in fields_of(params, prefix):
         if isinstance(field.kind, type) and field.is_group:
-            found += parameters_of(field.kind, f"{field.path}.")
+            listed += parameters_of(field.kind, f"{field.path}.")
         else:
-            found.append(field)
-    return tuple(found)
+            listed.append(field)
+    return tuple(listed)
 
 
 def bounds_of(params: type) -> dict[str, Bounds]:
     """Return the bounds of a dataclass's own fields by name; fields without bounds are omitted."""
-    return {one.name: one.bounds for one in fields_of(params) if one.bounds is not None}
+    return {field.name: field.bounds for field in fields_of(params) if field.bounds is not None}
 
 
 def check_bounds(params: object) -> None:
-    """Check every bounded field of a params object; call it from ``__post_init__``.
+    """Check the numbers and choices of a params object; call it from ``__post_init__``.
 
     Raises:
-        InputError: If a value is outside its bounds; the message names the field, the rule and the
-            value.
+        InputError: If a number is outside its bounds, or a choice is none of those that there are;
+            the message names the field, the rule and the value.
     """
     if not is_dataclass(params) or isinstance(params, type):
         raise TypeError(f"check_bounds needs a dataclass object, got {params!r}")
-    for name, bounds in bounds_of(type(params)).items():
-        value = getattr(params, name)
-        if value is not None:
-            bounds.check(name, value)
+    for field in fields_of(type(params)):
+        value = getattr(params, field.name)
+        if field.bounds is not None and value is not None:
+            field.bounds.check(field.name, value)
+        elif isinstance(field.kind, tuple) and value not in field.kind:
+            choices = ", ".join(field.kind)
+            raise InputError(f"{field.name} must be one of {choices}, got {value!r}")
 
 
 def get_path(params: object, path: str) -> object:

@@ -82,14 +82,14 @@ def to_tables(params: object) -> dict[str, object]:
 
 def _replaced(base: P, tables: Mapping[str, object], where: str, prefix: str) -> P:
     group = cast("Any", base)
-    known = {field.name: field for field in fields_of(type(base), prefix)}
+    allowed = {field.name: field for field in fields_of(type(base), prefix)}
     changes: dict[str, object] = {}
     for name, value in tables.items():
-        field = known.get(name)
+        field = allowed.get(name)
         if field is None:
             raise InputError(
                 f"{where}: unknown parameter {prefix}{name}; "
-                f"{_suggestion(name, list(known), prefix)}"
+                f"{_suggestion(name, list(allowed), prefix)}"
             )
         if not field.is_group:
             changes[name] = _checked(field, value, where)
@@ -134,8 +134,8 @@ def _spelled(field: Field) -> str:
     return " or ".join([*named, f'"{AUTOMATIC}"'] if field.optional else named)
 
 
-def _suggestion(name: str, known: list[str], prefix: str) -> str:
-    close = difflib.get_close_matches(name, known, n=1)
+def _suggestion(name: str, allowed: list[str], prefix: str) -> str:
+    close = difflib.get_close_matches(name, allowed, n=1)
     if close:
         return f"did you mean {prefix}{close[0]}?"
-    return f"known: {', '.join(prefix + one for one in known)}"
+    return f"known: {', '.join(prefix + name for name in allowed)}"

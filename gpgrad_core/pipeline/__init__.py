@@ -22,22 +22,22 @@ from gpgrad_core.pipeline.detection import (
     detect_loop_closures,
     extract_kept,
     infer_features,
+    infer_gradient_map,
     infer_map,
+    infer_slope_variance,
     judge_pair,
     register_pair,
 )
-from gpgrad_core.pipeline.kept import KeptDetector, at_least_for_now, keeping
-from gpgrad_core.pipeline.one_map import infer_gradient_map, infer_slope_variance
 from gpgrad_core.pipeline.params import PipelineParams
+from gpgrad_core.pipeline.stored import StoredDetector, store_for_run, with_store
 
 __all__ = [
     "DetectionResult",
     "ExtractedSubmap",
-    "KeptDetector",
     "MapDetector",
     "PairResult",
     "PipelineParams",
-    "at_least_for_now",
+    "StoredDetector",
     "check_affordable",
     "check_searchable",
     "describe_choice",
@@ -51,9 +51,10 @@ __all__ = [
     "infer_slope_variance",
     "is_resolved",
     "judge_pair",
-    "keeping",
     "numbers_stay",
     "register_pair",
     "resolve_parameters",
+    "store_for_run",
     "with_numbers_of",
+    "with_store",
 ]

@@ -6,7 +6,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from math import ceil, sqrt
 from time import perf_counter
-from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import Generic, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
 from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.run.parallel import Work, num_side_by_side, take_in_turn
@@ -16,18 +16,21 @@ from gpgrad_core.types import Features, LoopDetector, Registration, Submap, Subm
 
 J = TypeVar("J")
 R = TypeVar("R")
+M = TypeVar("M")
+"""What features are extracted from: a map or a prepared cloud."""
+E = TypeVar("E")
+"""What is extracted of a submap: all that a comparison needs of it."""
 Pair: TypeAlias = tuple[int, int]
 """Indices (query, database) of two submaps; the database is the earlier one."""
-
-Compare: TypeAlias = Callable[[Any, Any], Registration]
-Choose: TypeAlias = Callable[[list[Any], Progress], list[Pair]]
+Compare: TypeAlias = Callable[[E, E], Registration]
+Choose: TypeAlias = Callable[[list[E], Progress], list[Pair]]
 """Chooses the pairs to compare by what was extracted of each submap."""
 
 CHOICE_SHARE = 0.1
 """Part of the progress that choosing the pairs takes."""
-STAGES = {"maps": (0.0, 0.4), "features": (0.4, 0.5), "pairs": (0.5, 1.0)}
+PROGRESS_SHARES = {"maps": (0.0, 0.4), "features": (0.4, 0.5), "pairs": (0.5, 1.0)}
 """Part of the progress that each stage takes."""
-EVEN_FROM = STAGES["pairs"][0] + CHOICE_SHARE
+EVEN_FROM = PROGRESS_SHARES["pairs"][0] + CHOICE_SHARE
 """From this fraction on only pairs are compared, each taking about as long as the others."""
 BLOCKS_A_WORKER = 12
 """Pairs are compared in blocks. There are many blocks, so that no worker waits long for the last
@@ -42,7 +45,7 @@ more maps to keep."""
 
 
 @runtime_checkable
-class StagedDetector(Protocol):
+class StagedDetector(Protocol[M, E]):
     """A `LoopDetector` whose work on single submaps is done first, once for each submap.
 
     Calling it with two submaps does ``infer`` and then ``extract`` for each of them, followed by
@@ -54,60 +57,60 @@ class StagedDetector(Protocol):
         """Register the query to the database."""
         return self.compare(self.extract(self.infer(query)), self.extract(self.infer(database)))
 
-    def infer(self, submap: Submap, progress: Progress = silent) -> Any:
+    def infer(self, submap: Submap, progress: Progress = silent) -> M:
         """Make what features are extracted from: a map or a prepared cloud."""
         ...
 
-    def extract(self, made: Any, progress: Progress = silent) -> Any:
+    def extract(self, made: M, progress: Progress = silent) -> E:
         """Extract what the comparison needs of one submap."""
         ...
 
-    def compare(self, query: Any, database: Any) -> Registration:
+    def compare(self, query: E, database: E) -> Registration:
         """Register two extracted submaps."""
         ...
 
 
 @runtime_checkable
-class OrderedDetector(StagedDetector, Protocol):
+class OrderedDetector(StagedDetector[M, E], Protocol[M, E]):
     """A `StagedDetector` that learns from the submaps in their order, as a bag of words does."""
 
-    def gather(self, extracted: list[Any]) -> list[Any]:
+    def gather(self, extracted: list[E]) -> list[E]:
         """Add to each extracted submap what it needs to know of the earlier ones."""
         ...
 
 
 @runtime_checkable
-class SourceDetector(StagedDetector, Protocol):
+class SourceDetector(StagedDetector[M, E], Protocol[M, E]):
     """A `StagedDetector` that loads a submap only if it needs its points."""
 
-    def infer_source(self, source: SubmapSource, progress: Progress = silent) -> Any:
+    def infer_source(self, source: SubmapSource, progress: Progress = silent) -> M:
         """Do ``infer`` for a submap that may not be loaded yet."""
         ...
 
 
 @runtime_checkable
-class SearchableDetector(StagedDetector, Protocol):
+class SearchableDetector(StagedDetector[M, E], Protocol[M, E]):
     """A `StagedDetector` with keypoints, by which a shortlist finds the pairs worth comparing."""
 
-    def keypoints(self, extracted: Any) -> Features:
+    def keypoints(self, extracted: E) -> Features:
         """Give the keypoints of an extracted submap."""
         ...
 
 
 @runtime_checkable
-class TunedDetector(StagedDetector, Protocol):
+class TunedDetector(StagedDetector[M, E], Protocol[M, E]):
     """A `StagedDetector` that fits the hyperparameters of the terrain to every submap."""
 
-    def hyperparameters(self, extracted: Any) -> Hyperparameters:
+    def hyperparameters(self, extracted: E) -> Hyperparameters:
         """Give those of an extracted submap."""
         ...
 
 
 @runtime_checkable
-class KeepingDetector(SearchableDetector, Protocol):
+class KeepingDetector(SearchableDetector[M, E], Protocol[M, E]):
     """A `SearchableDetector` with a store, which later runs share."""
 
-    def key(self, extracted: Any) -> str:
+    def key(self, extracted: E) -> str:
         """Give the key of an extracted submap: the same only for the same points and parameters."""
         ...
 
@@ -122,8 +125,8 @@ def compare_all(
     take: Callable[[Pair, Registration], None],
     executor: Executor | None = None,
     progress: Progress = silent,
-    choose: Choose | None = None,
-    look: Callable[[list[Any]], None] | None = None,
+    choose: Choose[E] | None = None,
+    look: Callable[[list[E]], None] | None = None,
 ) -> dict[str, float]:
     """Register every submap to all earlier ones, or to those that are chosen.
 
@@ -143,16 +146,33 @@ def compare_all(
     Returns:
         The seconds of each stage.
     """
-    extracted: list[Any] = list(submaps)
-    seconds = dict.fromkeys(STAGES, 0.0)
-    compare: Compare = _Loaded(detector)
-    if isinstance(detector, StagedDetector):
-        compare, until_pairs = detector.compare, part(progress, 0.0, STAGES["features"][1])
-        extracted = _extract_all(extracted, detector, executor, until_pairs, seconds)
+    seconds = dict.fromkeys(PROGRESS_SHARES, 0.0)
+    if not isinstance(detector, StagedDetector):
+        by_places = cast("Choose[SubmapSource] | None", choose)
+        compare = _Loaded(detector)
+        _compare(list(submaps), compare, take, executor, progress, by_places, seconds)
+    else:
+        until_pairs = part(progress, 0.0, PROGRESS_SHARES["features"][1])
+        extracted = _extract_all(list(submaps), detector, executor, until_pairs, seconds)
         if look is not None:
             look(extracted)
+        _compare(extracted, detector.compare, take, executor, progress, choose, seconds)
+    seconds["total"] = sum(seconds.values())
+    return seconds
+
+
+def _compare(
+    extracted: list[E],
+    compare: Compare[E],
+    take: Callable[[Pair, Registration], None],
+    executor: Executor | None,
+    progress: Progress,
+    choose: Choose[E] | None,
+    seconds: dict[str, float],
+) -> None:
+    """Compare all pairs, or the chosen ones, and note the seconds."""
     start = perf_counter()
-    first, last = STAGES["pairs"]
+    first, last = PROGRESS_SHARES["pairs"]
     if choose is None:
         rows = _rows_of_blocks(len(extracted), executor)
     else:
@@ -161,34 +181,36 @@ def compare_all(
         first += CHOICE_SHARE
         seconds["shortlist"], start = perf_counter() - start, perf_counter()
     ordered = _Ordered([len(row) for row in rows], take)
-    blocks = (_Block.of(extracted, pairs) for row in rows for pairs in row)
+    blocks = [_Block.of(extracted, pairs) for row in rows for pairs in row]
     side_by_side(
-        _ComparedBlock(compare), list(blocks), executor, part(progress, first, last), ordered.take
+        _ComparedBlock(compare), blocks, executor, part(progress, first, last), ordered.take
     )
     seconds["pairs"] = perf_counter() - start
-    seconds["total"] = sum(seconds.values())
-    return seconds
 
 
 def _extract_all(
     submaps: list[SubmapSource],
-    detector: StagedDetector,
+    detector: StagedDetector[M, E],
     executor: Executor | None,
     progress: Progress,
     seconds: dict[str, float],
-) -> list[Any]:
+) -> list[E]:
     """Do the stages of single submaps, some submaps at a time, and add up their seconds."""
-    extracted: list[Any] = []
+    extracted: list[E] = []
     together = max(MADE_TOGETHER, 4 * num_side_by_side(executor))
+
+    def timed(name: str, work: Work[J, R], jobs: list[J], progress: Progress) -> list[R]:
+        low, high = (share / PROGRESS_SHARES["features"][1] for share in PROGRESS_SHARES[name])
+        start = perf_counter()
+        results = side_by_side(work, jobs, executor, part(progress, low, high))
+        seconds[name] += perf_counter() - start
+        return results
+
     for first in range(0, len(submaps), together):
-        some: list[Any] = submaps[first : first + together]
-        of_some = part(progress, first / len(submaps), (first + len(some)) / len(submaps))
-        for name, stage in (("maps", _Inferred(detector)), ("features", detector.extract)):
-            low, high = (share / STAGES["features"][1] for share in STAGES[name])
-            start = perf_counter()
-            some = side_by_side(stage, some, executor, part(of_some, low, high))
-            seconds[name] += perf_counter() - start
-        extracted += some
+        some = submaps[first : first + together]
+        share = part(progress, first / len(submaps), (first + len(some)) / len(submaps))
+        made = timed("maps", _Inferred(detector), some, share)
+        extracted += timed("features", detector.extract, made, share)
     if isinstance(detector, OrderedDetector):
         start = perf_counter()
         extracted = detector.gather(extracted)
@@ -210,9 +232,9 @@ def side_by_side(
     """
     # A single job may use all cores; jobs side by side share them.
     beside = 1 if executor is None else max(1, len(jobs))
-    sharing, found = _Sharing(work, max(1, num_workers() // beside)), list[R]()
-    take_in_turn(sharing, jobs, found.append if take is None else take, executor, progress)
-    return found
+    sharing, results = _Sharing(work, max(1, num_workers() // beside)), list[R]()
+    take_in_turn(sharing, jobs, results.append if take is None else take, executor, progress)
+    return results
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,12 +248,12 @@ class _Loaded:
 
 
 @dataclass(frozen=True, eq=False)
-class _Inferred:
+class _Inferred(Generic[M, E]):
     """The first stage of a detector, for submaps that may have to be loaded."""
 
-    detector: StagedDetector
+    detector: StagedDetector[M, E]
 
-    def __call__(self, job: SubmapSource, progress: Progress) -> Any:
+    def __call__(self, job: SubmapSource, progress: Progress) -> M:
         if isinstance(self.detector, SourceDetector):
             return self.detector.infer_source(job, progress)
         return self.detector.infer(job.load(), progress)
@@ -242,17 +264,17 @@ class _Ordered:
 
     def __init__(self, blocks_a_row: list[int], take: Callable[[Pair, Registration], None]) -> None:
         self._left, self._take = deque(blocks_a_row), take
-        self._found: list[tuple[Pair, Registration]] = []
+        self._results: list[tuple[Pair, Registration]] = []
 
     def take(self, block: list[tuple[Pair, Registration]]) -> None:
         """Take the results of the next block."""
-        self._found += block
+        self._results += block
         self._left[0] -= 1
         if self._left[0] == 0:
             self._left.popleft()
-            for pair, registration in sorted(self._found, key=lambda one: one[0]):
+            for pair, registration in sorted(self._results, key=lambda result: result[0]):
                 self._take(pair, registration)
-            self._found = []
+            self._results = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,28 +290,28 @@ class _Sharing(Generic[J, R]):
 
 
 @dataclass(frozen=True, eq=False)
-class _Block:
+class _Block(Generic[E]):
     """Some pairs, and what was extracted of each of their submaps."""
 
     pairs: tuple[Pair, ...]
-    extracted: dict[int, Any]
+    extracted: dict[int, E]
 
     @classmethod
-    def of(cls, extracted: list[Any], pairs: tuple[Pair, ...]) -> "_Block":
+    def of(cls, extracted: list[E], pairs: tuple[Pair, ...]) -> "_Block[E]":
         return cls(pairs, {k: extracted[k] for pair in pairs for k in pair})
 
 
 @dataclass(frozen=True, eq=False)
-class _ComparedBlock:
-    compare: Compare
+class _ComparedBlock(Generic[E]):
+    compare: Compare[E]
 
-    def __call__(self, job: _Block, progress: Progress) -> list[tuple[Pair, Registration]]:
-        found: list[tuple[Pair, Registration]] = []
+    def __call__(self, job: _Block[E], progress: Progress) -> list[tuple[Pair, Registration]]:
+        results: list[tuple[Pair, Registration]] = []
         for query, database in job.pairs:
             registration = self.compare(job.extracted[query], job.extracted[database])
-            found.append(((query, database), registration))
-            progress(len(found) / len(job.pairs))
-        return found
+            results.append(((query, database), registration))
+            progress(len(results) / len(job.pairs))
+        return results
 
 
 def _rows_of_blocks(count: int, executor: Executor | None) -> list[list[tuple[Pair, ...]]]:

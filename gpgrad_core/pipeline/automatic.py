@@ -42,8 +42,8 @@ DIGITS = 4
 
 def is_resolved(params: PipelineParams) -> bool:
     """Tell whether no parameter is automatic."""
-    of_map, radius = params.map, params.registration.inlier_radius
-    return None not in (of_map.length_scale, of_map.noise_std, of_map.scale, radius)
+    follows = params.map.scale, params.registration.inlier_radius
+    return params.map.has_numbers and None not in follows
 
 
 def resolve_parameters(
@@ -87,24 +87,24 @@ def resolve_parameters(
         given_hyperparameters(asked),
         tuple(submaps[k] for k in representative(len(submaps))),
     )
-    of_map = asked
+    map_params = asked
     if not given or asked.scale is None:
         fitted = memo.lasting(_fitted, some, free, (), progress=part(progress, 0.0, 0.6))
         if asked.scale is None:
-            of_map = replace(of_map, scale=_of_map(_scale(submaps, fitted), "scale"))
+            map_params = replace(map_params, scale=_of_map(_scale(submaps, fitted), "scale"))
         if not given:
-            of_map = _with(of_map, fitted, given)
-    if given and (asked.length_scale is None or asked.noise_std is None):
+            map_params = _with(map_params, fitted, given)
+    if given and not asked.has_numbers:
         fitted = memo.lasting(
             _fitted, some, asked.guessed.terrain, given, progress=part(progress, 0.6, 1.0)
         )
-        of_map = _with(of_map, fitted, given)
+        map_params = _with(map_params, fitted, given)
     progress(1.0)
-    radius = params.registration.radius(of_map.scale)
+    radius = params.registration.radius(map_params.scale)
     if params.registration.inlier_radius is None:
         radius = _rounded(radius, bounds_of(RegistrationParams)["inlier_radius"])
     registration = replace(params.registration, inlier_radius=radius)
-    return replace(params, map=of_map, registration=registration)
+    return replace(params, map=map_params, registration=registration)
 
 
 def with_numbers_of(asked: PipelineParams, used: PipelineParams) -> PipelineParams:
@@ -116,7 +116,7 @@ def with_numbers_of(asked: PipelineParams, used: PipelineParams) -> PipelinePara
             either, length-scale and noise are a first guess.
     """
     names = ("length_scale", "noise_std", "signal_std", "scale")
-    if None not in (asked.map.length_scale, asked.map.noise_std):
+    if asked.map.has_numbers:
         names = ("scale",)  # then a signal of None is the points' own
     changes: dict[str, float] = {}
     for name in names:
@@ -177,11 +177,11 @@ def fit_submap(
         tolerance=SUBMAP_TOLERANCE,
         progress=progress,
     )
-    found = result.params
-    signal_std = signal_std_of(kept_points(submap, found.max_points), found)
-    found, bounds = replace(found, signal_std=signal_std), bounds_of(TerrainParams)
-    rounded = {name: _rounded(getattr(found, name), bounds[name]) for name in fitted_names(found)}
-    return replace(result, params=replace(found, **rounded))
+    fitted = result.params
+    signal_std = signal_std_of(kept_points(submap, fitted.max_points), fitted)
+    fitted, bounds = replace(fitted, signal_std=signal_std), bounds_of(TerrainParams)
+    rounded = {name: _rounded(getattr(fitted, name), bounds[name]) for name in fitted_names(fitted)}
+    return replace(result, params=replace(fitted, **rounded))
 
 
 def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
@@ -230,7 +230,9 @@ def _fitted(
     return fit_parameters(submaps, start, fixed=fixed, progress=progress).params
 
 
-def _with(of_map: MapParams, fitted: TerrainParams, given: tuple[Hyperparameter, ...]) -> MapParams:
+def _with(
+    map_params: MapParams, fitted: TerrainParams, given: tuple[Hyperparameter, ...]
+) -> MapParams:
     """Insert the fitted values for those that were not given."""
     changes: dict[str, float] = {}
     for name in ("length_scale", "signal_std"):
@@ -240,7 +242,7 @@ def _with(of_map: MapParams, fitted: TerrainParams, given: tuple[Hyperparameter,
     if "noise" not in given:
         for name in ("noise_std", "noise_growth", "noise_factor"):
             changes[name] = _of_map(getattr(fitted, name), name)
-    return replace(of_map, **changes)
+    return replace(map_params, **changes)
 
 
 def _of_map(value: float, name: str) -> float:
@@ -255,7 +257,7 @@ def _rounded(value: float, bounds: Bounds) -> float:
 
 def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
     """Compute the scale of comparison from a fit of all parameters [m]: the submaps' median."""
-    found: list[float] = []
+    scales: list[float] = []
     for submap in (submaps[k] for k in representative(len(submaps))):
         width, height = np.ptp(submap.points[:, :2], axis=0).tolist()
         some, total = few_of(submap, MOST_POINTS), len(submap.points)
@@ -265,5 +267,5 @@ def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
         signal_std, length_scale = fitted.signal_std or 0.0, fitted.length_scale
         resolved = resolved_scale(density, signal_std / length_scale, area)
         finest = finest_of_kernel(density, signal_std, length_scale)
-        found.append(min(max(resolved, finest), float(np.sqrt(area)) / FEWEST_ACROSS))
-    return float(np.median(found))
+        scales.append(min(max(resolved, finest), float(np.sqrt(area)) / FEWEST_ACROSS))
+    return float(np.median(scales))

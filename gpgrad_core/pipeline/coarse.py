@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gpgrad_core.gp.accuracy import ROUGH
-from gpgrad_core.gp.binning import bin_points
+from gpgrad_core.gp.cloud import bin_points
 from gpgrad_core.gp.inference import Posterior
 from gpgrad_core.gradient_map import (
     MapParams,
@@ -17,6 +17,8 @@ from gpgrad_core.gradient_map import (
     sample_map,
     signal_std_of,
 )
+from gpgrad_core.pipeline.params import PipelineParams
+from gpgrad_core.pipeline.stages import FIT, SAMPLE, Stages
 from gpgrad_core.run.helper import Helper, beside
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
@@ -60,14 +62,15 @@ def infer_coarse_map(
     """
     resolution = COARSER * params.resolution
     map_grid(submap, resolution)  # refuses a cloud that is too wide, before the long work
-    if memo.holds(fit_terrain, submap, params.terrain):
-        posterior = memo(fit_terrain, submap, params.terrain)
+    stages = Stages(PipelineParams(map=params), memo)
+    if stages.holds(FIT, submap):
+        posterior = stages.run(FIT, submap)
     else:
         kept = kept_rows(submap, params.max_points)
-        of_all = signal_std_of(submap.points[kept], params.terrain)
+        signal_std = signal_std_of(submap.points[kept], params.terrain)
         fewer = replace(
             params.terrain,
-            signal_std=max(of_all, LEAST_SIGNAL_STD),
+            signal_std=max(signal_std, LEAST_SIGNAL_STD),
             max_points=None,
             noise_model="file",
             noise_factor=1.0,
@@ -99,13 +102,13 @@ def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
     points, noise_std = submap.points[kept], ordinary_noise(submap, submap, params)[kept]
     longest = float(np.ptp(points[:, :2], axis=0).max())
     cell = min(THINNED_TO * params.length_scale, longest / FEWEST_CELLS)
-    means, of_mean = bin_points(points, cell, noise_std)
+    means, std_of_mean = bin_points(points, cell, noise_std)
     # The ground bends within a cell, so a mean tells less than its many points do.
     bent = BENT * signal_std_of(points, params) * (cell / params.length_scale) ** 2
-    of_cell = np.hypot(of_mean, bent)
+    cell_std = np.hypot(std_of_mean, bent)
     read_only(means)
     # This fingerprint is a new key for the memo, without hashing the points again.
-    return Submap(submap.id, means, f"{submap.fingerprint}-{hash(params)}", noise_std=of_cell)
+    return Submap(submap.id, means, f"{submap.fingerprint}-{hash(params)}", noise_std=cell_std)
 
 
 def infer_quick_maps(
@@ -121,9 +124,9 @@ def infer_quick_maps(
     Raises:
         InputError: If the GP would be too large or cannot be solved.
     """
-    pair = (query, database)
-    if helper is None or any(memo.holds(fit_terrain, submap, params.terrain) for submap in pair):
-        made, other = (infer_quick_map(submap, params, memo, progress) for submap in pair)
+    stages = Stages(PipelineParams(map=params), memo)
+    if helper is None or stages.holds(FIT, query) or stages.holds(FIT, database):
+        made, other = (infer_quick_map(side, params, memo, progress) for side in (query, database))
         return made, other
     here, there = (query, params, memo), (database, params, Memo())
     return beside(helper, infer_coarse_map, here, there, progress)
@@ -133,8 +136,7 @@ def infer_quick_map(
     submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
 ) -> GradientMap:
     """Give the full map if the memo has it, otherwise a coarse one."""
-    if memo.holds(fit_terrain, submap, params.terrain):
-        posterior = memo(fit_terrain, submap, params.terrain)
-        if memo.holds(sample_map, submap, posterior, params.resolution, params.scale):
-            return memo(sample_map, submap, posterior, params.resolution, params.scale)
+    stages = Stages(PipelineParams(map=params), memo)
+    if stages.holds(SAMPLE, submap):
+        return stages.run(SAMPLE, submap)
     return infer_coarse_map(submap, params, memo, progress)

@@ -1,21 +1,21 @@
-"""The order of the stages, which only this file knows."""
+"""Runs the stages: for one submap, for a pair, and for the pairs of a dataset."""
 
 import hashlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Any, TypeAlias
+from typing import Generic, TypeAlias, TypeVar
+
+from jaxtyping import Float
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.features import check_detector, detect_features, select_trusted
+from gpgrad_core.features import check_detector
 from gpgrad_core.fitting import representative
-from gpgrad_core.gp.inference import Posterior
 from gpgrad_core.gp.likelihood import Hyperparameters
-from gpgrad_core.gradient_map import fit_terrain, map_grid, sample_map
+from gpgrad_core.gradient_map import MapParams, fit_terrain, map_grid, sample_map
 from gpgrad_core.images import extract_images, judge_by_images, some_of
 from gpgrad_core.loop_closure import classify, with_images
-from gpgrad_core.matching import match_features
 from gpgrad_core.pipeline.all_pairs import (
     KeepingDetector,
     Pair,
@@ -26,13 +26,19 @@ from gpgrad_core.pipeline.all_pairs import (
 )
 from gpgrad_core.pipeline.automatic import is_resolved, resolve_parameters
 from gpgrad_core.pipeline.params import PipelineParams
-from gpgrad_core.registration import (
-    Prepared,
-    RegistrationParams,
-    prepare,
-    register_prepared,
-    search_motions,
+from gpgrad_core.pipeline.stages import (
+    DETECT,
+    FIT,
+    MATCH,
+    PREPARE,
+    REGISTER,
+    SAMPLE,
+    SEARCH,
+    SELECT,
+    Stage,
+    Stages,
 )
+from gpgrad_core.registration import Prepared
 from gpgrad_core.run.helper import Helper, beside
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
@@ -44,6 +50,7 @@ from gpgrad_core.shortlist import (
     num_wanted,
 )
 from gpgrad_core.types import (
+    Array,
     Dataset,
     Features,
     GradientMap,
@@ -54,6 +61,9 @@ from gpgrad_core.types import (
     Submap,
     SubmapSource,
 )
+
+E = TypeVar("E")
+M = TypeVar("M")
 
 FIT_SHARE = 0.1
 """Share of the progress that fitting the parameters takes up."""
@@ -109,13 +119,75 @@ class DetectionResult:
     )
 
 
+def infer_gradient_map(
+    submap: Submap, params: MapParams | None = None, progress: Progress = silent
+) -> GradientMap:
+    """Infer elevation, variance and slopes over the submap's bounding box, Eqs. (2)-(5).
+
+    Args:
+        submap: Gravity-aligned points [m].
+        params: Parameters of the GP and the grid; None takes the defaults. If length-scale or noise
+            are automatic, all that is automatic is fitted to this submap, as `resolve_parameters`
+            does.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        The gradient map, with elevations in metres and slopes in m/m.
+
+    Raises:
+        InputError: If the grid or the GP would be too large, or if the GP cannot be solved.
+    """
+    params = params or MapParams()
+    map_grid(submap, params.resolution)  # refuse a cloud that is too wide before the long work
+    params, progress = _with_numbers(submap, params, progress)
+    posterior = fit_terrain(submap, params.terrain, progress=progress)
+    return sample_map(submap, posterior, params.resolution, params.scale)
+
+
+def infer_slope_variance(
+    submap: Submap, params: MapParams | None = None, progress: Progress = silent
+) -> Float[Array, "rows columns 2"]:
+    """Infer the variance of the slopes of `infer_gradient_map`.
+
+    The paper does not have it. Eq. (3) is differentiated as Eqs. (4) and (5) differentiate Eq. (2),
+    with D the diagonal matrix of the points' noise variances:
+
+        var(∂z/∂x) = ∂²k/∂x∂x' - ∂K(x, X)/∂x [K(X, X) + D]⁻¹ ∂K(X, x')/∂x'
+
+    Args:
+        submap: Gravity-aligned points [m].
+        params: Parameters of the GP and the grid, as in `infer_gradient_map`.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        Posterior variance of the slope along x and along y (rows, columns, 2) [m²/m²].
+
+    Raises:
+        InputError: If the grid or the GP would be too large, or if the GP cannot be solved.
+    """
+    params = params or MapParams()
+    grid = map_grid(submap, params.resolution)
+    params, progress = _with_numbers(submap, params, progress)
+    return fit_terrain(submap, params.terrain, progress=progress).sample_slope_variance(grid)
+
+
+def _with_numbers(
+    submap: Submap, params: MapParams, progress: Progress
+) -> tuple[MapParams, Progress]:
+    """Fit what is automatic to one submap; also gives the progress of what is left to do."""
+    if params.has_numbers:
+        return params, progress
+    asked = PipelineParams(map=params)
+    fitted = resolve_parameters([submap], asked, progress=part(progress, 0.0, 0.5))
+    return fitted.map, part(progress, 0.5, 1.0)
+
+
 def infer_map(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> GradientMap:
     """Make a submap's gradient map; the memo keeps the fitted GP and the map separately."""
     map_grid(submap, params.map.resolution)  # refuses a cloud that is too wide, before the fit
-    posterior = memo(fit_terrain, submap, params.map.terrain, progress=progress)
-    return memo(sample_map, submap, posterior, params.map.resolution, params.map.scale)
+    return Stages(params, memo).run(SAMPLE, submap, progress=progress)
 
 
 def check_affordable(submap: Submap, params: PipelineParams) -> None:
@@ -132,63 +204,24 @@ def infer_features(
 ) -> Features:
     """Make a submap's keypoints."""
     check_affordable(submap, params)
-    return extract_kept(infer_map(submap, params, memo, progress), params, memo)
+    return Stages(params, memo).run(SELECT, submap, progress=progress)
 
 
 def extract_kept(gradient_map: GradientMap, params: PipelineParams, memo: Memo) -> Features:
     """Extract a map's keypoints; the memo keeps all of them for another mask."""
-    detected = memo(detect_features, gradient_map, params.features.detector)
-    return memo(select_trusted, detected, params.features)
+    stages = Stages(params, memo)
+    return stages.apply(SELECT, stages.apply(DETECT, gradient_map))
 
 
-@dataclass(frozen=True, eq=False)
-class _Side:
-    """Everything that is made of one submap before it is compared."""
-
-    posterior: Posterior
-    gradient_map: GradientMap
-    detected: Features
-    prepared: Prepared
+LONG_STAGES: tuple[Stage[object], ...] = (FIT, SAMPLE, DETECT, PREPARE)
+"""Stages of one submap that are worth another process."""
 
 
-def _infer_side(
+def _run_long_stages(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
-) -> _Side:
-    """Run the stages of one submap."""
-    gradient_map = infer_map(submap, params, memo, progress)
-    posterior = memo(fit_terrain, submap, params.map.terrain)
-    detected = memo(detect_features, gradient_map, params.features.detector)
-    return _Side(
-        posterior,
-        gradient_map,
-        detected,
-        memo(prepare, gradient_map, params.features.max_std_ratio),
-    )
-
-
-def _infer_both(
-    query: Submap,
-    database: Submap,
-    params: PipelineParams,
-    memo: Memo,
-    helper: Helper,
-    progress: Progress,
-) -> None:
-    """Run the stages of both submaps at the same time, and put the results into the memo."""
-    here, there = (query, params, memo), (database, params, Memo())
-    _, side = beside(helper, _infer_side, here, there, progress)
-    # From now on the memo knows the other process's results by how they were made.
-    posterior = memo.keep(side.posterior, fit_terrain, database, params.map.terrain)
-    gradient_map = memo.keep(
-        side.gradient_map,
-        sample_map,
-        database,
-        posterior,
-        params.map.resolution,
-        params.map.scale,
-    )
-    memo.keep(side.detected, detect_features, gradient_map, params.features.detector)
-    memo.keep(side.prepared, prepare, gradient_map, params.features.max_std_ratio)
+) -> tuple[object, ...]:
+    stages = Stages(params, memo)
+    return tuple(stages.run(stage, submap, progress=progress) for stage in LONG_STAGES)
 
 
 def register_pair(
@@ -218,24 +251,20 @@ def register_pair(
     """
     for submap in (query, database):
         check_affordable(submap, params)  # refused before the long work on either
-    if params.map.length_scale is None or params.map.noise_std is None:
+    if not params.map.has_numbers:
         params = resolve_parameters((query, database), params, memo, part(progress, 0.0, FIT_SHARE))
         progress = part(progress, FIT_SHARE, 1.0)
-    terrain = params.map.terrain
-    if helper is not None and not any(
-        memo.holds(fit_terrain, submap, terrain) for submap in (query, database)
-    ):
-        _infer_both(query, database, params, memo, helper, part(progress, 0.0, 0.8))
-    query_features = infer_features(query, params, memo, part(progress, 0.0, 0.4))
-    database_features = infer_features(database, params, memo, part(progress, 0.4, 0.8))
-    query_map = infer_map(query, params, memo)
-    database_map = infer_map(database, params, memo)
-    matches = memo(match_features, query_features, database_features, params.matching)
-    mask = params.features.max_std_ratio
-    sides = memo(prepare, query_map, mask), memo(prepare, database_map, mask)
-    registration = _register_sides(
-        sides, matches, params.registration, memo, part(progress, 0.8, 1.0)
-    )
+    stages = Stages(params, memo)
+    if helper is not None and not (stages.holds(FIT, query) or stages.holds(FIT, database)):
+        here, there = (query, params, memo), (database, params, Memo())
+        _, results = beside(helper, _run_long_stages, here, there, part(progress, 0.0, 0.8))
+        for stage, result in zip(LONG_STAGES, results, strict=True):
+            stages.keep(result, stage, database)
+    query_map = stages.run(SAMPLE, query, progress=part(progress, 0.0, 0.4))
+    database_map = stages.run(SAMPLE, database, progress=part(progress, 0.4, 0.8))
+    query_features, database_features = (stages.run(SELECT, side) for side in (query, database))
+    matches = stages.run(MATCH, query, database)
+    registration = stages.run(REGISTER, query, database, progress=part(progress, 0.8, 1.0))
     closure = judge_pair(query, database, registration, params, memo)
     return PairResult(
         query_map,
@@ -246,22 +275,6 @@ def register_pair(
         registration,
         closure,
     )
-
-
-def _register_sides(
-    sides: tuple[Prepared, Prepared],
-    matches: Matches,
-    params: RegistrationParams,
-    memo: Memo,
-    progress: Progress,
-) -> Registration:
-    """Register; the memo keeps what the search finds, which is the same at any inlier radius."""
-    made_from = (*sides, matches, params)
-    found = None
-    if not memo.holds(register_prepared, *made_from):
-        query, database = (side.relief for side in sides)
-        found = memo(search_motions, query, database, params.searched)
-    return memo(register_prepared, *made_from, found=found, progress=progress)
 
 
 def judge_pair(
@@ -311,7 +324,7 @@ class ExtractedSubmap:
 
 
 @dataclass(frozen=True, eq=False)
-class MapDetector(StagedDetector):
+class MapDetector(StagedDetector[GradientMap, ExtractedSubmap]):
     """The pipeline as a `LoopDetector`; with other maps or images, it is also some of its rivals.
 
     Attributes:
@@ -338,9 +351,7 @@ class MapDetector(StagedDetector):
         image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
         features = extract_kept(image, self.params, self.memo)
         progress(1.0)
-        return ExtractedSubmap(
-            features, self.memo(prepare, made, self.params.features.max_std_ratio)
-        )
+        return ExtractedSubmap(features, Stages(self.params, self.memo).apply(PREPARE, made))
 
     def keypoints(self, extracted: ExtractedSubmap) -> Features:
         """Give the keypoints."""
@@ -348,14 +359,9 @@ class MapDetector(StagedDetector):
 
     def compare(self, query: ExtractedSubmap, database: ExtractedSubmap) -> Registration:
         """Match and register."""
-        matches = self.memo(match_features, query.features, database.features, self.params.matching)
-        return self.memo(
-            register_prepared,
-            query.prepared,
-            database.prepared,
-            matches,
-            self.params.registration,
-        )
+        stages, prepared = Stages(self.params, self.memo), (query.prepared, database.prepared)
+        matches = stages.apply(MATCH, query.features, database.features)
+        return stages.apply(REGISTER, *prepared, matches, stages.apply(SEARCH, *prepared))
 
 
 def detect_loop_closures(
@@ -436,17 +442,17 @@ def detect_loop_closures(
         names = [submap.id for submap in submaps]
         choice = _Choice(names, detector, candidates, params.registration.seed)
     closures: list[LoopClosure] = []
-    take, of_images = take or closures.append, Memo()
+    take, image_memo = take or closures.append, Memo()
     hyperparameters: dict[str, Hyperparameters] = {}
 
-    def look(extracted: list[Any]) -> None:
+    def look(extracted: Sequence[object]) -> None:
         if isinstance(detector, TunedDetector):
             own = map(detector.hyperparameters, extracted)
             hyperparameters.update(zip((submap.id for submap in bare), own, strict=True))
 
     def judge(pair: Pair, registration: Registration) -> None:
         query, database = (bare[k] for k in pair)
-        take(judge_pair(query, database, registration, params, of_images))
+        take(judge_pair(query, database, registration, params, image_memo))
 
     spent = compare_all(submaps, detector, judge, executor, progress, choice or listed, look)
     spent["total"] += seconds.get("fit", 0.0)
@@ -483,54 +489,54 @@ class _Listed:
         pairs = ((places[a], places[b]) for a, b in only if a in places and b in places)
         self._pairs = sorted({(max(pair), min(pair)) for pair in pairs})
 
-    def __call__(self, _: list[Any], progress: Progress) -> list[Pair]:
+    def __call__(self, _: Sequence[object], progress: Progress) -> list[Pair]:
         progress(1.0)
         return self._pairs
 
 
-class _Choice:
+class _Choice(Generic[M, E]):
     """Chooses pairs by a shortlist, and keeps why."""
 
     def __init__(
-        self, ids: list[str], detector: SearchableDetector, candidates: Candidates, seed: int
+        self, ids: list[str], detector: SearchableDetector[M, E], candidates: Candidates, seed: int
     ) -> None:
         self.shortlists: dict[str, tuple[Candidate, ...]] = {}
         self._ids, self._detector = ids, detector
         self._candidates: Candidates = candidates
         self._shortlist, self._seed = Shortlist(seed), seed
-        self._waiting: list[tuple[str, Any]] = []  # not on the shortlist yet
+        self._waiting: list[tuple[str, E]] = []  # not on the shortlist yet
 
-    def __call__(self, extracted: list[Any], progress: Progress) -> list[Pair]:
+    def __call__(self, extracted: Sequence[E], progress: Progress) -> list[Pair]:
         places = {name: place for place, name in enumerate(self._ids)}
         pairs: list[Pair] = []
         earlier = ""
-        for query, one in enumerate(extracted):
+        for query, submap in enumerate(extracted):
             name, wanted = self._ids[query], num_wanted(self._candidates, query)
             if wanted == query:
                 pairs += [(query, database) for database in range(query)]
             else:
-                best = self._kept(earlier, one, wanted)
+                best = self._kept(earlier, submap, wanted)
                 self.shortlists[name] = best
                 pairs += sorted((query, places[candidate.id]) for candidate in best)
-            self._waiting.append((name, one))
+            self._waiting.append((name, submap))
             if isinstance(self._detector, KeepingDetector):
-                earlier = _chained(earlier, name, self._detector.key(one))
+                earlier = _chained(earlier, name, self._detector.key(submap))
             progress((query + 1) / len(extracted))
         return pairs
 
-    def _kept(self, earlier: str, one: Any, wanted: int) -> tuple[Candidate, ...]:
+    def _kept(self, earlier: str, submap: E, wanted: int) -> tuple[Candidate, ...]:
         """Find the candidates, unless an earlier run found them after the same submaps."""
         detector = self._detector
         if not isinstance(detector, KeepingDetector):
-            return self._find(one, wanted)
-        made_from = ("shortlist", earlier, detector.key(one), wanted, self._seed)
-        return detector.keep(lambda: self._find(one, wanted), *made_from)
+            return self._find(submap, wanted)
+        made_from = ("shortlist", earlier, detector.key(submap), wanted, self._seed)
+        return detector.keep(lambda: self._find(submap, wanted), *made_from)
 
-    def _find(self, one: Any, wanted: int) -> tuple[Candidate, ...]:
+    def _find(self, submap: E, wanted: int) -> tuple[Candidate, ...]:
         for name, waiting in self._waiting:
             self._shortlist.add(name, self._detector.keypoints(waiting))
         self._waiting = []
-        return self._shortlist.candidates(self._detector.keypoints(one), wanted)
+        return self._shortlist.candidates(self._detector.keypoints(submap), wanted)
 
 
 def _chained(earlier: str, name: str, key: str) -> str:

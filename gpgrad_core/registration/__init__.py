@@ -1,15 +1,14 @@
 """Registers a pair of maps: candidate motions, their alignment, and the score."""
 
-from gpgrad_core.registration.agreement import map_agreement
 from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.register import (
-    Prepared,
-    prepare,
     refine,
     register,
     register_prepared,
+    search_candidates,
 )
-from gpgrad_core.registration.search import search_motions
+from gpgrad_core.registration.score import map_agreement
+from gpgrad_core.registration.surface import Prepared, prepare
 
 __all__ = [
     "Prepared",
@@ -19,5 +18,5 @@ __all__ = [
     "refine",
     "register",
     "register_prepared",
-    "search_motions",
+    "search_candidates",
 ]

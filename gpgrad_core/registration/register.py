@@ -7,24 +7,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.alignment import Alignments, align
-from gpgrad_core.registration.dense_check import DenseCheck, ThinMap, thin_out
-from gpgrad_core.registration.evidence import closure_score, shares_of_evidence, weigh
+from gpgrad_core.registration.align import Alignments, align, place
+from gpgrad_core.registration.candidates import find_motions, one_to_one, search_motions
 from gpgrad_core.registration.params import RegistrationParams
-from gpgrad_core.registration.placement import Sharp, place, sharpen
-from gpgrad_core.registration.ransac import find_motions, one_to_one
-from gpgrad_core.registration.relief import Relief, make_relief
-from gpgrad_core.registration.search import search_motions
+from gpgrad_core.registration.score import DenseCheck, closure_score, shares_of_evidence, weigh
+from gpgrad_core.registration.surface import Prepared, prepare
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import (
-    MAX_STD_RATIO,
-    Agreement,
-    Array,
-    GradientMap,
-    Matches,
-    Registration,
-)
+from gpgrad_core.types import Agreement, Array, GradientMap, Matches, Registration
 
 SIFTED_CELLS, SIFTED_ITERATIONS = 250, 4
 """Number of cells and of steps with which all candidates are roughly aligned."""
@@ -35,40 +25,9 @@ TRIED_CELLS, TRIED_ITERATIONS = 600, 5
 """Number of cells and of steps with which these are aligned."""
 REFINED_CELLS = 3000
 """Number of cells with which a motion that a person has set is aligned."""
-
 LEAST_PLACED = 0.7
 """Score from which a motion is placed exactly, which takes a third of a pair's time. On five sets,
 sparse and noisy ones among them, placing raised no score below 1 to 3, and no ranking changed."""
-
-
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """What the registration computes of one map, once for all pairs that it is in.
-
-    Attributes:
-        relief: The elevation, smoothed over the scale of comparison.
-        sharp: The elevation without smoothing, and its long waves, for the final alignment.
-        thin: The cells for the dense check.
-    """
-
-    relief: Relief
-    sharp: Sharp
-    thin: ThinMap
-
-
-def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Prepared:
-    """Prepare a map for registration.
-
-    Args:
-        gradient_map: The map.
-        max_std_ratio: Threshold of the variance mask; only trusted cells are compared.
-    """
-    relief = make_relief(gradient_map, max_std_ratio)
-    return Prepared(
-        relief,
-        sharpen(gradient_map, max_std_ratio),
-        thin_out(gradient_map, max_std_ratio),
-    )
 
 
 def register(
@@ -95,16 +54,25 @@ def register(
     Returns:
         The best motion. ``T_database_query`` is None if no motion was found.
     """
-    return register_prepared(prepare(query), prepare(database), matches, params, progress)
+    params = params or RegistrationParams()
+    sides = prepare(query), prepare(database)
+    return register_prepared(
+        *sides, matches, search_candidates(*sides, params.searched), params, progress
+    )
+
+
+def search_candidates(query: Prepared, database: Prepared, wanted: int) -> tuple[SE2, ...]:
+    """Find up to so many candidate motions that need no keypoints; see `search_motions`."""
+    return tuple(search_motions(query.smooth, database.smooth, wanted))
 
 
 def register_prepared(
     query: Prepared,
     database: Prepared,
     matches: Matches,
-    params: RegistrationParams | None = None,
+    searched: Sequence[SE2],
+    params: RegistrationParams,
     progress: Progress = silent,
-    found: Sequence[SE2] | None = None,
 ) -> Registration:
     """Do the same as `register` with maps that are already prepared.
 
@@ -112,32 +80,29 @@ def register_prepared(
         query: The map to be placed.
         database: The map on which it is placed.
         matches: The set of associations A.
-        params: Parameters of RANSAC and of the search.
+        searched: The motions of `search_candidates`, which depend on neither the associations nor
+            the inlier radius.
+        params: Parameters of RANSAC.
         progress: Called with the fraction done; may raise Cancelled.
-        found: What `search_motions` finds for the two reliefs, if that is known: it depends on
-            neither the associations nor the inlier radius.
     """
-    params = params or RegistrationParams()
-    maps = query.relief, database.relief
-    if not all(relief.trusted.any() for relief in maps):
+    surfaces = query.smooth, database.smooth
+    if not all(surface.trusted.any() for surface in surfaces):
         return _nothing(len(matches), progress, nothing_trusted=True)
-    starts = find_motions(matches, params, params.radius(maps[1].scale))
-    starts += search_motions(*maps, params.searched) if found is None else found
+    scale = database.smooth.scale
+    starts = [*find_motions(matches, params, params.radius(scale)), *searched]
     progress(0.3)
-    best: _Candidate | None = None
-    if starts:
-        sifted = align(*maps, starts, num_cells=SIFTED_CELLS, iterations=SIFTED_ITERATIONS)
-        promising = [sifted.motion(k) for k in _distinct(sifted, maps[1].scale)[:TRIED]]
-        tried = align(*maps, promising, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
-        progress(0.6)
-        chosen = _distinct(tried, maps[1].scale)
-        for k, row in enumerate(chosen):
-            candidate = _judge(tried, row, maps, matches, params)
-            if best is None or candidate.score > best.score:
-                best = candidate
-            progress(0.6 + 0.4 * (k + 1) / len(chosen))
-    if best is None:
+    if not starts:
         return _nothing(len(matches), progress)
+    sifted = align(*surfaces, starts, num_cells=SIFTED_CELLS, iterations=SIFTED_ITERATIONS)
+    promising = [sifted.motion(k) for k in _distinct(sifted, scale)[:TRIED]]
+    tried = align(*surfaces, promising, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
+    progress(0.6)
+    candidates: list[_Candidate] = []
+    distinct = _distinct(tried, scale)
+    for k in distinct:
+        candidates.append(_judge(tried, k, query, database, matches, params))
+        progress(0.6 + 0.4 * len(candidates) / len(distinct))
+    best = max(candidates, key=lambda candidate: candidate.score)  # the first of the highest
     return _finish(query, database, matches, best, params)
 
 
@@ -161,26 +126,62 @@ def refine(
         The motion near the start under which the ground agrees best, scored as by `register`.
         If the overlap is too small, the motion is `start` itself.
     """
-    params = params or RegistrationParams()
-    of_query, of_database = prepare(query), prepare(database)
-    maps = of_query.relief, of_database.relief
-    tried = align(*maps, [start], num_cells=REFINED_CELLS, iterations=TRIED_ITERATIONS)
-    rough = _judge(tried, 0, maps, matches, params)
-    return _finish(of_query, of_database, matches, rough, params)
+    params, sides = params or RegistrationParams(), (prepare(query), prepare(database))
+    surfaces = sides[0].smooth, sides[1].smooth
+    tried = align(*surfaces, [start], num_cells=REFINED_CELLS, iterations=TRIED_ITERATIONS)
+    return _finish(*sides, matches, _judge(tried, 0, *sides, matches, params), params)
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A motion that was judged, with what the registration says of it."""
+
+    motion: SE2
+    z_offset: float
+    z_std: float | None
+    covariance: Float[Array, "3 3"] | None
+    inliers: Bool[NDArray[np.bool_], "m"]
+    score: float
+    agreement: Agreement | None
+    evidence: tuple[float, ...]
+
+
+def _judge(
+    aligned: Alignments,
+    k: int,
+    query: Prepared,
+    database: Prepared,
+    matches: Matches,
+    params: RegistrationParams,
+) -> _Candidate:
+    """Count the inliers of a motion, and weigh how well the ground agrees."""
+    motion, held = aligned.motion(k), bool(aligned.held[k])
+    inliers = one_to_one(motion, matches, params.radius(database.smooth.scale))
+    evidence, num_inliers = weigh(query.smooth, database.smooth, motion), int(inliers.sum())
+    return _Candidate(
+        motion,
+        float(aligned.z_offsets[k]) if held else 0.0,
+        float(aligned.z_stds[k]) if held else None,
+        aligned.covariances[k] if held else None,
+        inliers,
+        closure_score(evidence, num_inliers),
+        evidence.agreement,
+        () if evidence.agreement is None else shares_of_evidence(evidence, num_inliers),
+    )
 
 
 def _finish(
     query: Prepared,
     database: Prepared,
     matches: Matches,
-    rough: "_Candidate",
+    rough: _Candidate,
     params: RegistrationParams,
 ) -> Registration:
-    """Align the best motion to a few centimetres on the unsmoothed maps, if there is hope."""
-    maps, best = (query.relief, database.relief), rough
+    """Align the best motion to a few centimetres on the sharp surfaces, if there is hope."""
+    best = rough
     if rough.score >= LEAST_PLACED:
         placed = place(query.sharp, database.sharp, rough.motion)
-        best = _judge(placed, 0, maps, matches, params)
+        best = _judge(placed, 0, query, database, matches, params)
     check = DenseCheck(query.thin, database.thin)
     area, correlation = check.compare(best.motion)
     dissimilarity, num_cells = check.dissimilarity(best.motion)
@@ -194,7 +195,7 @@ def _finish(
         z_offset=best.z_offset,
         covariance=best.covariance,
         z_std=best.z_std,
-        scale=maps[1].scale,
+        scale=database.smooth.scale,
         agreement=best.agreement,
         evidence=(rough if rough.score > best.score else best).evidence,
         mean_dissimilarity=dissimilarity / num_cells if num_cells else np.inf,
@@ -207,40 +208,6 @@ def _nothing(
     progress(1.0)
     none = np.zeros(num_matches, bool)
     return Registration(None, none, np.inf, 0.0, 0.0, 0.0, nothing_trusted=nothing_trusted)
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    motion: SE2
-    z_offset: float
-    z_std: float | None
-    covariance: Float[Array, "3 3"] | None
-    inliers: Bool[NDArray[np.bool_], "m"]
-    score: float
-    agreement: Agreement | None
-    evidence: tuple[float, ...]
-
-
-def _judge(
-    placed: Alignments,
-    k: int,
-    maps: tuple[Relief, Relief],
-    matches: Matches,
-    params: RegistrationParams,
-) -> _Candidate:
-    motion, held = placed.motion(k), bool(placed.held[k])
-    inliers = one_to_one(motion, matches, params.radius(maps[1].scale))
-    evidence, num_inliers = weigh(*maps, motion), int(inliers.sum())
-    return _Candidate(
-        motion,
-        float(placed.z_offsets[k]) if held else 0.0,
-        float(placed.z_stds[k]) if held else None,
-        placed.covariances[k] if held else None,
-        inliers,
-        closure_score(evidence, num_inliers),
-        evidence.agreement,
-        () if evidence.agreement is None else shares_of_evidence(evidence, num_inliers),
-    )
 
 
 def _distinct(tried: Alignments, scale: float) -> list[int]:

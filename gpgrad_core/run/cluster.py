@@ -89,7 +89,7 @@ def connected(address: str) -> Generator[Cluster]:
             or if a worker has another version of gpgrad or of a library under it.
         OSError: If the cluster is lost, or a job has ended several workers.
     """
-    distributed: Any = load_library("distributed", "gpgrad[cluster]")
+    distributed = load_library("distributed", "gpgrad[cluster]")
     try:
         client = distributed.Client(address, timeout=ANSWER_WITHIN, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
@@ -117,12 +117,12 @@ def connected(address: str) -> Generator[Cluster]:
 
 def _check_versions(client: Any, address: str) -> None:
     try:
-        found = cast("dict[str, str]", client.run(code_version))
+        versions = cast("dict[str, str]", client.run(code_version))
     except ModuleNotFoundError as error:
         raise InputError(
             f"--scheduler {address}: its workers have no {error.name}; install gpgrad there"
         ) from None
-    for worker, version in sorted(found.items()):
+    for worker, version in sorted(versions.items()):
         if version != code_version():
             raise InputError(
                 f"--scheduler {address}: worker {worker} has another gpgrad, or another release of "

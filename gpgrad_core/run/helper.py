@@ -25,7 +25,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import IO, Any, Generic, Literal, TypeAlias, TypeVar
+from typing import IO, Any, Generic, Literal, TypeAlias, TypeVar, cast
 
 from gpgrad_core.run.memory import give_back
 from gpgrad_core.run.progress import Cancelled, Progress, part, silent
@@ -49,15 +49,15 @@ SILENCE = 5.0
 @dataclass(frozen=True, eq=False)
 class _Question:
     number: int
-    function: Callable[..., Any]  # of a module, with a keyword argument ``progress``
-    arguments: tuple[Any, ...]
+    function: Callable[..., object]  # of a module, with a keyword argument ``progress``
+    arguments: tuple[object, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class _Reply:
     number: int
     kind: Literal["alive", "fraction", "result", "error"]
-    value: Any
+    value: object
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +113,11 @@ class Answer(Generic[R]):
                     continue
                 if reply is None:
                     raise HelperGone
-                if reply.kind == "fraction":
-                    fraction = float(reply.value)
-                elif reply.kind == "error":
-                    raise reply.value
-                else:
-                    return reply.value
+                if reply.kind == "error":
+                    raise cast("Exception", reply.value)
+                if reply.kind == "result":
+                    return cast("R", reply.value)
+                fraction = cast("float", reply.value)
         except BaseException:
             self.drop()
             raise
@@ -139,7 +138,7 @@ class Helper:
         Raises:
             OSError: If the system cannot start a process.
         """
-        self._process = _start_process()
+        self._process = start_process()
         self._writing, self._lock = threading.Lock(), threading.Lock()
         self._count = 0
         self._current: Answer[Any] | None = None
@@ -273,7 +272,7 @@ class Helper:
                 return False
             died = self._process
             try:
-                self._process = _start_process()
+                self._process = start_process()
             except OSError:
                 return False
         _bury(died)
@@ -289,7 +288,12 @@ def _bury(died: "subprocess.Popen[bytes]") -> None:
             _pipe(pipe).close()
 
 
-def _start_process() -> "subprocess.Popen[bytes]":
+def start_process() -> "subprocess.Popen[bytes]":
+    """Start the other process, which runs `main`.
+
+    Raises:
+        OSError: If the system cannot.
+    """
     path = os.pathsep.join(entry for entry in sys.path if entry)
     # Before they are loaded: threads of BLAS that have worked spin for many milliseconds more, on
     # the processor that the first process needs.

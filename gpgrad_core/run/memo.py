@@ -5,7 +5,7 @@ import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import fields, is_dataclass
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import ParamSpec, TypeVar, cast
 
 import numpy as np
 
@@ -36,8 +36,8 @@ class Memo:
             store: Keeps the results of `lasting` for later runs.
         """
         self._max_bytes, self.store = max_bytes, store
-        self._results: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
-        self._keys: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
+        self._results: OrderedDict[Hashable, tuple[object, int]] = OrderedDict()
+        self._keys: weakref.WeakKeyDictionary[object, Hashable] = weakref.WeakKeyDictionary()
         self._bytes = 0
         self._lock = threading.RLock()
 
@@ -50,7 +50,7 @@ class Memo:
         """Bytes of arrays held now."""
         return self._bytes
 
-    def holds(self, function: Callable[..., Any], *arguments: object) -> bool:
+    def holds(self, function: Callable[..., object], *arguments: object) -> bool:
         """Tell whether the memo has the result for these arguments."""
         with self._lock:
             return self._key(function, arguments) in self._results
@@ -75,7 +75,7 @@ class Memo:
         """As a call, but the result is also taken from the store, and kept there.
 
         Args:
-            function: A pure function whose result `packing.pack` can pack.
+            function: A pure function whose result `store.pack` can pack.
             arguments: Its inputs and parameters, whose text `store.key_of` can write.
             unkeyed: Arguments that do not change the result, such as ``progress``.
         """
@@ -118,7 +118,7 @@ class Memo:
             _, (_, freed) = self._results.popitem(last=False)
             self._bytes -= freed
 
-    def _key(self, function: Callable[..., Any], arguments: tuple[object, ...]) -> Hashable:
+    def _key(self, function: Callable[..., object], arguments: tuple[object, ...]) -> Hashable:
         name = f"{function.__module__}.{function.__qualname__}"
         return name, *(self._key_of(argument) for argument in arguments)
 

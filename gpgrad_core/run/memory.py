@@ -1,4 +1,4 @@
-"""Gives memory that was freed back to the system.
+"""Memory that is given back to the system, and arrays that wait in a file instead of in memory.
 
 The C library keeps freed memory for later, in an arena for each few threads. A process whose
 threads allocate arrays of megabytes so grows to the sum of the largest moments of all arenas.
@@ -6,10 +6,85 @@ threads allocate arrays of megabytes so grows to the sum of the largest moments 
 
 import ctypes
 import gc
+import mmap
+import tempfile
+import weakref
 from collections.abc import Callable
 from functools import cache
+from typing import TypeAlias
 
-from gpgrad_core.run.spool import forget_pages
+import numpy as np
+
+from gpgrad_core.arrays import NDArray
+
+Waiting: TypeAlias = Callable[[mmap.mmap], NDArray[np.generic]]
+
+ALIGNED = 64
+"""Arrays begin at multiples of this [bytes]."""
+
+_MAPPED: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+
+
+class Spool:
+    """A temporary file of arrays, which ends with the last of them.
+
+    The system reads a part of it when it is looked at, and forgets that part when it needs the
+    memory. What was read still counts as memory of this process, until `forget_pages`.
+    """
+
+    def __init__(self) -> None:
+        """Begin with an empty file, in the folder for temporary files.
+
+        Raises:
+            OSError: If it cannot be made.
+        """
+        self._file = tempfile.TemporaryFile(prefix="gpgrad-")  # noqa: SIM115 - `finish` closes it
+        self._size = 0
+
+    def write(self, array: NDArray[np.generic]) -> Waiting:
+        """Append an array.
+
+        Returns:
+            What gives the array back, unwritable, once it is called with what `finish` returns.
+
+        Raises:
+            OSError: If the disk is full.
+        """
+        content, shape, kind = np.ascontiguousarray(array), array.shape, array.dtype
+        start = self._size
+        self._file.write(content.data)
+        padding = -content.nbytes % ALIGNED
+        self._file.write(bytes(padding))
+        self._size += content.nbytes + padding
+        count = content.size
+
+        def give(mapped: mmap.mmap) -> NDArray[np.generic]:
+            return np.frombuffer(mapped, kind, count, start).reshape(shape)
+
+        return give
+
+    def finish(self) -> mmap.mmap:
+        """Close the file for writing; nothing can be appended any more.
+
+        Raises:
+            OSError: If the disk is full.
+        """
+        with self._file as file:
+            file.flush()
+            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        _MAPPED.add(mapped)
+        return mapped
+
+    def close(self) -> None:
+        """Give up what was not finished; what was, stays."""
+        self._file.close()
+
+
+def forget_pages() -> None:
+    """Hold nothing in memory of what waits in files; it is read again when it is looked at."""
+    for mapped in list(_MAPPED):
+        if hasattr(mmap, "MADV_DONTNEED"):  # Windows has no such advice
+            mapped.madvise(mmap.MADV_DONTNEED)
 
 
 def give_back() -> None:
@@ -19,14 +94,16 @@ def give_back() -> None:
     trim()
 
 
-def trim() -> None:
+def trim() -> bool:
     """Let the C library keep nothing that is free; takes some milliseconds.
 
-    Does nothing where the C library cannot be told. That of GNU can.
+    Returns:
+        Whether the C library can be told. That of GNU can.
     """
-    told = _malloc_trim()
-    if told is not None:
-        told(0)
+    malloc_trim = _malloc_trim()
+    if malloc_trim is not None:
+        malloc_trim(0)
+    return malloc_trim is not None
 
 
 @cache

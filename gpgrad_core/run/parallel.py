@@ -24,9 +24,9 @@ from pathlib import Path
 from threading import Event, Lock
 from typing import TypeAlias, TypeVar
 
+from gpgrad_core.run.folders import ProcessLock, claim
 from gpgrad_core.run.progress import Cancelled, Progress, part, silent
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.run.whole import ProcessLock, claim
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -145,9 +145,9 @@ def run_jobs(
     progress: Progress = silent,
 ) -> list[R]:
     """Do all jobs and return their results in the order of the jobs; see `take_in_turn`."""
-    found: list[R] = []
-    take_in_turn(work, jobs, found.append, executor, progress)
-    return found
+    results: list[R] = []
+    take_in_turn(work, jobs, results.append, executor, progress)
+    return results
 
 
 def take_in_turn(

@@ -1,23 +1,31 @@
-"""Results of stages on disk, shared by runs and by processes, and limited to a number of bytes."""
+"""Results of stages on disk, shared by runs and by processes, and limited to a number of bytes.
+
+Results are packed as NumPy archives, so that reading runs no code from the file and every part has
+a checksum. Pickles would be shorter to write and unsafe to read.
+"""
 
 import contextlib
 import hashlib
+import importlib
+import io
+import json
 import os
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import time
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
+import numpy as np
 import platformdirs
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.packing import Damaged, pack, unpack
 
 R = TypeVar("R")
 
@@ -37,6 +45,10 @@ WAIT = 30.0
 """Time that a process waits for another one that writes to the index [s]."""
 LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless")
 """Libraries whose version may change a result."""
+TREE = "tree"
+"""Name of the archive's part that holds everything but the arrays, as JSON."""
+PACKAGE = "gpgrad_core."
+"""Only dataclasses of this package are packed and unpacked."""
 
 SCHEMA = """
 create table if not exists kept (
@@ -84,7 +96,9 @@ class Store:
     def with_room(self, num_bytes: int) -> "Store":
         """Give this store with a limit of at least so many bytes, if half of the disk has them."""
         try:
-            above = next(one for one in (self.folder, *self.folder.parents) if one.exists())
+            above = next(
+                folder for folder in (self.folder, *self.folder.parents) if folder.exists()
+            )
             free = shutil.disk_usage(above).free // 2
         except OSError:
             free = 0
@@ -98,7 +112,7 @@ class Store:
         """Return ``make()``, from the disk if it was made before.
 
         Args:
-            make: Makes the result, which `packing.pack` must be able to pack.
+            make: Makes the result, which `pack` must be able to pack.
             made_from: Everything that determines the result: names, numbers, parameters, tuples of
                 these, and submaps, which count by their fingerprints.
         """
@@ -272,17 +286,109 @@ def code_version() -> str:
 
     Results of processes with the same one are the same.
     """
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     root = Path(__file__).parents[1]
     for file in sorted(root.rglob("*.py")):
-        found.update(str(file.relative_to(root)).encode())
-        found.update(file.read_bytes())
-    return " ".join((found.hexdigest(), *(f"{name} {_version(name)}" for name in LIBRARIES)))
+        digest.update(str(file.relative_to(root)).encode())
+        digest.update(file.read_bytes())
+    return " ".join(
+        (digest.hexdigest(), *(f"{name} {library_version(name)}" for name in LIBRARIES))
+    )
 
 
-def _version(name: str) -> str:
+def library_version(name: str) -> str:
     """Find a library's version; another build of it may be installed under another name."""
     try:
         return version(name)
     except PackageNotFoundError:
         return "unknown"
+
+
+class Damaged(Exception):
+    """The bytes are not what was packed."""
+
+
+def pack(value: object) -> bytes:
+    """Pack a value.
+
+    Args:
+        value: Made of arrays, numbers, texts, None, tuples, dicts with texts as keys, and
+            dataclasses of this package.
+
+    Raises:
+        TypeError: If there is something else in it.
+    """
+    arrays: dict[str, NDArray[np.generic]] = {}
+    tree = json.dumps(_tree(value, arrays))
+    out = io.BytesIO()
+    parts = {TREE: np.frombuffer(tree.encode(), np.uint8), **arrays}
+    np.savez(out, **cast("dict[str, Any]", parts))
+    return out.getvalue()
+
+
+def unpack(data: bytes) -> object:
+    """Give back what was packed; arrays are read-only.
+
+    Raises:
+        Damaged: If the bytes were changed or cut, or if a class has changed since.
+    """
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            tree = json.loads(archive[TREE].tobytes())
+            return _value(tree, cast("Mapping[str, NDArray[np.generic]]", archive))
+    except Exception as error:  # whatever NumPy, zipfile or a class makes of damaged bytes
+        raise Damaged(str(error)) from error
+
+
+def _tree(value: object, arrays: dict[str, NDArray[np.generic]]) -> object:
+    """Describe a value for JSON; its arrays are put aside under names."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.ndarray):
+        name = f"a{len(arrays)}"
+        arrays[name] = cast("NDArray[np.generic]", value)
+        return {"array": name}
+    if isinstance(value, tuple | list):
+        items = cast("tuple[object, ...]", value)
+        return {"list" if isinstance(value, list) else "tuple": [_tree(i, arrays) for i in items]}
+    if isinstance(value, dict):
+        entries = cast("dict[str, object]", value)
+        return {"dict": {key: _tree(entry, arrays) for key, entry in entries.items()}}
+    kind = type(value)
+    if is_dataclass(value) and kind.__module__.startswith(PACKAGE):
+        given = {f.name: _tree(getattr(value, f.name), arrays) for f in fields(value) if f.init}
+        return {"class": f"{kind.__module__}:{kind.__qualname__}", "fields": given}
+    raise TypeError(f"a {kind.__qualname__} cannot be packed")
+
+
+def _value(tree: object, arrays: Mapping[str, NDArray[np.generic]]) -> object:
+    """Make a value from its description."""
+    if not isinstance(tree, dict):
+        return tree
+    content = cast("dict[str, Any]", tree)
+    match next(iter(content)):
+        case "array":
+            array = arrays[content["array"]]
+            array.setflags(write=False)
+            return array
+        case "list":
+            return [_value(item, arrays) for item in content["list"]]
+        case "tuple":
+            return tuple(_value(item, arrays) for item in content["tuple"])
+        case "dict":
+            return {key: _value(entry, arrays) for key, entry in content["dict"].items()}
+        case _:
+            given = {name: _value(entry, arrays) for name, entry in content["fields"].items()}
+            return _class(content["class"])(**given)
+
+
+def _class(name: str) -> type:
+    module, _, qualified = name.partition(":")
+    if not module.startswith(PACKAGE):
+        raise ValueError(f"{module} is not of this package")
+    kind = getattr(importlib.import_module(module), qualified)
+    if not is_dataclass(kind):
+        raise ValueError(f"{name} is no dataclass")
+    return cast("type", kind)

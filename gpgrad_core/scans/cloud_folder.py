@@ -15,7 +15,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.datasets.clouds import CLOUD_ENDINGS, is_cloud, read_cloud
 from gpgrad_core.datasets.cpet import PosedScan
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.whole import is_unfinished
+from gpgrad_core.run.folders import is_unfinished
 from gpgrad_core.scans.conditions import Condition, Tally, kept_points
 from gpgrad_core.scans.params import BuildParams
 from gpgrad_core.scans.pose_files import (

@@ -23,7 +23,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.reading.json_files import parse_json
 from gpgrad_core.reading.records import as_record
 from gpgrad_core.reading.text import lines_of, read_text, write_lines
-from gpgrad_core.run.whole import alone, empty, put_in_place, recover
+from gpgrad_core.run.folders import alone, empty, put_in_place, recover
 
 UNFINISHED_CLOUDS, CLOUDS = "unfinished", "submaps"
 

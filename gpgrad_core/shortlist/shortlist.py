@@ -138,7 +138,7 @@ class Shortlist:
     @property
     def state(self) -> ShortlistState:
         """Everything that the shortlist knows."""
-        kept = self._waiting or [one.descriptors for one in self._voters]
+        kept = self._waiting or [voters.descriptors for voters in self._voters]
         return ShortlistState(
             self._seed,
             self.ids,
@@ -146,11 +146,11 @@ class Shortlist:
             self._global[: len(self)].copy()
             if self._vocabulary
             else np.zeros((len(self), 0), np.float32),
-            np.array([len(one) for one in kept], np.int64),
+            np.array([len(voters) for voters in kept], np.int64),
             np.concatenate(kept or [np.zeros((0, 0), np.float32)]),
-            np.array([len(one.positions) for one in self._voters], np.int64),
+            np.array([len(voters.positions) for voters in self._voters], np.int64),
             np.concatenate([np.zeros((0, 2), np.float32), *(v.positions for v in self._voters)]),
-            np.array([one.tolerance for one in self._voters], np.float64),
+            np.array([voters.tolerance for voters in self._voters], np.float64),
         )
 
     def add(self, id: str, features: Features) -> None:
@@ -172,7 +172,7 @@ class Shortlist:
             self._shorten(self._rows[id], self._vocabulary, vectors)
             return
         self._waiting.append(vectors)
-        enough = sum(len(one) for one in self._waiting) >= FEWEST_DESCRIPTORS
+        enough = sum(len(voters) for voters in self._waiting) >= FEWEST_DESCRIPTORS
         if enough and len(self) >= LEARN_FROM:
             with single_threaded_libraries():  # sums must not depend on the number of threads
                 self._vocabulary = learn_vocabulary(np.concatenate(self._waiting), self._seed)
@@ -227,13 +227,13 @@ class Shortlist:
         """Give a submap's descriptors, the strongest first, and its voters with whole ones."""
         order = np.argsort(-features.responses, kind="stable")
         vectors = as_vectors(features.descriptors)[order]
-        known = self._waiting[0].shape[1] if self._waiting else vectors.shape[1]
+        length = self._waiting[0].shape[1] if self._waiting else vectors.shape[1]
         if self._vocabulary is not None:
-            known = len(self._vocabulary.mean)
-        if vectors.shape[1] != known:
+            length = len(self._vocabulary.mean)
+        if vectors.shape[1] != length:
             raise InputError(
                 f"descriptors of {vectors.shape[1]} numbers cannot be compared with those of "
-                f"{known}; use one detector for all submaps"
+                f"{length}; use one detector for all submaps"
             )
         strongest = order[:MOST_VOTERS]
         tolerance = float(np.median(features.scales[strongest])) if len(order) else 0.0

@@ -18,19 +18,19 @@ from gpgrad_core.pipeline import (
     PipelineParams,
     check_searchable,
     judge_pair,
-    keeping,
     resolve_parameters,
+    with_store,
 )
 from gpgrad_core.pipeline.all_pairs import SearchableDetector, StagedDetector, side_by_side
+from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.memo import Memo, array_bytes
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
-from gpgrad_core.run.whole import TemporaryFolder
 from gpgrad_core.se2 import Pose
 from gpgrad_core.shortlist import Candidate, Candidates, Shortlist, num_wanted
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
-from gpgrad_core.slam.joining import place_traverses
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
+from gpgrad_core.slam.traverses import place_traverses
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 
 BYTES_IN_MEMORY = 1_000_000_000
@@ -81,7 +81,7 @@ class LoopCloser:
         graph: GraphParams | None = None,
         solver: SolverParams | None = None,
         *,
-        detector: StagedDetector | None = None,
+        detector: StagedDetector[Any, Any] | None = None,
         search_radius: float | None = None,
         candidates: Candidates = "automatic",
         executor: Executor | None = None,
@@ -195,8 +195,8 @@ class LoopCloser:
         extracted = side_by_side(detector.extract, [made], None, part(progress, 0.4, 0.5))[0]
         earlier = [
             other.id
-            for other, of_traverse in zip(self._submaps, self._traverses, strict=True)
-            if of_traverse != number or self._near(predicted, self._poses[other.id])
+            for other, traverse in zip(self._submaps, self._traverses, strict=True)
+            if traverse != number or self._near(predicted, self._poses[other.id])
         ]
         shortlist = None
         if isinstance(detector, SearchableDetector):
@@ -206,16 +206,16 @@ class LoopCloser:
                 shortlist = self._shortlist.candidates(keypoints, wanted, earlier)
                 chosen = {candidate.id for candidate in shortlist}
                 earlier = [name for name in earlier if name in chosen]
-        found = side_by_side(
+        registrations = side_by_side(
             _Comparison(extracted, detector.compare, self._extracted.get),
             earlier,
             self._executor,
             part(progress, 0.5, 1.0),
         )
-        known = {one.id: one for one in self._submaps}
+        by_id = {other.id: other for other in self._submaps}
         closures = tuple(
-            judge_pair(submap, known[name], registration, self._params, self._images)
-            for name, registration in zip(earlier, found, strict=True)
+            judge_pair(submap, by_id[name], registration, self._params, self._images)
+            for name, registration in zip(earlier, registrations, strict=True)
         )
         self._extracted.put(submap.id, extracted)
         if isinstance(detector, SearchableDetector) and self._candidates != "all":
@@ -228,12 +228,12 @@ class LoopCloser:
             self._poses = dict(self.result.poses)
         return Step(closures, dict(self._poses), shortlist)
 
-    def _detector_for(self, submap: Submap) -> StagedDetector:
+    def _detector_for(self, submap: Submap) -> StagedDetector[Any, Any]:
         """Return the detector; the first submap determines its automatic parameters."""
         if self._detector is None:
             memo = Memo(MEMO_BYTES, self._store)
             self._params = resolve_parameters([submap], self._params, memo)
-            self._detector = keeping(MapDetector(self._params, memo), self._store)
+            self._detector = with_store(MapDetector(self._params, memo), self._store)
         return self._detector
 
     def _predicted(self, odometry: Pose, *, starts_traverse: bool) -> Pose:
@@ -256,17 +256,17 @@ class _Spilled:
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes, self._bytes = max_bytes, 0
-        self._held: OrderedDict[str, tuple[Any, int]] = OrderedDict()
+        self._held: OrderedDict[str, tuple[object, int]] = OrderedDict()
         self._names: dict[str, int] = {}
         self._folder: TemporaryFolder | None = None
         self._lock = Lock()
 
-    def put(self, name: str, extracted: Any) -> None:
+    def put(self, name: str, extracted: object) -> None:
         with self._lock:
             self._names[name] = len(self._names)
             self._hold(name, extracted)
 
-    def get(self, name: str) -> Any:
+    def get(self, name: str) -> object:
         with self._lock:
             held = self._held.get(name)
             if held is not None:
@@ -282,7 +282,7 @@ class _Spilled:
             if self._folder is not None:
                 self._folder.cleanup()
 
-    def _hold(self, name: str, extracted: Any) -> None:
+    def _hold(self, name: str, extracted: object) -> None:
         size = array_bytes(extracted)
         self._held[name] = extracted, size
         self._bytes += size
@@ -303,9 +303,9 @@ class _Spilled:
 class _Comparison:
     """Compares the new submap with an earlier one."""
 
-    new: Any
-    compare: Callable[[Any, Any], Registration]
-    earlier: Callable[[str], Any]
+    new: object
+    compare: Callable[[object, object], Registration]
+    earlier: Callable[[str], object]
 
     def __call__(self, job: str, progress: Progress) -> Registration:
         registration = self.compare(self.new, self.earlier(job))

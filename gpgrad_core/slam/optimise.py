@@ -282,9 +282,9 @@ class _Problem:
 
     def rows(self, values: "gtsam.Values") -> Float[Array, "n 7"]:
         """Convert the poses to rows of offset and quaternion."""
-        found = np.asarray(self._gtsam.utilities.extractPose3(values), dtype=np.float64)
-        turns = Rotation.from_matrix(found[:, :9].reshape(-1, 3, 3))
-        return np.column_stack([found[:, 9:], turns.as_quat(canonical=True)])
+        matrices = np.asarray(self._gtsam.utilities.extractPose3(values), dtype=np.float64)
+        turns = Rotation.from_matrix(matrices[:, :9].reshape(-1, 3, 3))
+        return np.column_stack([matrices[:, 9:], turns.as_quat(canonical=True)])
 
     def _between(self, k: int, importance: float) -> "gtsam.BetweenFactorPose3":
         edge = self._edges[k]

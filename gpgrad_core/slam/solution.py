@@ -1,37 +1,46 @@
 """Datasets put into one map, and the files of it: poses, graph, errors, figures, cloud and map."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.datasets.clouds.ply import write_ply_pieces
 from gpgrad_core.datasets.poses import write_poses
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.report import check_directory
+from gpgrad_core.georeference import Georeference
 from gpgrad_core.gradient_map import TerrainParams
 from gpgrad_core.outputs.files import replacing
-from gpgrad_core.outputs.georeferenced import write_cloud_optimised, write_laz
+from gpgrad_core.outputs.georeferenced import (
+    write_cloud_optimised,
+    write_geojson,
+    write_kml,
+    write_laz,
+)
 from gpgrad_core.outputs.maps import write_arrays, write_raster
+from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.progress import Progress, part, silent
-from gpgrad_core.run.whole import TemporaryFolder
-from gpgrad_core.se2 import Pose
-from gpgrad_core.slam.consistency import Consistency, measure_consistency
-from gpgrad_core.slam.g2o import vertex_numbers, write_graph
-from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
-from gpgrad_core.slam.joining import JoinedDatasets, Placed, place_traverses
-from gpgrad_core.slam.merge import MergeParams, gather, merge_clouds, merge_maps
-from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
-from gpgrad_core.slam.placed import PlacedMap
-from gpgrad_core.slam.truth import (
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.slam.errors import (
+    Consistency,
     TrajectoryError,
     align_points,
+    level_motion,
+    measure_consistency,
+    positions,
     trajectory_error,
     true_poses,
 )
+from gpgrad_core.slam.g2o import vertex_numbers, write_graph
+from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
+from gpgrad_core.slam.merged_map import MergeParams, gather, merge_clouds, merge_maps
+from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
+from gpgrad_core.slam.traverses import JoinedDatasets, PlacedGraph, place_traverses
 from gpgrad_core.types import LoopClosure, Submap
 from gpgrad_core.version import VERSION
 
@@ -47,7 +56,7 @@ class Solution:
     """
 
     joined: JoinedDatasets
-    placed: Placed
+    placed: PlacedGraph
     result: OptimisedGraph
 
     @property
@@ -55,18 +64,10 @@ class Solution:
         """The odometry's poses, all in the first dataset's frame."""
         return self.placed.graph.poses
 
-    def submaps(self, note: Callable[[str], None] | None = None) -> Iterator[Submap]:
-        """Load the submaps one by one.
-
-        Args:
-            note: Called with each line about what was left out of a submap.
-        """
-        for k in range(len(self.joined.outline.clouds)):
-            submap, notes = self.joined.load(k)
-            if note is not None:
-                for line in notes:
-                    note(line)
-            yield submap
+    def submaps(self) -> Iterator[Submap]:
+        """Load the submaps one by one."""
+        outline = self.joined.outline
+        return (outline.load(k)[0] for k in range(len(outline.clouds)))
 
 
 def solve_datasets(
@@ -128,18 +129,78 @@ def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors
     true = true_poses(solution.joined.outline.dataset)
     trajectories: dict[str, tuple[TrajectoryError, TrajectoryError]] = {}
     for session, names in solution.joined.traverses.items():
-        known = {name: true[name] for name in names if name in true}
-        if len(known) >= 2:
+        truth = {name: true[name] for name in names if name in true}
+        if len(truth) >= 2:
             only = solution.joined.outline.dataset.positions_only
             trajectories[session] = (
-                trajectory_error(known, solution.before, positions_only=only),
-                trajectory_error(known, solution.result.poses, positions_only=only),
+                trajectory_error(truth, solution.before, positions_only=only),
+                trajectory_error(truth, solution.result.poses, positions_only=only),
             )
     overlaps: list[Consistency] = []
     for k, poses in enumerate((solution.before, solution.result.poses)):
         overlaps.append(measure_consistency(solution.submaps(), poses))
         progress((k + 1) / 2)
     return MapErrors(trajectories, (overlaps[0], overlaps[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class MapCoordinates:
+    """Where the world of a map lies in a coordinate system.
+
+    Attributes:
+        georeference: Places the frame in which x points east and y north.
+        T_local_world: Brings the map's world into that frame.
+        by_truth: Whether the true positions say so; else the world is taken for that frame.
+    """
+
+    georeference: Georeference
+    T_local_world: Pose
+    by_truth: bool
+
+    def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Give easting, northing and height [m] of points of the world (n, 3) [m]."""
+        return self.georeference.apply(self.T_local_world.apply(points))
+
+    def geographic(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Give longitude, latitude [degrees] and height [m] of points of the world (n, 3) [m]."""
+        return self.georeference.geographic(self.T_local_world.apply(points))
+
+
+def find_coordinates(
+    poses: Mapping[str, Pose], true: Mapping[str, Pose], georeference: Georeference
+) -> MapCoordinates:
+    """Find a map's coordinates by its submaps' true positions, or else as odometry began.
+
+    Args:
+        poses: Corrected poses in the map's world, by id.
+        true: True poses, by id; of these only the positions count.
+        georeference: Places the frame of the true poses, or else the world.
+    """
+    names = [name for name in true if name in poses]
+    if len(names) < 2:
+        return MapCoordinates(georeference, Pose.from_planar(SE2()), by_truth=False)
+    motion = level_motion(positions(names, poses), positions(names, true))
+    return MapCoordinates(georeference, motion, by_truth=True)
+
+
+def write_track(
+    directory: Path | str,
+    tracks: Mapping[str, Sequence[str]],
+    poses: Mapping[str, Pose],
+    coordinates: MapCoordinates,
+) -> None:
+    """Write a corrected track as ``poses.geojson`` and ``poses.kml``.
+
+    Args:
+        directory: An existing folder.
+        tracks: Ids of the submaps of each traverse, by its name.
+        poses: Corrected poses in the map's world, by id.
+        coordinates: Where the world lies.
+    """
+    places = coordinates.geographic(positions(poses, poses))
+    by_id = dict(zip(poses, places, strict=True))
+    write_geojson(Path(directory, "poses.geojson"), tracks, by_id)
+    write_kml(Path(directory, "poses.kml"), tracks, by_id)
 
 
 SOLUTION_FILES = (
@@ -156,7 +217,7 @@ def write_solution(
     errors: MapErrors,
     progress: Progress = silent,
     *,
-    placed: PlacedMap | None = None,
+    coordinates: MapCoordinates | None = None,
 ) -> None:
     """Write poses, graph, errors and figures into a folder.
 
@@ -165,12 +226,12 @@ def write_solution(
         solution: The map.
         errors: Its errors.
         progress: Called from time to time.
-        placed: Where the map lies in a coordinate system, for the report; None says nothing.
+        coordinates: Where the map lies, for the report; None says nothing.
 
     Raises:
         InputError: If the folder cannot be made or written to.
     """
-    from gpgrad_core.slam.figures import (  # noqa: PLC0415 - matplotlib takes half a second
+    from gpgrad_core.slam.plots import (  # noqa: PLC0415 - matplotlib takes half a second
         draw_errors,
         draw_trajectories,
     )
@@ -200,7 +261,7 @@ def write_solution(
     progress(0.9)
     with replacing(directory / "report.json") as unfinished:
         text = json.dumps(
-            _content(solution, errors, placed), indent=1, ensure_ascii=False, allow_nan=False
+            _content(solution, errors, coordinates), indent=1, ensure_ascii=False, allow_nan=False
         )
         unfinished.write_text(text + "\n", encoding="utf-8")
     progress(1.0)
@@ -232,7 +293,7 @@ def write_merged(
     params: MergeParams | None = None,
     progress: Progress = silent,
     *,
-    placed: PlacedMap | None = None,
+    coordinates: MapCoordinates | None = None,
 ) -> tuple[str, ...]:
     """Write all submaps as one cloud and one elevation map, in bounded memory.
 
@@ -243,8 +304,8 @@ def write_merged(
         solution: The map; its submaps are loaded one by one.
         terrain: Parameters of the GP.
         params: Parameters of the cloud and the map.
-        placed: Gives the coordinate system in which cloud and map are made; ``map.tif`` is then
-            cloud-optimised and names it. None makes them in the map's world.
+        coordinates: Those in which cloud and map are made; ``map.tif`` is then cloud-optimised
+            and names their system. None makes them in the map's world.
         progress: Called from time to time; may raise Cancelled.
 
     Returns:
@@ -266,26 +327,28 @@ def write_merged(
             tiles,
             count=len(solution.result.poses),
             voxel=params.voxel,
-            georeference=None if placed is None else placed.apply,
+            georeference=None if coordinates is None else coordinates.apply,
             progress=part(progress, 0.0, 0.15),
         )
         with replacing(directory / "cloud.ply") as unfinished:
             pieces = merge_clouds(gathered, params.voxel, part(progress, 0.15, 0.25))
             write_ply_pieces(unfinished, pieces)
-        if placed is not None:
+        if coordinates is not None:
             write_laz(
-                directory / "cloud.laz", merge_clouds(gathered, params.voxel), placed.georeference
+                directory / "cloud.laz",
+                merge_clouds(gathered, params.voxel),
+                coordinates.georeference,
             )
         merged = merge_maps(gathered, terrain, params, layers, part(progress, 0.25, 0.9))
         with replacing(directory / "map.npz") as unfinished:
             write_arrays(unfinished, merged.grid, merged.layers)
         progress(0.95)
-        if placed is None:
+        if coordinates is None:
             with replacing(directory / "map.tif") as unfinished:
                 write_raster(unfinished, merged.grid, merged.layers)
         else:
             write_cloud_optimised(
-                directory / "map.tif", merged.grid, merged.layers, placed.georeference
+                directory / "map.tif", merged.grid, merged.layers, coordinates.georeference
             )
         progress(1.0)
         return merged.notes
@@ -295,31 +358,31 @@ def _distances(
     solution: Solution, poses: Mapping[str, Pose], true: Mapping[str, Pose]
 ) -> dict[str, float]:
     """Measure each submap's distance [m] from its true position, each dataset aligned by itself."""
-    found: dict[str, float] = {}
+    distances: dict[str, float] = {}
     for names in solution.joined.traverses.values():
-        known = [name for name in names if name in true]
-        if len(known) < 2:
-            continue
-        truth = np.array([true[name].translation for name in known])
-        places = np.array([poses[name].translation for name in known])
-        left = np.linalg.norm(align_points(places, truth) - truth, axis=1)
-        found |= dict(zip(known, left.tolist(), strict=True))
-    return found
+        compared = [name for name in names if name in true]
+        if len(compared) >= 2:
+            truth = positions(compared, true)
+            errors = align_points(positions(compared, poses), truth) - truth
+            distances |= dict(zip(compared, np.linalg.norm(errors, axis=1).tolist(), strict=True))
+    return distances
 
 
-def _content(solution: Solution, errors: MapErrors, placed: PlacedMap | None) -> dict[str, Any]:
+def _content(
+    solution: Solution, errors: MapErrors, coordinates: MapCoordinates | None
+) -> dict[str, object]:
     """Make the content of ``report.json``: metres and radians, null for unknown."""
     numbers = vertex_numbers(solution.placed.graph)
     return {
         "dataset": solution.joined.outline.dataset.name,
         "gpgrad": VERSION,
         "coordinates": None
-        if placed is None
+        if coordinates is None
         else {
-            "crs": placed.georeference.name,
-            "origin": list(placed.georeference.origin),  # longitude, latitude, height
-            "placed_by_truth": placed.by_truth,
-            "world_yaw": placed.T_local_world.planar.yaw,
+            "crs": coordinates.georeference.name,
+            "origin": list(coordinates.georeference.origin),  # longitude, latitude, height
+            "placed_by_truth": coordinates.by_truth,
+            "world_yaw": coordinates.T_local_world.planar.yaw,
         },
         "sessions": {
             session: {

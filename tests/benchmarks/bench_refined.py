@@ -35,13 +35,13 @@ from gpgrad_core.evaluation import (
     average_precision,
     measure_pairs,
     pose_errors,
-    precision_recall,
     rank_pairs,
     run_methods,
 )
+from gpgrad_core.evaluation.precision_recall import precision_recall
 from gpgrad_core.methods import METHODS, Method, find_method
 from gpgrad_core.methods.described_clouds import height_between
-from gpgrad_core.methods.outcome import seen_from_above
+from gpgrad_core.methods.rival import seen_from_above
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.parallel import workers

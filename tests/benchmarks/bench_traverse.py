@@ -35,8 +35,8 @@ from gpgrad_core.pipeline import (
     MapDetector,
     PipelineParams,
     detect_loop_closures,
-    keeping,
     resolve_parameters,
+    with_store,
 )
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
@@ -187,7 +187,7 @@ def _detect(
         result = detect_loop_closures(
             dataset,
             params,
-            detector=keeping(
+            detector=with_store(
                 MapDetector(params, Memo()), store.with_room(2_000_000 * len(sources))
             ),
             candidates=watch.candidates,

@@ -21,7 +21,6 @@ from gpgrad_core.gradient_map import (
     sample_map,
 )
 from gpgrad_core.pipeline import infer_gradient_map
-from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.types import GradientMap, Submap
 from tests.core.ground import Ground, cloud, submap
 
@@ -79,23 +78,6 @@ def test_its_standard_deviation_is_honest() -> None:
     assert 0.9 < rms(error) < 1.1
 
 
-@settings(max_examples=10)
-@given(seed=seeds, length_scale=st.floats(0.2, 0.8))
-def test_slope_is_the_finite_difference_of_elevation(seed: int, length_scale: float) -> None:
-    params = MapParams(length_scale=length_scale, noise_std=0.05, resolution=0.02)
-    made = infer_gradient_map(submap(seed, 300, (2.0, 2.0)), params)
-    along_y, along_x = np.gradient(made.elevation, params.resolution)
-    inner = (slice(1, -1), slice(1, -1))
-    for axis, slope, difference in (
-        (1, made.slope[..., 0], along_x),
-        (0, made.slope[..., 1], along_y),
-    ):
-        # Central differences are off by h²/6 of the third derivative; h² of it is the slope's
-        # own second difference.
-        bound = 1.1 * np.abs(np.diff(slope, 2, axis=axis)).max() / 6
-        assert np.abs(slope - difference)[inner].max() <= bound
-
-
 @settings(max_examples=8)
 @given(seed=seeds)
 def test_turned_ground_has_turned_slopes(seed: int) -> None:
@@ -118,32 +100,6 @@ def test_turned_ground_has_turned_slopes(seed: int) -> None:
     expected = np.stack([-turn(upright.slope[..., 1]), turn(upright.slope[..., 0])], axis=-1)
     assert rms(turned_map.slope - expected) <= 0.01 * rms(expected)
     assert rms(turned_map.gradient - turn(upright.gradient)) <= 0.01 * rms(expected)
-
-
-@settings(max_examples=8)
-@given(seed=seeds, offset=st.tuples(*[st.floats(-500, 500)] * 3))
-def test_moved_points_move_the_map_and_nothing_else(
-    seed: int, offset: tuple[float, float, float]
-) -> None:
-    points = cloud(seed, 400, (2.0, 2.0))
-    here, there = (
-        infer_gradient_map(Submap.from_points(p), PARAMS)
-        for p in (points, points + np.array(offset))
-    )
-    # Rounding of a far offset may add a row that holds nothing of its own.
-    assert np.abs(np.subtract(here.grid.shape, there.grid.shape)).max() <= 1
-    rows, columns = np.minimum(here.grid.shape, there.grid.shape)
-    both = (slice(rows), slice(columns))
-    np.testing.assert_allclose(
-        there.grid.origin, np.add(here.grid.origin, offset[:2]), rtol=0, atol=1e-9
-    )
-    # What the solver leaves of the heights, 1 % of their noise, is itself rounded differently.
-    rounding = 1e-3 * PARAMS.terrain.noise_std
-    np.testing.assert_allclose(
-        there.elevation[both] - offset[2], here.elevation[both], atol=rounding
-    )
-    np.testing.assert_allclose(there.variance[both], here.variance[both], rtol=1e-5)
-    np.testing.assert_allclose(there.slope[both], here.slope[both], atol=rounding)
 
 
 @settings(max_examples=5)
@@ -259,23 +215,6 @@ def test_a_wide_cloud_is_refused_before_any_work() -> None:
 
     with pytest.raises(InputError, match=r"submap moon spans .* cells at 0\.03 m"):
         infer_gradient_map(Submap.from_points(points, "moon"), progress=never)
-
-
-def test_progress_may_cancel() -> None:
-    def stop(fraction: float) -> None:
-        raise Cancelled(fraction)
-
-    with pytest.raises(Cancelled):
-        infer_gradient_map(submap(4), PARAMS, stop)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("length_scale", 0.0), ("noise_std", -0.1), ("signal_std", 0.0), ("max_points", 2)],
-)
-def test_parameters_out_of_bounds_are_refused(name: str, value: float) -> None:
-    with pytest.raises(InputError, match=f"{name} must be from"):
-        TerrainParams(**{name: value})
 
 
 # --- noise of points -----------------------------------------------------------------------

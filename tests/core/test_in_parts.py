@@ -11,7 +11,7 @@ from gpgrad_core.gp.splat import Axis, Splat
 from gpgrad_core.gp.tiles import fit_tiles
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import infer_gradient_map
-from gpgrad_core.registration.relief import MOST_SIDE, thin_grid
+from gpgrad_core.registration.surface import MOST_SIDE, thin_grid
 from gpgrad_core.types import Features, Grid
 from tests.core.gp.oracle import grid_beyond
 from tests.core.ground import cloud, submap

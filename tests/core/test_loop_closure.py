@@ -19,48 +19,52 @@ def registration(num_inliers: int, score: float, found: bool = True) -> Registra
     return Registration(SE2() if found else None, inliers, 1.0, 10.0, 0.8, score)
 
 
-LOW = "score 7 < 7: the maps share only 10 m² of ground"
+ASKED = ClosureParams(min_inliers=8, min_score=7.0)
+NO_SCORE, NO_INLIERS = ClosureParams(9, 0.0), ClosureParams(0, 2.5)
 
 
 @pytest.mark.parametrize(
-    ("made", "accepted", "reason"),
+    ("made", "params", "accepted", "reason"),
     [
-        (registration(12, 9.5), True, "12 inliers >= 8, score 9.5 >= 7"),
-        (registration(8, 7.0), True, "8 inliers >= 8, score 7 >= 7"),
-        (registration(7, 50.0), False, "7 inliers < 8"),
-        (registration(20, 6.996), False, LOW),
-        (registration(7, 1.0), False, "7 inliers < 8"),
+        (registration(12, 9.5), ASKED, True, "12 inliers >= 8, score 9.5 >= 7"),
+        (registration(8, 7.0), ASKED, True, "8 inliers >= 8, score 7 >= 7"),
+        (registration(9, 3.0), NO_SCORE, True, "9 inliers >= 9"),
+        (registration(9, 3.0), NO_INLIERS, True, "score 3 >= 2.5"),
+        (registration(9, 3.0), ClosureParams(0, 0.0), True, "no threshold is set"),
+        (registration(7, 1.0), ASKED, False, "7 inliers < 8"),
         (
-            registration(0, 0.0, found=False),
+            registration(20, 6.996),
+            ASKED,
+            False,
+            "score 7 < 7: the maps share only 10 m² of ground",
+        ),
+        (
+            replace(registration(20, 6.0), overlap_area=0.0),
+            ASKED,
+            False,
+            "score 6 < 7",
+        ),
+        (
+            registration(5, 100.0, found=False),
+            ClosureParams(2, 0.0),
             False,
             "no motion was found: the maps have too little in common",
         ),
+        (
+            replace(registration(0, 0.0, found=False), nothing_trusted=True),
+            ClosureParams(0, 0.0),
+            False,
+            "cannot judge: the variance mask trusts no cell of one of the maps",
+        ),
     ],
 )
-def test_the_reason_says_what_decided(made: Registration, accepted: bool, reason: str) -> None:
-    closure = classify(made, ClosureParams(min_inliers=8, min_score=7.0))
+def test_the_reason_says_what_decided(
+    made: Registration, params: ClosureParams, accepted: bool, reason: str
+) -> None:
+    closure = classify(made, params)
     assert closure.accepted is accepted
     assert closure.reason == reason
     assert closure.registration is made
-
-
-def test_a_score_that_is_not_asked_for_is_not_named() -> None:
-    closure = classify(registration(9, 3.0), ClosureParams(min_inliers=9, min_score=0.0))
-    assert closure.accepted
-    assert closure.reason == "9 inliers >= 9"
-    closure = classify(registration(9, 3.0), ClosureParams(min_inliers=0, min_score=2.5))
-    assert closure.accepted
-    assert closure.reason == "score 3 >= 2.5"
-
-
-def test_no_motion_is_never_accepted() -> None:
-    lenient = ClosureParams(min_inliers=2, min_score=0.0)
-    assert not classify(registration(5, 100.0, found=False), lenient).accepted
-
-
-def test_the_names_are_handed_on() -> None:
-    closure = classify(registration(9, 9.0), query_id="007", database_id="001")
-    assert (closure.query_id, closure.database_id) == ("007", "001")
 
 
 @given(st.integers(0, 60), st.floats(0, 100), st.integers(2, 50), st.floats(0, 50))
@@ -111,13 +115,6 @@ def test_the_reason_of_a_refusal_names_what_spoke_against_it(
     closure = classify(made)
     assert not closure.accepted
     assert said in closure.reason
-
-
-def test_where_nothing_is_trusted_nothing_is_judged() -> None:
-    made = replace(registration(0, 0.0, found=False), nothing_trusted=True)
-    closure = classify(made, ClosureParams(min_inliers=0, min_score=0.0))
-    assert not closure.accepted
-    assert closure.reason == "cannot judge: the variance mask trusts no cell of one of the maps"
 
 
 def test_ground_that_lets_a_submap_slide_is_refused() -> None:

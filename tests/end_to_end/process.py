@@ -1,4 +1,4 @@
-"""A way to run the command as its users do: as a process."""
+"""Ways to run the command: in this process, as a process, and on a terminal."""
 
 import contextlib
 import io
@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from unittest.mock import patch
 
 import pytest
@@ -17,11 +17,16 @@ import pytest
 from app.cli import run
 
 ROOT = Path(__file__).resolve().parents[2]
+QUICK_MAP = (
+    *("--map.resolution", "0.1", "--map.length-scale", "0.3"),
+    *("--map.noise-std", "0.02", "--map.scale", "0.2"),
+)
+"""Flags with which a map needs no fit."""
 
 
 @dataclass(frozen=True)
 class Finished:
-    """What a process left."""
+    """What a command left."""
 
     code: int
     out: str
@@ -36,14 +41,6 @@ class Finished:
         assert len(lines) == 1, self.err
         assert lines[0].startswith("gpgrad: ")
         return lines[0].removeprefix("gpgrad: ")
-
-
-class Run(Protocol):
-    """Type of `run_gpgrad`."""
-
-    def __call__(self, *arguments: str | Path) -> Finished:
-        """Run it."""
-        ...
 
 
 def environment() -> dict[str, str]:
@@ -80,8 +77,8 @@ def start(*arguments: str | Path, **options: Any) -> "subprocess.Popen[str]":
         )
 
 
-def run_gpgrad(*arguments: str | Path) -> Finished:
-    """Run ``gpgrad`` to its end."""
+def gpgrad_process(*arguments: str | Path) -> Finished:
+    """Run ``gpgrad`` as its users do, as a process, to its end."""
     with start(*arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         try:
             out, err = process.communicate(timeout=180)
@@ -90,8 +87,8 @@ def run_gpgrad(*arguments: str | Path) -> Finished:
     return Finished(process.returncode, out, err)
 
 
-def run_here(*arguments: str | Path) -> Finished:
-    """Run ``gpgrad`` in this process: for what ends before any work, where starting is the cost."""
+def gpgrad(*arguments: str | Path) -> Finished:
+    """Run ``gpgrad`` in this process, where it starts at once."""
     out, err = io.StringIO(), io.StringIO()
     with (
         contextlib.redirect_stdout(out),

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.end_to_end.process import Run, run_here
+from tests.end_to_end.process import gpgrad
 
 PLY = """ply
 format binary_little_endian 1.0
@@ -67,7 +67,7 @@ BROKEN = {
 def test_a_cloud_that_cannot_be_used(tmp_path: Path, make: Callable[[Path], None]) -> None:
     cloud = tmp_path / "broken.ply"
     make(cloud)
-    line = run_here("map", cloud, "--out", tmp_path / "map.npz").refusal
+    line = gpgrad("map", cloud, "--out", tmp_path / "map.npz").refusal
     assert "broken" in line
     assert BROKEN[make] in line
     assert not (tmp_path / "map.npz").exists()
@@ -75,32 +75,26 @@ def test_a_cloud_that_cannot_be_used(tmp_path: Path, make: Callable[[Path], None
 
 @pytest.mark.parametrize("make", [truncated, ten_kilometres], ids=lambda make: make.__name__)
 def test_one_broken_cloud_of_a_dataset_is_named(
-    gpgrad: Run, traverse: Path, tmp_path: Path, make: Callable[[Path], None]
+    data: Path, tmp_path: Path, make: Callable[[Path], None]
 ) -> None:
-    dataset = tmp_path / "data"
-    shutil.copytree(traverse, dataset)
-    (dataset / "submaps" / "002.xyz").unlink()
-    make(dataset / "submaps" / "002.ply")
+    (data / "submaps" / "002.xyz").unlink()
+    make(data / "submaps" / "002.ply")
     out = tmp_path / "closures.json"
-    line = gpgrad("detect", dataset, "--out", out).refusal
+    line = gpgrad("detect", data, "--out", out).refusal
     assert "002" in line
     assert not out.exists()
 
 
 @pytest.mark.slow
-def test_broken_rows_are_dropped_and_counted_aloud(
-    gpgrad: Run, traverse: Path, tmp_path: Path
-) -> None:
-    dataset = tmp_path / "data"
-    shutil.copytree(traverse, dataset)
+def test_broken_rows_are_dropped_and_counted_aloud(data: Path, tmp_path: Path) -> None:
     for index in (1, 2):  # two submaps make one pair: enough here
-        (dataset / "submaps" / f"00{index}.xyz").unlink()
-    (dataset / "poses_odom.txt").unlink()
-    cloud = dataset / "submaps" / "000.xyz"
+        (data / "submaps" / f"00{index}.xyz").unlink()
+    (data / "poses_odom.txt").unlink()
+    cloud = data / "submaps" / "000.xyz"
     lines = cloud.read_text().splitlines()
     lines[3] = lines[9] = "nan 0 0"
     cloud.write_text("\n".join(lines))
-    finished = gpgrad("detect", dataset, "--out", tmp_path / "closures.json")
+    finished = gpgrad("detect", data, "--out", tmp_path / "closures.json")
     assert finished.code == 0, finished.err
     (note,) = finished.err.splitlines()
     assert note.startswith("gpgrad: ")
@@ -108,60 +102,74 @@ def test_broken_rows_are_dropped_and_counted_aloud(
     assert "2 of 5,000" in note
 
 
-def test_a_missing_folder(gpgrad: Run, tmp_path: Path) -> None:
-    line = gpgrad("detect", tmp_path / "nowhere", "--out", tmp_path / "a.json").refusal
-    assert str(tmp_path / "nowhere") in line
+@pytest.fixture
+def data(traverse: Path, tmp_path: Path) -> Path:
+    """A traverse that may be spoilt."""
+    return shutil.copytree(traverse, tmp_path / "data")
 
 
-def test_a_folder_without_clouds(gpgrad: Run, tmp_path: Path) -> None:
-    line = gpgrad("detect", tmp_path, "--out", tmp_path / "a.json").refusal
-    assert str(tmp_path) in line
+def with_an_empty_folder(data: Path) -> None:
+    (data / "images").mkdir()
 
 
-def test_a_folder_where_a_cloud_is_wanted(gpgrad: Run, tmp_path: Path) -> None:
-    assert "is a folder" in gpgrad("map", tmp_path, "--out", tmp_path / "a.npz").refusal
+def without_odometry(data: Path) -> None:
+    (data / "poses_odom.txt").unlink()
 
 
-def test_a_pose_of_an_unknown_submap(gpgrad: Run, traverse: Path, tmp_path: Path) -> None:
-    dataset = tmp_path / "data"
-    shutil.copytree(traverse, dataset)
-    with (dataset / "poses_odom.txt").open("a") as poses:
+def with_a_stray_pose(data: Path) -> None:
+    with (data / "poses_odom.txt").open("a") as poses:
         poses.write("99 0 0 0 0 0 0 1\n")
-    line = gpgrad("detect", dataset, "--out", tmp_path / "a.json").refusal
-    assert "poses_odom.txt" in line
-    assert "5" in line  # the line of the file
-    assert "99" in line
 
 
-def test_a_graph_without_odometry(gpgrad: Run, traverse: Path, tmp_path: Path) -> None:
-    dataset = tmp_path / "data"
-    shutil.copytree(traverse, dataset)
-    (dataset / "poses_odom.txt").unlink()
-    out, graph = tmp_path / "a.json", tmp_path / "a.g2o"
-    line = gpgrad("detect", dataset, "--out", out, "--g2o", graph).refusal
-    assert "needs odometry" in line
-    assert not out.exists()
+def with_a_wrong_preference(data: Path) -> None:
+    (data / "dataset.toml").write_text("[preferred.map]\nlength_scale = -1\n")
 
 
-def test_parameters_that_there_are_not(gpgrad: Run, traverse: Path, tmp_path: Path) -> None:
-    toml = tmp_path / "mine.toml"
-    toml.write_text("[map]\nlenght_scale = 0.3\n")
-    line = gpgrad("detect", traverse, "--out", tmp_path / "a.json", "--params", toml).refusal
-    assert f"{toml}: unknown parameter map.lenght_scale" in line
-    gone = tmp_path / "gone.toml"
-    line = gpgrad("detect", traverse, "--out", tmp_path / "a.json", "--params", gone).refusal
-    assert line == f"{gone}: No such file or directory"
+def with_unknown_parameters(data: Path) -> None:
+    (data / "mine.toml").write_text("[map]\nlenght_scale = 0.3\n")
 
 
-def test_a_dataset_that_prefers_what_there_is_not(
-    gpgrad: Run, traverse: Path, tmp_path: Path
+@pytest.mark.parametrize(
+    ("arguments", "said", "spoil"),
+    [
+        ("detect {data}/nowhere --out {out}", "{data}/nowhere", None),
+        (
+            "detect {data}/images --out {out}",
+            "{data}/images",
+            with_an_empty_folder,
+        ),
+        ("map {data} --out {out}.npz", "is a folder", None),
+        ("view {data}/nowhere --no-open", "nowhere", None),
+        ("evaluate {data} --out {out}", "add poses_gt.txt", None),
+        ("detect {data} --out {out} --pair 003 003", "003 beside itself", None),
+        ("detect {data} --out {out} --candidates some", "a whole number, all or automatic", None),
+        ("detect {data} --out {out} --g2o {out}.g2o", "needs odometry", without_odometry),
+        ("detect {data} --out {out}", "poses_odom.txt, line 5", with_a_stray_pose),
+        (
+            "detect {data} --out {out} --params {data}/mine.toml",
+            "{data}/mine.toml: unknown parameter map.lenght_scale",
+            with_unknown_parameters,
+        ),
+        (
+            "detect {data} --out {out} --params {data}/gone.toml",
+            "{data}/gone.toml: No such file or directory",
+            None,
+        ),
+        (
+            "detect {data} --out {out}",
+            "dataset.toml, [preferred]: map.length_scale must be from 0.01 to 100 m, got -1",
+            with_a_wrong_preference,
+        ),
+    ],
+)
+def test_an_input_that_cannot_be_used(
+    arguments: str, said: str, spoil: Callable[[Path], None] | None, data: Path, tmp_path: Path
 ) -> None:
-    dataset = tmp_path / "data"
-    shutil.copytree(traverse, dataset)
-    (dataset / "dataset.toml").write_text("[preferred.map]\nlength_scale = -1\n")
-    line = gpgrad("detect", dataset, "--out", tmp_path / "a.json").refusal
-    assert "dataset.toml" in line
-    assert "map.length_scale must be from 0.01 to 100 m, got -1" in line
+    if spoil is not None:
+        spoil(data)
+    places = {"data": data, "out": tmp_path / "a.json"}
+    assert said.format(**places) in gpgrad(*arguments.format(**places).split()).refusal
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
 @pytest.mark.parametrize(
@@ -171,7 +179,7 @@ def test_a_dataset_that_prefers_what_there_is_not(
 @pytest.mark.parametrize("seed", ["-1", "4294967296", "99999999999999999999", "1.5", "nan"])
 def test_a_seed_has_bounds(traverse: Path, tmp_path: Path, verb: str, flag: str, seed: str) -> None:
     out = [] if verb == "fit" else ["--out", str(tmp_path / "out")]
-    refused = run_here(verb, traverse, *out, flag, seed).refusal
+    refused = gpgrad(verb, traverse, *out, flag, seed).refusal
     assert "from 0 to 4294967295" in refused or "a whole number" in refused
     assert "seed" in refused
 
@@ -186,4 +194,4 @@ def test_a_seed_has_bounds(traverse: Path, tmp_path: Path, verb: str, flag: str,
     ],
 )
 def test_who_may_come_in_is_said_in_the_right_words(arguments: tuple[str, ...], words: str) -> None:
-    assert words in run_here("view", "--no-open", *arguments).refusal
+    assert words in gpgrad("view", "--no-open", *arguments).refusal

@@ -17,14 +17,14 @@ from gpgrad_core.pipeline import (
     MapDetector,
     PipelineParams,
     detect_loop_closures,
-    keeping,
+    with_store,
 )
 from gpgrad_core.run.cluster import connected
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.types import Dataset
-from tests.end_to_end.process import Run
+from tests.end_to_end.process import gpgrad
 
 distributed = pytest.importorskip("distributed")
 PARAMS = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, resolution=0.06, scale=0.2))
@@ -51,7 +51,7 @@ def content(path: Path) -> dict[str, Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", [True, False], ids=["by path", "by value"])
 def test_the_same_file_as_on_one_machine(
-    gpgrad: Run, traverse: Path, cluster: Any, tmp_path: Path, kept: bool
+    traverse: Path, cluster: Any, tmp_path: Path, kept: bool
 ) -> None:
     alone, beside = tmp_path / "alone.json", tmp_path / "beside.json"
     assert gpgrad("detect", traverse, "--out", alone, "--cache", "none").code == 0
@@ -68,7 +68,7 @@ def test_the_same_file_as_on_one_machine(
 def detected(
     dataset: Dataset, store: Store | None, progress: Progress = silent, **named: Any
 ) -> DetectionResult:
-    detector = keeping(MapDetector(PARAMS, Memo()), store)
+    detector = with_store(MapDetector(PARAMS, Memo()), store)
     return detect_loop_closures(dataset, PARAMS, detector=detector, progress=progress, **named)
 
 
@@ -108,9 +108,7 @@ def test_files_that_only_this_machine_has_are_told_apart(cluster: Any, tmp_path:
 
 
 @pytest.mark.slow
-def test_where_no_scheduler_is_the_line_says_what_to_do(
-    gpgrad: Run, traverse: Path, tmp_path: Path
-) -> None:
+def test_where_no_scheduler_is_the_line_says_what_to_do(traverse: Path, tmp_path: Path) -> None:
     address = "tcp://127.0.0.1:9"
     line = gpgrad("detect", traverse, "--out", tmp_path / "c.json", "--scheduler", address).refusal
     assert f"--scheduler {address}: no Dask scheduler answers there" in line

@@ -14,14 +14,12 @@ from gpgrad_core.params.fields import with_path
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.pipeline import PipelineParams, register_pair, resolve_parameters
 from gpgrad_core.run.memo import Memo
-from tests.end_to_end.process import Run
+from tests.end_to_end.process import gpgrad
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turned", [False, True])
-def test_it_gives_the_same_numbers(
-    gpgrad: Run, traverse: Path, tmp_path: Path, turned: bool
-) -> None:
+def test_it_gives_the_same_numbers(traverse: Path, tmp_path: Path, turned: bool) -> None:
     dataset = load_dataset(traverse)
     params = preferred_parameters(dataset, PipelineParams())
     for path, value in (
@@ -60,9 +58,3 @@ def test_it_gives_the_same_numbers(
         (found["T_database_query"]["yaw"], motion.yaw),
     ):
         assert told == float(f"{exact:.9g}")  # all digits that the file has
-
-
-def test_a_pair_that_is_none_is_refused(gpgrad: Run, traverse: Path, tmp_path: Path) -> None:
-    out = tmp_path / "closures.json"
-    refused = gpgrad("detect", traverse, "--out", out, "--pair", "003", "003")
-    assert "003 beside itself" in refused.refusal

@@ -17,14 +17,15 @@ import pytest
 
 from app.cli import run
 from gpgrad_core.datasets import SimulationParams
+from gpgrad_core.run.folders import JUST_MADE, TemporaryFolder
 from gpgrad_core.run.parallel import SOCKETS
-from gpgrad_core.run.whole import JUST_MADE, TemporaryFolder
 from gpgrad_core.scans import simulate_recording
 from tests.core.scans.test_build import contents
-from tests.end_to_end.conftest import POSES
-from tests.end_to_end.process import ROOT, environment, interruptible, run_here, start
+from tests.end_to_end.process import QUICK_MAP, ROOT, environment, gpgrad, interruptible, start
+from tests.end_to_end.test_simulate import TINY
+from tests.end_to_end.test_slam import write_by_hand
+from tests.kills.killing import running
 
-TINY = ("--num-submaps", "2", "--spacing", "1", "--extent", "16", "--max-range", "3")
 linux = pytest.mark.skipif(sys.platform != "linux", reason="looks at signals and /proc")
 
 
@@ -54,7 +55,7 @@ def test_simulate_scans_leaves_no_part_of_a_recording(tmp_path: Path, kill: int)
         _, said = process.communicate(timeout=60)
     if kill == signal.SIGKILL:
         assert names(tmp_path) == [".drive.part"]
-        refused = run_here("build", unfinished, "--out", tmp_path / "data").refusal
+        refused = gpgrad("build", unfinished, "--out", tmp_path / "data").refusal
         assert "is a recording that is not finished" in refused
         assert run(["simulate", str(out), "--scans", "3", *TINY]) == 0
         assert names(tmp_path) == ["drive"]  # what was left is gone
@@ -96,28 +97,14 @@ def test_the_workers_of_a_killed_process_end(tmp_path: Path) -> None:
         ) as process,
     ):
         wait_for(lambda: len(list(tmp_path.glob("begun-*"))) == 2)
-        assert len(session(process.pid)) >= 3
+        assert len(running(process.pid)) >= 3
         process.kill()
         assert process.wait(60) == -signal.SIGKILL
-    wait_for(lambda: not session(process.pid), 30)
+    wait_for(lambda: not running(process.pid), 30)
     time.sleep(JUST_MADE)
     assert len(list(short.glob(f"{SOCKETS}*/pymp-*/*"))) == 1
     TemporaryFolder(SOCKETS, short).cleanup()
     short.rmdir()  # what was left, a socket in a folder, is gone
-
-
-def session(number: int) -> list[str]:
-    """Processes of a session that still run."""
-    found: list[str] = []
-    for folder in Path("/proc").iterdir():
-        if folder.name.isdigit():
-            try:
-                state, _, _, owner, *_ = (folder / "stat").read_text().rpartition(")")[2].split()
-            except OSError:  # it has ended
-                continue
-            if int(owner) == number and state not in "ZX":
-                found.append(folder.name)
-    return found
 
 
 @pytest.mark.slow
@@ -139,7 +126,7 @@ def test_the_viewer_takes_its_uploads_along(traverse: Path, tmp_path: Path) -> N
     assert process.returncode == 143
     assert said.splitlines() == ["gpgrad: terminated"]
     assert not list(tmp_path.glob("gpgrad-*"))
-    wait_for(lambda: not session(process.pid), 30)
+    wait_for(lambda: not running(process.pid), 30)
 
 
 def test_a_signal_while_all_is_loaded_is_a_line_too() -> None:
@@ -190,27 +177,7 @@ def short(traverse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def closures(tmp_path: Path) -> Path:
     """Its loop closure, so that slam need not detect."""
-    pair = {
-        "query": "003",
-        "database": "000",
-        "num_inliers": 20,
-        "score": 5.0,
-        "dissimilarity": 1.0,
-        "overlap_area": 20.0,
-        "accepted": True,
-        "reason": "by hand",
-        "T_database_query": {"x": POSES[3][0], "y": POSES[3][1], "yaw": POSES[3][2]},
-    }
-    content = {key: {} for key in ("params", "versions", "seconds")} | {
-        "dataset": "x",
-        "method": "mine",
-        "seed": 0,
-        "submaps": [],
-        "pairs": [pair],
-    }
-    file = tmp_path / "closures.json"
-    file.write_text(json.dumps(content))
-    return file
+    return write_by_hand(tmp_path / "closures.json", accepted=True)
 
 
 def slam(dataset: Path, closures: Path, out: Path, *flags: str) -> int:
@@ -261,7 +228,7 @@ def test_slam_replaces_only_what_it_is_told_to(
 def test_an_incomplete_copy_of_a_recording_is_refused(tmp_path: Path) -> None:
     assert run(["simulate", str(tmp_path / "drive"), "--scans", "5", *TINY]) == 0
     next((tmp_path / "drive" / "scans").iterdir()).unlink()
-    refused = run_here("build", tmp_path / "drive", "--out", tmp_path / "data").refusal
+    refused = gpgrad("build", tmp_path / "drive", "--out", tmp_path / "data").refusal
     assert "times.txt: holds 5 times for 4 scans; the recording is not complete" in refused
 
 
@@ -277,7 +244,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for place in (
         *("gpgrad_core.datasets.simulate.run_jobs", "app.cli.comparing.detect_loop_closures"),
-        *("app.cli.detect.settled", "app.cli.evaluate.run_methods", "app.cli.slam.settled"),
+        *("app.cli.comparing.settled", "app.cli.evaluate.run_methods", "app.cli.slam.settled"),
         "app.cli.reproduce.study",
         *("app.cli.fit.fit_parameters", "app.cli.map.infer_gradient_map"),
         *("gpgrad_core.scans.simulate.make_terrain", "gpgrad_core.scans.build.open_recording"),
@@ -290,17 +257,17 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_simulate_refuses_at_once(tmp_path: Path, flags: tuple[str, ...]) -> None:
     """It worked for 50 seconds first."""
     (tmp_path / "mine.txt").touch()
-    assert "is not empty" in run_here("simulate", tmp_path, *flags).refusal
+    assert "is not empty" in gpgrad("simulate", tmp_path, *flags).refusal
     taken = tmp_path / "mine.txt"
-    assert "is a file" in run_here("simulate", taken, *flags).refusal
+    assert "is a file" in gpgrad("simulate", taken, *flags).refusal
 
 
 def test_a_route_that_fits_nowhere_is_told_so(tmp_path: Path) -> None:
     """It asked for an extent of 402 m, where 240 m is the most allowed."""
     flags = ("--route", "winding", "--num-submaps", "200")
-    line = run_here("simulate", tmp_path / "data", *flags).refusal
+    line = gpgrad("simulate", tmp_path / "data", *flags).refusal
     assert "need an extent of 402 m, more than the 240 m allowed; lower num_submaps" in line
-    line = run_here("simulate", tmp_path / "data", "--route", "winding").refusal
+    line = gpgrad("simulate", tmp_path / "data", "--route", "winding").refusal
     assert "extent must be 62 m or more for 24 submaps" in line
 
 
@@ -334,7 +301,7 @@ def test_what_can_be_known_is_refused_before_the_work(
     for name in there:
         (tmp_path / name).write_text("old")
     places = {"data": traverse, "tmp": tmp_path}
-    line = run_here(*(argument.format(**places) for argument in arguments)).refusal
+    line = gpgrad(*(argument.format(**places) for argument in arguments)).refusal
     assert said in line
     assert names(tmp_path) == there
 
@@ -388,13 +355,14 @@ def test_an_output_never_replaces_an_input(data: Path, tmp_path: Path, arguments
     (tmp_path / "x.ply").write_bytes(b"ply")
     (tmp_path / "report.json").write_text("{}")
     before = contents(tmp_path)
-    line = run_here(*arguments.format(data=data, tmp=tmp_path).split()).refusal
+    line = gpgrad(*arguments.format(data=data, tmp=tmp_path).split()).refusal
     assert "input" in line
     assert contents(tmp_path) == before
 
 
 def test_other_files_in_a_dataset_may_be_written(data: Path) -> None:
-    assert run(["map", str(data / "submaps" / "001.xyz"), "--out", str(data / "001.npz")]) == 0
+    cloud, out = str(data / "submaps" / "001.xyz"), str(data / "001.npz")
+    assert run(["map", cloud, "--out", out, *QUICK_MAP]) == 0
     assert (data / "001.npz").is_file()
 
 
@@ -414,9 +382,8 @@ def test_simulate_replaces_what_was_simulated(
     assert run(["simulate", str(out), "--seed", "1", "--overwrite", *small]) == 0
     assert contents(out).keys() == before.keys()
     assert contents(out) != before
-    assert run(["simulate", str(out), "--scans", "3", "--overwrite", *TINY]) == 0
+    assert run(["simulate", str(out), "--scans", "3", "--overwrite", *small]) == 0
     assert names(out) == ["poses.txt", "poses_gt.txt", "scans", "times.txt"]
-    assert run(["simulate", str(out), "--scans", "4", "--overwrite", *TINY]) == 0
     assert names(tmp_path) == ["data"]
 
 
@@ -425,7 +392,7 @@ def test_nothing_else_is_ever_replaced(tmp_path: Path, there: str) -> None:
     out = tmp_path / "data"
     out.mkdir()
     (out / there).mkdir()
-    line = run_here("simulate", out, "--overwrite", *TINY).refusal
+    line = gpgrad("simulate", out, "--overwrite", *TINY).refusal
     assert ("holds mine.txt" if there == "mine.txt" else "gpgrad did not make") in line
     assert names(out) == [there]
 
@@ -436,7 +403,7 @@ def test_build_replaces_what_was_built(tmp_path: Path) -> None:
     arguments = ["build", str(tmp_path / "drive"), "--out", str(tmp_path / "data")]
     assert run(arguments) == 0
     before = contents(tmp_path / "data")
-    assert "is not empty" in run_here(*arguments).refusal
+    assert "is not empty" in gpgrad(*arguments).refusal
     assert run([*arguments, "--overwrite", "--voxel-size", "0.2"]) == 0
     assert contents(tmp_path / "data") != before
     assert names(tmp_path) == ["data", "drive"]

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,25 +11,18 @@ import app.cli.evaluate
 from gpgrad_core.datasets import write_dataset
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
-from tests.core.evaluation.test_problems import found, write, yard
-from tests.end_to_end.process import Run, run_here, run_on_terminal
+from tests.core.evaluation.test_registration_benchmark import found, write, yard
+from tests.end_to_end.process import gpgrad, run_on_terminal
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
-def known(traverse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small traverse, with its truth."""
-    folder = tmp_path_factory.mktemp("known") / "traverse"
-    shutil.copytree(traverse, folder)
-    shutil.copy(folder / "poses_odom.txt", folder / "poses_gt.txt")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def report(gpgrad: Run, known: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(with_truth: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("out") / "report"
-    finished = gpgrad("evaluate", known, "--out", folder, "--seed", "3", "--num-resamples", "10")
+    finished = gpgrad(
+        "evaluate", with_truth, "--out", folder, "--seed", "3", "--num-resamples", "10"
+    )
     assert finished.code == 0, finished.err
     assert finished.err == ""
     told, where = finished.out.splitlines()
@@ -39,6 +31,7 @@ def report(gpgrad: Run, known: Path, tmp_path_factory: pytest.TempPathFactory) -
     return folder
 
 
+@pytest.mark.slow
 def test_the_revisit_is_judged(report: Path) -> None:
     content = json.loads((report / "report.json").read_text())
     assert content["seed"] == 3
@@ -52,7 +45,7 @@ def test_the_revisit_is_judged(report: Path) -> None:
 
 @pytest.mark.slow
 def test_what_was_found_can_be_judged_again_otherwise(
-    gpgrad: Run, known: Path, report: Path, tmp_path: Path
+    with_truth: Path, report: Path, tmp_path: Path
 ) -> None:
     found = json.loads((report / "closures_gradient.json").read_text())
     assert found["params"]["registration"]["seed"] == 3
@@ -61,7 +54,7 @@ def test_what_was_found_can_be_judged_again_otherwise(
     mine = tmp_path / "mine.json"
     mine.write_text(json.dumps(found))
     finished = gpgrad(
-        *("evaluate", known, "--out", tmp_path / "again", "--min-overlap", "0.99"),
+        *("evaluate", with_truth, "--out", tmp_path / "again", "--min-overlap", "0.99"),
         *("--closures", report / "closures_gradient.json", mine, "--neighbours", "0"),
         *("--protocol", "paper"),
     )
@@ -78,15 +71,13 @@ def test_what_was_found_can_be_judged_again_otherwise(
 
 
 @pytest.mark.slow
-def test_the_least_file_of_the_leaderboard_is_judged(
-    gpgrad: Run, known: Path, tmp_path: Path
-) -> None:
+def test_the_least_file_of_the_leaderboard_is_judged(with_truth: Path, tmp_path: Path) -> None:
     page = (ROOT / "assets" / "guide" / "leaderboard.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"^```json\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
     mine = tmp_path / "mine.json"
     mine.write_text(example)
     finished = gpgrad(
-        *("evaluate", known, "--out", tmp_path / "r", "--closures", mine),
+        *("evaluate", with_truth, "--out", tmp_path / "r", "--closures", mine),
         *("--num-resamples", "0"),
     )
     assert finished.code == 0, finished.err
@@ -94,17 +85,10 @@ def test_the_least_file_of_the_leaderboard_is_judged(
     assert finished.out.startswith("a tool of mine: AP ")
 
 
-def test_missing_truth_says_which_file_is_needed(
-    gpgrad: Run, traverse: Path, tmp_path: Path
-) -> None:
-    said = gpgrad("evaluate", traverse, "--out", tmp_path / "r").refusal
-    assert "add poses_gt.txt" in said
-    assert not (tmp_path / "r").exists()
-
-
-def test_an_interrupt_leaves_nothing(known: Path, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_an_interrupt_leaves_nothing(with_truth: Path, tmp_path: Path) -> None:
     out = tmp_path / "r"
-    code, seen = run_on_terminal("evaluate", known, "--out", out, interrupt_at=b"evaluate")
+    code, seen = run_on_terminal("evaluate", with_truth, "--out", out, interrupt_at=b"evaluate")
     assert code == 130
     assert "gpgrad: interrupted" in seen
     assert "Traceback" not in seen
@@ -124,7 +108,7 @@ def test_the_command_compares_only_the_listed_pairs(
 
     monkeypatch.setattr(app.cli.evaluate, "run_methods", noted)
     out = ("--out", tmp_path / "report", "--pairs", file)
-    finished = run_here("evaluate", tmp_path / "yard", *out)
+    finished = gpgrad("evaluate", tmp_path / "yard", *out)
     assert finished.code == 0, finished.err
     assert asked == [{("yard_002", "yard_000")}]
     assert "only the 1 listed of 3 pairs are compared and judged" in finished.err

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.core.ground import cloud
-from tests.end_to_end.process import Run
+from tests.end_to_end.process import gpgrad
 
 
 @pytest.fixture
@@ -17,9 +17,7 @@ def ground(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_what_is_found_is_told_and_serves_other_verbs(
-    gpgrad: Run, ground: Path, tmp_path: Path
-) -> None:
+def test_what_is_found_is_told_and_serves_other_verbs(ground: Path, tmp_path: Path) -> None:
     out = tmp_path / "fit.toml"
     finished = gpgrad("fit", ground, "--out", out)
     assert finished.code == 0, finished.err
@@ -41,9 +39,7 @@ def test_what_is_found_is_told_and_serves_other_verbs(
 
 
 @pytest.mark.slow
-def test_every_submap_gets_the_numbers_that_the_paper_method_uses(
-    gpgrad: Run, tmp_path: Path
-) -> None:
+def test_every_submap_gets_the_numbers_that_the_paper_method_uses(tmp_path: Path) -> None:
     folder, out = tmp_path / "data", tmp_path / "fits.csv"
     folder.mkdir()
     for k in range(2):
@@ -64,10 +60,3 @@ def test_every_submap_gets_the_numbers_that_the_paper_method_uses(
         assert row.split()[:4] == [own["id"], *(f"{number:.4g}" for number in numbers)]
     refused = gpgrad("fit", folder, "--each", "--out", tmp_path / "fits.toml")
     assert refused.refusal.endswith("the ending must be one of .csv")
-
-
-def test_a_seed_below_zero(gpgrad: Run, ground: Path) -> None:
-    assert (
-        gpgrad("fit", ground, "--seed", "-1").refusal
-        == "--seed must be from 0 to 4294967295, got -1"
-    )

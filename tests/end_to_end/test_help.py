@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gpgrad_core.version import VERSION
-from tests.end_to_end.process import ROOT, Run, environment, run_here
+from tests.end_to_end.process import ROOT, environment, gpgrad, gpgrad_process
 
 VERBS = (
     *("view", "detect", "evaluate", "reproduce", "map", "fit", "build", "slam", "locate"),
@@ -17,12 +17,12 @@ VERBS = (
 )
 
 
-def test_version(gpgrad: Run) -> None:
+def test_version() -> None:
     finished = gpgrad("--version")
     assert (finished.code, finished.out, finished.err) == (0, f"{VERSION}\n", "")
 
 
-def test_the_verbs_are_listed(gpgrad: Run) -> None:
+def test_the_verbs_are_listed() -> None:
     finished = gpgrad("--help")
     assert finished.code == 0
     for verb in VERBS:
@@ -31,7 +31,7 @@ def test_the_verbs_are_listed(gpgrad: Run) -> None:
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
-    finished = run_here(verb, "--help")
+    finished = gpgrad(verb, "--help")
     assert finished.code == 0
     assert finished.err == ""
     text = " ".join(re.sub(r"[│╭╮╰╯─]", " ", finished.out).split())
@@ -63,9 +63,6 @@ def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
             ("detect", "x", "--out", "a.json", "--closure.min-inliers", "-1"),
             "--closure.min-inliers: the value must be from 0 to 1000, got -1",
         ),
-        (("detect", "x", "--out", "a.txt"), "a.txt: the ending must be one of .json"),
-        (("detect", "x", "--out", "no/where/a.json"), "no/where/a.json: cannot write"),
-        (("detect", "x", "--out", "a.json", "--g2o", "no/a.g2o"), "no/a.g2o: cannot write"),
         (("evaluate", "x", "--out", "r", "--method", "magic"), "unknown --method 'magic'"),
         (("reproduce", "--out", "r"), "DATASET"),
         (("reproduce", "x"), "--out"),
@@ -73,8 +70,6 @@ def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
         (("reproduce", "x", "--out", "r", "--figure", "7"), "--figure 7: there is no such figure"),
         (("reproduce", "x", "x", "--out", "r"), "x: is given twice; give it once"),
         (("reproduce", "x", "--out", "r", "--method", "chance"), "chance: has no gradient maps"),
-        (("map", "x.ply", "--out", "a.jpg"), "a.jpg: the ending must be one of .npz"),
-        (("fit", "x", "--out", "a.json"), "a.json: the ending must be one of .toml"),
         (("simulate", "x", "--num-submaps", "-3"), "--num-submaps: the value must be from"),
         (("view", "--port", "abc"), "--port: the value must be a whole number, got 'abc'"),
         (("evaluate", "x", "--out", "y", "--seed", "q"), "--seed: the value must be a whole"),
@@ -82,10 +77,10 @@ def test_every_flag_has_a_text_and_a_default(verb: str) -> None:
     ],
 )
 def test_wrong_usage_is_one_line(arguments: tuple[str, ...], said: str) -> None:
-    assert said in run_here(*arguments).refusal
+    assert said in gpgrad(*arguments).refusal
 
 
-@pytest.mark.parametrize("arguments", [("detect", "--help"), ("--help",), ("--version",)])
+@pytest.mark.parametrize("arguments", [("simulate", "--help"), ("--version",)])
 def test_who_stops_reading_is_told_nothing(arguments: tuple[str, ...]) -> None:
     unread, output = os.pipe()
     os.close(unread)  # as `| head` does, once it has enough
@@ -103,8 +98,8 @@ def test_who_stops_reading_is_told_nothing(arguments: tuple[str, ...]) -> None:
     assert (finished.returncode, finished.stderr) == (141, b"")
 
 
-def test_wrong_usage_ends_the_process_with_2(gpgrad: Run) -> None:
-    assert "--out" in gpgrad("detect").refusal
+def test_wrong_usage_ends_the_process_with_2() -> None:
+    assert "FOLDER" in gpgrad_process("simulate").refusal
 
 
 def test_help_comes_quickly_and_without_the_viewer() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from app.cli import run
 from gpgrad_core.datasets import load_dataset
-from tests.end_to_end.process import run_here
+from tests.end_to_end.process import gpgrad
 
 rasterio = pytest.importorskip("rasterio", reason="rasterio is not installed")
 CELL, SIDE = 0.2, 250
@@ -45,7 +45,7 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_drive_is_found(driven: Path) -> None:
     out, shown = driven / "located.json", driven / "shown"
     arguments = ("locate", str(driven / "drive"), "--map", str(driven / "dem.tif"), "--out")
-    finished = run_here(*arguments, str(out), "--show", str(shown))
+    finished = gpgrad(*arguments, str(out), "--show", str(shown))
     assert finished.code == 0, finished.err
     assert "submaps found on dem.tif" in finished.out
     content = json.loads(out.read_text())
@@ -63,7 +63,7 @@ def test_a_drive_is_found(driven: Path) -> None:
     accepted = [row["submap"] for row in content["submaps"] if row["accepted"]]
     assert accepted
     assert [one.id for one in load_dataset(shown).submaps][:-1] == accepted
-    again = run_here(*arguments, str(out))
+    again = gpgrad(*arguments, str(out))
     assert (again.code, again.err.count("\n")) == (2, 1)
     assert "--overwrite" in again.err
 
@@ -83,7 +83,7 @@ def test_what_cannot_be_done_is_said_in_one_line(
     flags: tuple[str, ...], said: str, driven: Path
 ) -> None:
     drive, terrain, out = (str(driven / name) for name in ("drive", "dem.tif", "no.json"))
-    finished = run_here("locate", drive, "--map", terrain, "--out", out, *flags)
+    finished = gpgrad("locate", drive, "--map", terrain, "--out", out, *flags)
     assert (finished.code, finished.err.count("\n")) == (2, 1), finished.err
     assert said in finished.err
     assert not Path(out).exists()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.end_to_end.process import Run
+from tests.end_to_end.process import QUICK_MAP, gpgrad, run_on_terminal
 
 
 @pytest.fixture
@@ -22,10 +22,10 @@ def cloud(tmp_path: Path) -> Path:
 
 
 def test_arrays_hold_the_terrain_and_broken_rows_are_counted_aloud(
-    gpgrad: Run, cloud: Path, tmp_path: Path
+    cloud: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "map.npz"
-    finished = gpgrad("map", cloud, "--out", out, "--map.resolution", "0.1")
+    finished = gpgrad("map", cloud, "--out", out, *QUICK_MAP)
     assert finished.code == 0, finished.err
     dropped, outlying = finished.err.splitlines()
     assert dropped.startswith("gpgrad: ")
@@ -49,18 +49,30 @@ def test_arrays_hold_the_terrain_and_broken_rows_are_counted_aloud(
 
 
 @pytest.mark.parametrize("ending", ["tif", "png"])
-def test_pictures_open(gpgrad: Run, cloud: Path, tmp_path: Path, ending: str) -> None:
+def test_pictures_open(cloud: Path, tmp_path: Path, ending: str) -> None:
     out = tmp_path / f"map.{ending}"
-    finished = gpgrad("map", cloud, "--out", out, "--map.resolution", "0.1")
+    finished = gpgrad("map", cloud, "--out", out, *QUICK_MAP)
     assert finished.code == 0, finished.err
     with Image.open(out) as image:
         assert min(image.size) >= 40
 
 
-def test_a_parameter_file_serves_every_verb(gpgrad: Run, cloud: Path, tmp_path: Path) -> None:
+def test_a_parameter_file_serves_every_verb(cloud: Path, tmp_path: Path) -> None:
     toml = tmp_path / "mine.toml"
-    toml.write_text("[map]\nresolution = 0.2\n[closure]\nmin_inliers = 5\n")
+    toml.write_text(
+        "[map]\nresolution = 0.2\nlength_scale = 0.3\nnoise_std = 0.02\nscale = 0.2\n"
+        "[closure]\nmin_inliers = 5\n"
+    )
     out = tmp_path / "map.npz"
     assert gpgrad("map", cloud, "--out", out, "--params", toml).code == 0
     with np.load(out) as layers:
         assert layers["resolution"] == 0.2
+
+
+def test_a_terminal_sees_a_bar(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "map.npz"
+    code, seen = run_on_terminal("map", cloud, "--out", out, *QUICK_MAP)
+    assert code == 0
+    assert "map" in seen
+    assert "100 %" in seen
+    assert out.exists()

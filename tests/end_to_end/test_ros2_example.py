@@ -28,6 +28,7 @@ def closing() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 def test_scans_become_submaps_that_close_loops(closing: Any) -> None:
     pytest.importorskip("gtsam", reason="GTSAM has no wheels for this system")
     demo = gg.load_dataset(gg.demo_path())

@@ -8,11 +8,11 @@ import pytest
 
 from app.cli import run
 from gpgrad_core.outputs import read_closures
-from tests.end_to_end.process import Run
+from tests.end_to_end.process import gpgrad
 
 
 @pytest.mark.slow
-def test_a_traverse_is_corrected_and_merged(gpgrad: Run, traverse: Path, tmp_path: Path) -> None:
+def test_a_traverse_is_corrected_and_merged(traverse: Path, tmp_path: Path) -> None:
     out = tmp_path / "map"
     finished = gpgrad("slam", traverse, "--out", out, "--merged.resolution", "0.1")
     assert finished.code == 0, finished.err

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.end_to_end.process import Run, run_here, start
+from tests.end_to_end.process import gpgrad, start
 
 
 @pytest.mark.slow
@@ -63,11 +63,6 @@ def test_on_a_network_the_token_is_printed_and_asked_for() -> None:
             process.kill()
 
 
-def test_a_dataset_that_is_not_there_is_refused(gpgrad: Run, tmp_path: Path) -> None:
-    refused = gpgrad("view", tmp_path / "nowhere", "--no-open")
-    assert "nowhere" in refused.refusal
-
-
 @pytest.mark.parametrize(
     ("flag", "value", "said"),
     [
@@ -77,7 +72,7 @@ def test_a_dataset_that_is_not_there_is_refused(gpgrad: Run, tmp_path: Path) -> 
     ],
 )
 def test_an_address_that_is_not_here_is_refused(
-    gpgrad: Run, traverse: Path, flag: str, value: str, said: str
+    traverse: Path, flag: str, value: str, said: str
 ) -> None:
     assert said in gpgrad("view", traverse, "--no-open", flag, value).refusal
 
@@ -114,7 +109,7 @@ def test_a_recording_is_told_to_be_built_first(tmp_path: Path, inner: str, row: 
         ("detect", "--out", tmp_path / "c.json"),
         ("slam", "--out", tmp_path / "map"),
     ):
-        assert run_here(verb[0], path, *verb[1:]).refusal == (
+        assert gpgrad(verb[0], path, *verb[1:]).refusal == (
             f"{path}: is a recording, not a dataset: build its submaps first, and open these: "
             f"gpgrad build '{path}' --out 'my drive-submaps'"
         )
@@ -124,6 +119,6 @@ def test_a_wrong_dataset_is_not_taken_for_a_recording(tmp_path: Path) -> None:
     path = with_poses(tmp_path / "data", ".", "{k} 0 0 0 0 0 0 1")
     with (path / "poses.txt").open("a") as file:
         file.write("9 0 0 0 0 0 0 1\n")
-    said = run_here("view", path, "--no-open").refusal
+    said = gpgrad("view", path, "--no-open").refusal
     assert "poses.txt, line 5" in said
     assert "recording" not in said

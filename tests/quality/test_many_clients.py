@@ -1,4 +1,4 @@
-"""Eight pages on one session, one dragging; and a drag of 200 events in 2 s. By hand, with -s.
+"""Eight pages on one session, one dragging 200 events in 2 s. By hand, with -s.
 
     GPGRAD_SHAPE_CHECKS=0 pytest tests/quality/test_many_clients.py -n 0 -s
 
@@ -127,68 +127,3 @@ def test_eight_pages_end_in_the_same_state(serve: Serve, visit: Visit) -> None:
         f"{1000 * max(lag):.0f} ms (most). Server's peak memory {before:.0f} MB before, "
         f"{entered:.0f} MB with all pages, {resident_megabytes():.0f} MB after."
     )
-
-
-@pytest.mark.parametrize(
-    ("label", "values"),
-    [
-        ("Length-scale", [round(0.2 + 0.3 * number / EVENTS, 2) for number in range(EVENTS)]),
-        ("Variance mask", [round(0.1 + 0.8 * number / EVENTS, 2) for number in range(EVENTS)]),
-        ("Minimum score", [round(12.0 * number / EVENTS, 1) for number in range(EVENTS)]),
-    ],
-)
-def test_a_drag_of_200_events_in_2_s(
-    serve: Serve,
-    visit: Visit,
-    label: str,
-    values: list[float],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    viewer = serve("shared")
-    page = visit(viewer)
-    (session,) = viewer.sessions
-    order: list[object] = []
-    show = session.pair._on_result
-
-    def spy(state: object, picture: object, seconds: float) -> None:
-        order.append(state)
-        show(state, picture, seconds)  # type: ignore[arg-type]
-
-    asked: list[object] = []
-    change = session.desk._set
-
-    def record(state: object) -> None:
-        asked.append(state)
-        change(state)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(session.pair._runner, "_on_result", spy)
-    monkeypatch.setattr(session.desk, "_set", record)
-    start = time.monotonic()
-    drag(viewer, page, label, values)
-    settle(viewer, [page])
-    shown = [next(k for k, one in enumerate(asked) if one is state) for state in order]
-    assert len(asked) >= len(set(values)) - 1  # the first may be where the slider is already
-    assert shown == sorted(shown)  # none after a newer one
-    assert shown[-1] == len(asked) - 1
-    assert page.find(label)["value"] == values[-1]
-    during = [state for state in order if state is not asked[-1]]
-    assert len(during) >= 5
-    took = time.monotonic() - start
-    print(f"\n{label}: {len(order)} pictures of {EVENTS} events, {took:.1f} s in all")
-
-
-def test_separate_sessions_share_what_they_computed(serve: Serve, visit: Visit) -> None:
-    viewer = serve("separate")
-    first = visit(viewer)
-    first.set("Length-scale", 0.4)
-    settle(viewer, [first])
-    held = viewer._memo.num_bytes
-    start = time.monotonic()
-    second = visit(viewer)
-    second.set("Length-scale", 0.4)
-    second.wait(
-        lambda: viewer.sessions[1].state.params.map.length_scale == 0.4, "the slider's value"
-    )
-    settle(viewer, [second])
-    assert viewer._memo.num_bytes == held  # nothing was made anew
-    print(f"\nwhat another page has computed is there in {time.monotonic() - start:.1f} s")

@@ -16,17 +16,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpgrad_core.datasets import Outline, load_dataset, outline_dataset
+from gpgrad_core.datasets import load_dataset, outline_dataset
 from gpgrad_core.outputs import read_closures, report_closures, restore_closures, write_closures
 from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.se2 import SE2
 from gpgrad_core.slam import (
-    LoopCloser,
     build_pose_graph,
     join_datasets,
     measure_errors,
-    odometry_poses,
     optimise_pose_graph,
     solve_datasets,
     trajectory_error,
@@ -34,7 +32,7 @@ from gpgrad_core.slam import (
 )
 from gpgrad_core.types import Dataset, LoopClosure, Submap
 from tests.core.ground import Ground
-from tests.core.slam.traverses import simulate
+from tests.core.slam.simulated import simulate
 from tests.end_to_end.process import ROOT, environment
 
 SETS = ("marsyard2021", "sthelens", "apollo15")
@@ -135,57 +133,6 @@ def test_a_thousand_submaps_are_solved_in_seconds(share: float) -> None:
     )
     assert busy < (5.0 if share == 0 else 10.0)  # wrong closures make matrices less sparse
     assert after < 0.05 * before
-
-
-def test_online_is_what_all_at_once_is(real_data: Path) -> None:
-    whole = load_dataset(real_data / "sthelens")
-    dataset = replace(whole, submaps=whole.submaps[:8] + whole.submaps[-4:])
-    with ThreadPoolExecutor(num_workers()) as executor:
-        together: DetectionResult = detect_loop_closures(dataset, executor=executor)
-        with LoopCloser(executor=executor, bytes_in_memory=100_000_000) as closer:
-            for submap in dataset.submaps:
-                closer.add(submap)
-            online, closures = closer.result, closer.closures
-    batch = optimise_pose_graph(build_pose_graph(dataset, together.closures))
-    accepted = sum(one.accepted for one in closures)
-    say(f"sthelens, 12 submaps one by one: {accepted} closures, as all at once")
-    for ours, theirs in zip(closures, together.closures, strict=True):
-        assert (ours.query_id, ours.database_id) == (theirs.query_id, theirs.database_id)
-        assert ours.registration.T_database_query == theirs.registration.T_database_query
-        assert ours.registration.score == theirs.registration.score
-    assert accepted
-    np.testing.assert_array_equal(online.history, batch.history)
-
-
-@pytest.mark.parametrize("name", SETS)
-def test_two_halves_with_no_common_frame_come_into_one_map(
-    name: str, real_data: Path, found: Found
-) -> None:
-    outline = outline_dataset(real_data / name)
-    submaps, middle = outline.dataset.submaps, len(outline.clouds) // 2
-    frame = Pose.from_planar(SE2(500.0, -80.0, 2.5), 40.0)
-    parts = {"a": submaps[:middle], "b": submaps[middle:]}
-    moved = [
-        replace(s, pose_odometry=s.pose_odometry and frame @ s.pose_odometry) for s in parts["b"]
-    ]
-    sessions = join_datasets(
-        [
-            Outline(Dataset("a", parts["a"]), outline.clouds[:middle]),
-            Outline(Dataset("b", tuple(moved)), outline.clouds[middle:]),
-        ]
-    )
-    names = {s.id: f"{part}:{s.id}" for part, ones in parts.items() for s in ones}
-    closures = [
-        replace(c, query_id=names[c.query_id], database_id=names[c.database_id])
-        for c in found(name)
-    ]
-    solution = solve_datasets(sessions, closures)
-    true = {names[key]: pose for key, pose in true_poses(outline.dataset).items()}
-    error = trajectory_error(true, solution.result.poses).absolute
-    alone = trajectory_error(true_poses(outline.dataset), odometry_poses(outline.dataset)).absolute
-    (support,) = [count for count in solution.placed.support.values() if count]
-    say(f"{name} in two halves: {error:.3f} m, joined by {support} closures that agree")
-    assert error <= 0.25 * alone
 
 
 def test_memory_does_not_grow_with_the_submaps(tmp_path: Path) -> None:

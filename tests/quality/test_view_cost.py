@@ -11,17 +11,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 import viser
 
 from app.viewer import state as states
 from app.viewer.pair.scene import PairScene
-from app.viewer.runner import Capacity
-from app.viewer.session import Session
-from app.viewer.session_file import Opened
 from app.viewer.state import ViewState
 from gpgrad_core.pipeline import PairResult, PipelineParams
-from gpgrad_core.run.memo import Memo
 from tests.app.synthetic import make_dataset, make_map, make_result
 
 RESOLUTION = 5.0 / 299
@@ -88,28 +83,3 @@ def test_mask_inlier_and_colour_changes_cost_little(server: viser.ViserServer) -
     assert max(sizes) <= TARGET_BYTES
     for name in ("mask", "inliers", "colours"):
         assert costs[name] <= TARGET_MS, name
-
-
-def test_the_flat_picture_comes_after_the_scene_and_only_the_last(
-    server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    result = fine_result()
-    monkeypatch.setattr("app.viewer.pair.tab.register_pair", lambda *args, **kwargs: result)  # noqa: ARG005
-    session = Session(server, Opened(STATE.dataset, STATE.params, ""), Memo(), Capacity())
-    assert session.wait_idle(60)
-    drawn: list[int] = []
-    original = session.inspect.matches.show_picture
-
-    def show_picture(*args: Any) -> None:
-        drawn.append(session.state.match)
-        original(*args)
-
-    monkeypatch.setattr(session.inspect.matches, "show_picture", show_picture)
-    for number in range(1, 60):
-        session.desk.change(match=number)
-        time.sleep(0.004)
-    assert session.wait_idle(60)
-    print(f"\n{len(drawn)} flat pictures for 59 changes")
-    assert 1 <= len(drawn) < 59
-    assert drawn[-1] == 59
-    session.close()

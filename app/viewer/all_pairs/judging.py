@@ -32,11 +32,11 @@ from gpgrad_core.pipeline import (
     DetectionResult,
     MapDetector,
     PipelineParams,
-    at_least_for_now,
     detect_loop_closures,
     judge_pair,
-    keeping,
     resolve_parameters,
+    store_for_run,
+    with_store,
 )
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
@@ -209,13 +209,13 @@ def _detect_in_processes(
     if make is None:
         params = resolve_parameters(some, params, memo)
     with (
-        at_least_for_now(memo.store, len(submaps)) as store,
+        store_for_run(memo.store, len(submaps)) as store,
         workers(num_workers(), MANY_PAIRS) as executor,
     ):
         return detect_loop_closures(
             dataset,
             params,
-            detector=keeping((make or MapDetector)(params, Memo(OF_A_PROCESS)), store),
+            detector=with_store((make or MapDetector)(params, Memo(OF_A_PROCESS)), store),
             candidates=candidates,
             executor=executor,
             progress=progress,

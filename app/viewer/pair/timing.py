@@ -2,32 +2,22 @@
 
 import time
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
-from gpgrad_core.features import detect_features, select_trusted
-from gpgrad_core.gradient_map import fit_terrain, sample_map
-from gpgrad_core.matching import match_features
 from gpgrad_core.methods.paper import register_as_printed
 from gpgrad_core.pipeline import fit_submap
 from gpgrad_core.pipeline.coarse import fit_roughly, thin_evenly
-from gpgrad_core.registration import prepare, register_prepared, search_motions
+from gpgrad_core.pipeline.stages import STAGES
 from gpgrad_core.run.memo import Memo
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-STAGE_OF: dict[Callable[..., Any], str] = {
+STAGE_OF: dict[Callable[..., object], str] = {
+    **{stage.function: stage.phase for stage in STAGES},
     fit_submap: "fit",
-    fit_terrain: "map",
-    sample_map: "map",
     thin_evenly: "map",
     fit_roughly: "map",
-    detect_features: "features",
-    select_trusted: "features",
-    match_features: "matching",
-    prepare: "registration",
-    search_motions: "registration",
-    register_prepared: "registration",
     register_as_printed: "registration",
 }
 """The stage that each function belongs to which the pipeline asks its memo for."""

@@ -22,16 +22,17 @@ from app.viewer.widgets.html import (
     badge,
 )
 from gpgrad_core.loop_closure import (
-    SMALL_OVERLAP,
-    SMOOTH,
     ClosureParams,
+    RefusalKind,
     describe_length,
     explained,
+    find_refusal,
+    has_small_overlap,
 )
 from gpgrad_core.methods.paper import PaperPair
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import ImageSays, Registration
+from gpgrad_core.types import ImageSays
 
 CLOSURE, NONE = "Loop closure", "No loop closure"
 CANNOT, BY_HAND = "Cannot judge", "Moved by hand, not judged"
@@ -240,52 +241,45 @@ def _bar(state: ViewState, result: PairResult) -> str:
     )
 
 
+DISSIMILAR = "The gradients of the two maps differ too much under the motion (h)."
+WORDS: dict[RefusalKind, str] = {
+    "nothing trusted": "The variance mask hides all ground of one submap. Raise it to see more.",
+    "no motion": "No motion was found: the maps have too little in common.",
+    "few inliers": "Too few associations agree with the motion.",
+    "no common ground": "The maps share too little ground to compare.",
+    "too little ground": "The maps share too little ground to compare.",
+    "heights differ": "The heights differ by more than the uncertainty of the maps allows.",
+    "small overlap": "The maps agree, but share too little ground to decide.",
+    "smooth ground": "The ground is too smooth to decide.",
+    "chance": "The maps agree, but unrelated ground can agree as well.",
+}
+"""What decided, without the figures that stand beside it. Other refusals give their reason."""
+WORDS_OF_PAPER: dict[RefusalKind, str] = {
+    "no motion": "No motion was found: no two associations agree with one.",
+    "few inliers": "Too few associations agree with the motion (n).",
+    "dissimilar": DISSIMILAR,
+    "dissimilar cells": DISSIMILAR,
+}
+"""The same by the paper's two thresholds, on n and on h."""
+
+
 def in_words(state: ViewState, result: PairResult) -> str:
     """Say what decided, without the figures that stand beside it."""
-    registration, closure = result.registration, result.closure
-    needed = state.params.closure
-    if isinstance(result, PaperPair):
-        return paper_words(state, result)
-    if registration.nothing_trusted:
-        return "The variance mask hides all ground of one submap. Raise it to see more."
-    if registration.T_database_query is None:
-        return "No motion was found: the maps have too little in common."
-    if closure.accepted:
-        if needed.min_score > 0 or needed.min_inliers > 0:
-            return "Both submaps show one terrain, as far as their ground can tell."
+    needed, closure = state.params.closure, result.closure
+    of_paper = isinstance(result, PaperPair)
+    refusal = None if closure.accepted else find_refusal(result.registration, needed)
+    words = WORDS_OF_PAPER if of_paper else WORDS
+    if refusal is not None and refusal.kind in words:
+        return words[refusal.kind]
+    if not closure.accepted:
+        return closure.reason[:1].upper() + closure.reason[1:] + "."
+    by_h = not _no_limit(needed) if of_paper else needed.min_score > 0
+    if not by_h and needed.min_inliers == 0:
         return "No threshold is set, so every motion is accepted."
-    return _refusal(state, result)
-
-
-def _refusal(state: ViewState, result: PairResult) -> str:
-    """Say which threshold was missed, and why."""
-    registration, closure = result.registration, result.closure
-    needed = state.params.closure
-    if registration.num_inliers < needed.min_inliers:
-        return "Too few associations agree with the motion."
-    if registration.score < needed.min_score:
-        return _why(registration)
-    return closure.reason[:1].upper() + closure.reason[1:] + "."
-
-
-def _why(registration: Registration) -> str:
-    """Say why a score is low."""
-    found, scale = registration.agreement, registration.scale
-    if found is None or scale is None:
-        return "The maps share too little ground to compare."
-    if found.difference > explained(found):
-        return "The heights differ by more than the uncertainty of the maps allows."
-    if _is_small(registration):
-        return "The maps agree, but share too little ground to decide."
-    if found.relief < SMOOTH * found.possible:
-        return "The ground is too smooth to decide."
-    return "The maps agree, but unrelated ground can agree as well."
-
-
-def _is_small(registration: Registration) -> bool:
-    """Say whether the overlap holds too few features to decide."""
-    scale = registration.scale
-    return scale is not None and registration.overlap_area < SMALL_OVERLAP * 2 * pi * scale**2
+    if not of_paper:
+        return "Both submaps show one terrain, as far as their ground can tell."
+    with_h = ", and their gradients differ little enough (h)" if by_h else ""
+    return f"Enough associations agree with the motion (n){with_h}."
 
 
 def rows_of(state: ViewState, result: PairResult) -> list[Row]:
@@ -338,30 +332,13 @@ def rows_of(state: ViewState, result: PairResult) -> list[Row]:
     area = f"{registration.overlap_area:.1f} m² · correlation {registration.correlation:z.2f}"
     return [
         *rows,
-        Row("against" if _is_small(registration) else "for", "overlap", area),
+        Row("against" if has_small_overlap(registration) else "for", "overlap", area),
         Row(None, "motion", _motion_text(motion)),
     ]
 
 
 def _motion_text(motion: SE2) -> str:
     return f"{motion.x:+z.2f} m, {motion.y:+z.2f} m, {degrees(motion.yaw):+z.1f}°"
-
-
-def paper_words(state: ViewState, result: PaperPair) -> str:
-    """Say what decided by the paper's two thresholds, on n and on h."""
-    registration, needed = result.registration, state.params.closure
-    if registration.T_database_query is None:
-        return "No motion was found: no two associations agree with one."
-    if result.closure.accepted:
-        if needed.min_inliers == 0 and _no_limit(needed):
-            return "No threshold is set, so every motion is accepted."
-        with_h = "" if _no_limit(needed) else ", and their gradients differ little enough (h)"
-        return f"Enough associations agree with the motion (n){with_h}."
-    if registration.num_inliers < needed.min_inliers:
-        return "Too few associations agree with the motion (n)."
-    if needed.too_dissimilar(registration.dissimilarity, registration.mean_dissimilarity):
-        return "The gradients of the two maps differ too much under the motion (h)."
-    return result.closure.reason[:1].upper() + result.closure.reason[1:] + "."
 
 
 def _no_limit(needed: ClosureParams) -> bool:

@@ -22,8 +22,13 @@ from app.viewer.world import SCORE_MAP, Correction, Loop, WorldTab
 from gpgrad_core.pipeline import DetectionResult, PipelineParams
 from gpgrad_core.pipeline.all_pairs import EVEN_FROM
 from gpgrad_core.run.progress import Progress
-from gpgrad_core.slam import OptimisedGraph, build_pose_graph, optimise_pose_graph
-from gpgrad_core.slam.truth import trajectory_error, true_poses
+from gpgrad_core.slam import (
+    OptimisedGraph,
+    build_pose_graph,
+    optimise_pose_graph,
+    trajectory_error,
+    true_poses,
+)
 from gpgrad_core.types import Dataset, LoopClosure
 
 FILES: dict[Format, str] = {

@@ -16,7 +16,7 @@ from app.viewer.draw.layers import STYLES, Scale, shared_scale
 from app.viewer.draw.placement import z_offset_of
 from app.viewer.state import COMPARED, ViewState
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.evaluation.figures.style import new_figure
+from gpgrad_core.evaluation.plots.style import new_figure
 from gpgrad_core.pipeline import PairResult
 from gpgrad_core.types import GradientMap
 

@@ -70,7 +70,7 @@ def test_large_sets_and_several_are_read_in_the_same_way(scans: Path) -> None:
     _, sources = open_dataset(scans, most_bytes=0)
     joined = join_datasets([outline_dataset(scans)])
     for k, submap in enumerate(whole.submaps):
-        again, (other, _) = sources[k].load(), joined.load(k)
+        again, (other, _) = sources[k].load(), joined.outline.load(k)
         assert again.fingerprint == submap.fingerprint == other.fingerprint
         assert again.pose_true == submap.pose_true or again.pose_true is not None
 

@@ -7,13 +7,15 @@ from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, f1_score, precision_recall_curve
 
 from gpgrad_core.evaluation import (
+    Interval,
     average_precision,
     best_f1,
+    measure_pairs,
     precision_by_inliers,
-    precision_recall,
     recall_at_full_precision,
 )
-from gpgrad_core.evaluation.bootstrap import resample
+from gpgrad_core.evaluation.precision_recall import draw_weights, precision_recall, resample
+from gpgrad_core.types import Dataset
 
 # Few different scores, so that ties are common.
 rankings = st.lists(st.tuples(st.integers(-3, 6), st.booleans()), min_size=1, max_size=40).filter(
@@ -119,3 +121,29 @@ def test_a_pair_drawn_twice_counts_as_two(rows: list[tuple[int, bool]], seed: in
     else:
         assert np.isnan(sampled.average_precision[0])
         assert np.isnan(sampled.recall_at_full_precision[0])
+
+
+def test_a_pair_counts_as_often_as_both_its_submaps_are_drawn(dataset: Dataset) -> None:
+    pairs = measure_pairs(dataset)
+    weights = draw_weights(pairs, 4000, seed=1)
+    assert weights.shape == (4000, len(pairs))
+    # E[c_i c_j] = n (n - 1) / n² for two of n counts that add up to n.
+    assert weights.mean(axis=0) == pytest.approx(np.full(len(pairs), 0.8), abs=0.06)
+    # Where a submap is not drawn, none of its pairs is.
+    of_first = pairs.database == 0
+    absent = weights[:, of_first].sum(axis=1) == 0
+    assert 0.2 < absent.mean() < 0.5  # (1 - 1/5)^5 = 0.33
+
+
+def test_the_same_seed_draws_the_same(dataset: Dataset) -> None:
+    pairs = measure_pairs(dataset)
+    first, again, other = (draw_weights(pairs, 10, seed) for seed in (3, 3, 4))
+    assert (first == again).all()
+    assert (first != other).any()
+
+
+def test_an_interval_is_the_middle_95_percent() -> None:
+    samples = np.r_[np.arange(1001.0), np.nan]
+    assert Interval.of(samples) == Interval(25.0, 975.0)
+    assert Interval.of(np.array([np.nan])) is None
+    assert Interval.of(np.zeros(0)) is None

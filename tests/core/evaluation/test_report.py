@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import cv2
+import matplotlib as mpl
 import pytest
 
 from gpgrad_core.errors import InputError
@@ -14,11 +15,12 @@ from gpgrad_core.evaluation import (
     Section,
     check_directory,
     evaluate,
-    figures,
     report_evaluation,
     write_report,
 )
-from gpgrad_core.evaluation.text import describe
+from gpgrad_core.evaluation.plots import report as plots
+from gpgrad_core.evaluation.plots.style import in_print
+from gpgrad_core.evaluation.report import describe
 from gpgrad_core.outputs import read_closures
 from gpgrad_core.pipeline import DetectionResult
 from gpgrad_core.run.progress import Cancelled
@@ -51,7 +53,7 @@ class Blank:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     blanks = {name: Blank() for name in ("first", "second", "third")}
-    monkeypatch.setattr(figures, "draw_figures", lambda evaluation: dict(blanks))  # noqa: ARG005
+    monkeypatch.setattr(plots, "draw_report", lambda evaluation: dict(blanks))  # noqa: ARG005
 
 
 def test_the_folder_holds_what_was_promised(folder: Path) -> None:
@@ -78,7 +80,8 @@ def test_the_json_holds_the_figures(folder: Path) -> None:
     mine, other = content["methods"]
     assert mine["name"] == "mine"
     assert mine["seconds"]["total"] == 1.75
-    assert mine["accepted"] == 3
+    assert (mine["accepted"], mine["accepted_right"]) == (3, 2)
+    assert (mine["accepted_wrong_motion"], mine["accepted_no_overlap"]) == (0, 1)
     ranked = mine["rules"]["box"]["ranked"]
     assert ranked["average_precision"]["value"] == 1.0
     assert ranked["by_score"]["thresholds"][0] == 9.0
@@ -107,6 +110,7 @@ def test_every_table_names_its_rule(folder: Path) -> None:
         assert (folder / name).exists()
     assert "Note: other lists 1 of 10 pairs" in text
     assert "| mine | 1 | 1 | 1 | 1 | 0 | 5.0 cm |" in text
+    assert "| mine | 3 | 2 | 0 | 1 |" in text
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -125,9 +129,9 @@ def test_without_true_pairs_there_is_a_report_all_the_same(
 ) -> None:
     params = EvaluationParams(min_overlap=0.95, min_surface_overlap=0.95)
     nothing_true = evaluate(dataset, {"mine": result}, params)
-    assert describe(nothing_true, []).count("No pair is true by this rule") == 2
+    assert describe(nothing_true).count("No pair is true by this rule") == 2
     assert report_evaluation(nothing_true)["methods"][0]["rules"]["box"]["ranked"] is None
-    assert set(figures.draw_figures(nothing_true)) == {"affinity_mine", "loops_mine"}
+    assert set(plots.draw_report(nothing_true)) == {"affinity_mine", "loops_mine"}
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -160,12 +164,14 @@ class Spoilt:
         raise OSError("no space left")
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_a_failure_leaves_no_half_of_a_figure(evaluation: Evaluation, tmp_path: Path) -> None:
-    section = Section("s", {}, "", {"spoilt": Spoilt()})
+def test_a_failure_leaves_no_half_of_a_figure(
+    evaluation: Evaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = {"first": Blank(), "spoilt": Spoilt()}
+    monkeypatch.setattr(plots, "draw_report", lambda evaluation: drawn)  # noqa: ARG005
     with pytest.raises(OSError, match="no space left"):
-        write_report(tmp_path, evaluation, sections=[section])
-    assert {path.name for path in tmp_path.iterdir()} == {"first.png", "second.png", "third.png"}
+        write_report(tmp_path, evaluation)
+    assert {path.name for path in tmp_path.iterdir()} == {"first.png"}
 
 
 def test_where_nothing_can_be_written_is_said_before_the_work(tmp_path: Path) -> None:
@@ -180,7 +186,9 @@ def test_where_nothing_can_be_written_is_said_before_the_work(tmp_path: Path) ->
 
 
 def test_figures_leave_matplotlibs_state_alone() -> None:
-    folder = Path(figures.__file__).parent
-    sources = [path.read_text(encoding="utf-8") for path in folder.glob("*.py")]
-    assert len(sources) > 3
-    assert not any("pyplot" in source or "rcParams" in source for source in sources)
+    before = dict(mpl.rcParams)
+    folder = Path(plots.__file__).parent
+    assert not any("pyplot" in path.read_text(encoding="utf-8") for path in folder.glob("*.py"))
+    with in_print():
+        assert dict(mpl.rcParams) != before
+    assert dict(mpl.rcParams) == before

@@ -5,18 +5,24 @@ import pytest
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, PrecisionRecall, evaluate
-from gpgrad_core.evaluation.reproduction import TITLES, Subject, check_method
-from gpgrad_core.evaluation.reproduction.closure import draw_check, draw_session
-from gpgrad_core.evaluation.reproduction.curves import (
-    draw_precision_by_inliers,
-    draw_precision_recall,
-    mean_precision,
+from gpgrad_core.evaluation.plots.curves import draw_figure_8, draw_figure_9, mean_precision
+from gpgrad_core.evaluation.plots.paper import list_figures
+from gpgrad_core.evaluation.plots.style import COLUMN, PAGE, in_print, letter
+from gpgrad_core.evaluation.plots.submaps import (
+    draw_figure_1,
+    draw_figure_3,
+    draw_figure_4,
+    draw_figure_6,
+    draw_figure_10,
 )
-from gpgrad_core.evaluation.reproduction.figures import list_figures
-from gpgrad_core.evaluation.reproduction.style import COLUMN, PAGE, in_print, letter
-from gpgrad_core.evaluation.reproduction.subject import Shown, choose
-from gpgrad_core.evaluation.reproduction.terrain import draw_map, draw_matching_maps
-from gpgrad_core.evaluation.reproduction.tracks import draw_tracks
+from gpgrad_core.evaluation.reproduction import (
+    TITLES,
+    ShownPair,
+    ShownSubmap,
+    Subject,
+    check_method,
+    choose,
+)
 from gpgrad_core.methods import METHODS
 from gpgrad_core.pipeline import DetectionResult
 from gpgrad_core.se2 import SE2
@@ -40,13 +46,18 @@ def a_map(width: float, height: float, step: float = 0.05) -> GradientMap:
     return GradientMap(grid, 0.3 * np.sin(x), np.where(rim, 0.04, 1e-5), slope, 0.2, 0.3)
 
 
-def shown(dataset: Dataset, width: float, height: float, *, inliers: int = 2) -> Shown:
+def shown(dataset: Dataset, width: float, height: float, *, inliers: int = 2) -> ShownPair:
     at = np.array([[0.5, 0.5], [0.8, 0.4]])[:inliers]
     matches = Matches(np.tile(np.arange(inliers)[:, None], 2), np.zeros(inliers), at, at + 0.1)
-    found = closure("003", "000", 9.0, RIGHT, inliers, accepted=True)
-    query, database = dataset.submap("003"), dataset.submap("000")
-    maps = a_map(width, height), a_map(height, width)
-    return Shown(query, maps[0], 0.3, database, maps[1], matches, found, right=True)
+    accepted = closure("003", "000", 9.0, RIGHT, inliers, accepted=True)
+    query = ShownSubmap(dataset.submap("003"), a_map(width, height), 0.3)
+    database = ShownSubmap(dataset.submap("000"), a_map(height, width), 0.3)
+    return ShownPair(query, database, matches, accepted, RIGHT, right=True)
+
+
+def subject_of(dataset: Dataset, evaluation: Evaluation | None = None) -> Subject:
+    pair = shown(dataset, 3.0, 4.0)
+    return Subject(dataset, METHODS["paper"], pair.query, pair, evaluation)
 
 
 def test_the_pair_that_is_shown_is_right_if_that_is_known(
@@ -83,8 +94,7 @@ def test_letters_go_on_after_z() -> None:
 
 
 def test_captions_say_what_was_found(dataset: Dataset, evaluation: Evaluation) -> None:
-    subject = Subject(dataset, METHODS["paper"], shown(dataset, 3.0, 4.0), evaluation)
-    figures, notes = list_figures([subject], EVERY)
+    figures, notes = list_figures([subject_of(dataset, evaluation)], EVERY)
     assert notes == []
     assert [figure.number for figure in figures] == sorted(EVERY)
     captions = {figure.number: figure.caption for figure in figures}
@@ -99,8 +109,7 @@ def test_captions_say_what_was_found(dataset: Dataset, evaluation: Evaluation) -
 
 
 def test_datasets_of_one_name_get_files_of_their_own(dataset: Dataset) -> None:
-    subject = Subject(dataset, METHODS["paper"], shown(dataset, 3.0, 4.0))
-    figures, notes = list_figures([subject, subject], frozenset({3, 8}))
+    figures, notes = list_figures([subject_of(dataset)] * 2, frozenset({3, 8}))
     assert [figure.name for figure in figures] == ["figure_3_squares", "figure_3_squares_2"]
     assert len(notes) == 2
     assert "not in Fig. 8" in notes[0]
@@ -111,13 +120,13 @@ def test_datasets_of_one_name_get_files_of_their_own(dataset: Dataset) -> None:
 def test_maps_of_any_shape_are_drawn(
     dataset: Dataset, width: float, height: float, inliers: int
 ) -> None:
-    one = shown(dataset, width, height, inliers=inliers)
+    pair = shown(dataset, width, height, inliers=inliers)
     with in_print():
         for figure, wide in (
-            (draw_matching_maps(dataset, one), PAGE),
-            (draw_map(one), PAGE),
-            (draw_check(one), COLUMN),
-            (draw_session(dataset, one), COLUMN),
+            (draw_figure_1(dataset, pair), PAGE),
+            (draw_figure_3(pair.query), PAGE),
+            (draw_figure_4(pair), COLUMN),
+            (draw_figure_10(dataset, pair), COLUMN),
         ):
             figure.set_dpi(30)
             figure.draw_without_rendering()
@@ -131,9 +140,9 @@ def test_any_number_of_datasets_is_drawn(
 ) -> None:
     with in_print():
         for figure in (
-            draw_tracks([dataset] * count),
-            draw_precision_recall([evaluation] * count),
-            draw_precision_by_inliers([evaluation] * count),
+            draw_figure_6([dataset] * count),
+            draw_figure_8([evaluation] * count),
+            draw_figure_9([evaluation] * count),
         ):
             figure.draw_without_rendering()
             titles = [panel.get_title("left") for panel in figure.axes if panel.get_title("left")]
@@ -144,12 +153,12 @@ def test_a_rule_that_calls_no_pair_true_is_told(dataset: Dataset, result: Detect
     params = EvaluationParams(num_resamples=0, min_overlap=0.99)
     strict = evaluate(dataset, {"paper": result}, params)
     figures, notes = list_figures(
-        [Subject(dataset, METHODS["paper"], None, strict)], frozenset({8, 9})
+        [Subject(dataset, METHODS["paper"], evaluation=strict)], frozenset({8, 9})
     )
     assert [figure.number for figure in figures] == [8]
     assert notes == ["Fig. 9 left out: no pair of any dataset is true"]
     with in_print():
-        (panel,) = figures[0].draw().axes
+        (panel,) = figures[0].draw(*figures[0].shown).axes
     assert [text.get_text() for text in panel.texts] == ["no pair is true"]
 
 

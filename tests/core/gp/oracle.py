@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.gp.binning import bin_points
+from gpgrad_core.gp.cloud import bin_points
 from gpgrad_core.gp.dense import (
     fit_dense,
     infer_elevation,

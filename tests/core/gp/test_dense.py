@@ -78,14 +78,3 @@ def test_with_little_noise_it_passes_through_the_points() -> None:
 def test_a_given_mean_is_where_it_falls_back_to() -> None:
     posterior = fit_dense(cloud(0, 50), SquaredExponential(0.2, 0.3), 0.05, mean=3.0)
     assert infer_elevation(posterior, np.array([[100.0, 0.0]])) == pytest.approx(3.0)
-
-
-@given(seeds)
-def test_permuting_the_points_changes_nothing(seed: int) -> None:
-    points = cloud(seed, 60)
-    kernel, queries = SquaredExponential(0.2, 0.4), np.array([[1.0, 2.0], [3.0, 3.0]])
-    shuffled = np.random.default_rng(seed).permutation(points)
-    a, b = (fit_dense(p, kernel, 0.03) for p in (points, shuffled))
-    np.testing.assert_allclose(infer_elevation(a, queries), infer_elevation(b, queries))
-    np.testing.assert_allclose(infer_slope(a, queries), infer_slope(b, queries), atol=1e-10)
-    np.testing.assert_allclose(infer_variance(a, queries), infer_variance(b, queries), atol=1e-12)

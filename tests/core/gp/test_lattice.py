@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.binning import bin_points
+from gpgrad_core.gp.cloud import bin_points
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import fit_lattice
 from gpgrad_core.types import Grid

@@ -1,4 +1,4 @@
-"""The likelihood against scikit-learn's, its gradient against finite differences."""
+"""The likelihood against scikit-learn's, its gradient against finite differences, its patches."""
 
 from dataclasses import replace
 
@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
-from gpgrad_core.gp.likelihood import JITTER, Hyperparameters, Patch, log_marginal_likelihood
+from gpgrad_core.gp.likelihood import (
+    JITTER,
+    PATCH_POINTS,
+    Hyperparameters,
+    Patch,
+    draw_patches,
+    log_marginal_likelihood,
+)
 from tests.core.ground import cloud
 
 seeds = st.integers(0, 2**32 - 1)
@@ -74,3 +81,56 @@ def test_points_upon_each_other_without_noise_can_be_judged() -> None:
     value, gradient = log_marginal_likelihood(doubled, Hyperparameters(0.3, 0.2, 1.0))
     assert np.isfinite(value)
     assert np.isfinite(gradient).all()
+
+
+SIZE = 10.0
+
+
+@pytest.fixture(scope="module")
+def xy() -> np.ndarray:
+    return np.random.default_rng(0).uniform(0, SIZE, (20_000, 2))
+
+
+def draw(xy: np.ndarray, radius: float = 0.0, seed: int = 0) -> list[np.ndarray]:
+    return draw_patches(xy, 16, radius, np.random.default_rng(seed))
+
+
+def test_a_small_cloud_is_one_patch() -> None:
+    xy = np.random.default_rng(0).uniform(0, 1, (300, 2))
+    (rows,) = draw(xy)
+    assert sorted(rows) == list(range(300))
+
+
+def test_dense_ones_leave_no_point_out(xy: np.ndarray) -> None:
+    patches = draw(xy)
+    assert len(patches) == 16
+    for rows in patches:
+        assert len(set(rows)) == PATCH_POINTS
+        centre = xy[rows[0]]  # nearest first
+        distances = np.hypot(*(xy - centre).T)
+        assert np.sum(distances <= distances[rows].max()) == PATCH_POINTS
+
+
+def test_wide_ones_reach_as_far_as_asked(xy: np.ndarray) -> None:
+    for rows in draw(xy, 2.0):
+        assert len(set(rows)) == PATCH_POINTS
+        sides = np.ptp(xy[rows], axis=0)
+        assert sides.max() > 1.9  # at a corner of the cloud it is a quarter of a disc
+        assert sides.max() <= 4.0
+
+
+def test_they_are_everywhere(xy: np.ndarray) -> None:
+    middles = np.array([xy[rows].mean(axis=0) for rows in draw(xy)])
+    quarters = {(x > SIZE / 2, y > SIZE / 2) for x, y in middles}
+    assert len(quarters) == 4
+
+
+def test_a_cloud_of_few_points_is_not_used_over_and_over() -> None:
+    xy = np.random.default_rng(0).uniform(0, 3, (1000, 2))
+    assert len(draw(xy)) == 4
+
+
+def test_same_seed_same_patches(xy: np.ndarray) -> None:
+    for a, b in zip(draw(xy, 1.5, 3), draw(xy, 1.5, 3), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert any((a != b).any() for a, b in zip(draw(xy, 0, 3), draw(xy, 0, 4), strict=True))

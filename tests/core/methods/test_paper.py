@@ -1,4 +1,4 @@
-"""Algorithm 1 as printed: against a loop that is the print, and h against its own formula."""
+"""Algorithm 1 as printed, against a loop that is the print, and what the memo keeps of it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -101,28 +101,10 @@ def test_it_is_the_printed_loop(
     assert found.overlap_area == pytest.approx(0.01 * num_cells)
 
 
-def test_it_finds_the_motion() -> None:
-    motion = SE2(0.4, -0.3, 2.5)
-    matches = associations(0, 12, 25, motion)
-    found = register_as_printed(a_map(motion), a_map(SE2()), matches, RADIUS, 2000, 0)
-    assert found.T_database_query is not None
-    assert found.inliers[:12].all()
-    assert found.T_database_query.yaw == pytest.approx(2.5, abs=0.05)
-    np.testing.assert_allclose(
-        [found.T_database_query.x, found.T_database_query.y], [0.4, -0.3], atol=0.05
-    )
-
-
-def test_h_is_its_formula_and_lowest_where_the_maps_meet() -> None:
-    motion = SE2(0.5, 0.2)  # by whole cells: nothing to interpolate
+def test_h_is_lowest_where_the_maps_meet_and_infinite_apart() -> None:
+    motion = SE2(0.5, 0.2)
     query, database = a_map(motion), a_map(SE2())
-    h, num_cells = ssd_metric(query, database, SE2(0.3, 0.2))
-    there = (query.gradient[:-2, :-3] - database.gradient[2:, 3:]) ** 2
-    expected = np.sum(there / (query.variance[:-2, :-3] * database.variance[2:, 3:]))
-    # Cells on the last row or column may or may not count, by rounding.
-    assert h == pytest.approx(expected, rel=0.1)
-    assert num_cells == pytest.approx(there.size, rel=0.06)
-    assert ssd_metric(query, database, motion)[0] < 1e-3 * h
+    assert ssd_metric(query, database, motion)[0] < 1e-3 * ssd_metric(query, database, SE2())[0]
     assert ssd_metric(query, database, SE2(40.0, 0.0)) == (np.inf, 0)
 
 

@@ -9,11 +9,20 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.methods.cshot import color_shot, describe_cshot
-from gpgrad_core.methods.curvature import curved_keypoints, surface_variation
-from gpgrad_core.methods.outcome import seen_from_above
-from gpgrad_core.methods.rigid_ransac import fit_rigid, ransac_se3
-from gpgrad_core.methods.shot import shot
+from gpgrad_core.methods.described_clouds import (
+    DescribedCloud,
+    fit_rigid,
+    mutual_matches,
+    ransac_se3,
+)
+from gpgrad_core.methods.rival import seen_from_above
+from gpgrad_core.methods.shot import (
+    color_shot,
+    curved_keypoints,
+    describe_cshot,
+    shot,
+    surface_variation,
+)
 from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Submap
@@ -141,3 +150,15 @@ def test_cshot_says_that_it_needs_colors() -> None:
     plain = Submap.from_points(bumpy(1)[0], "007")
     with pytest.raises(InputError, match="007: cshot needs the colours"):
         describe_cshot(plain, PipelineParams(map=MapParams().guessed))
+
+
+def described(*descriptors: tuple[float, float]) -> DescribedCloud:
+    values = np.array(descriptors, np.float32)
+    return DescribedCloud(np.zeros((len(values), 3)), values, np.zeros((1, 3)))
+
+
+def test_a_threshold_drops_associations_of_distant_descriptors() -> None:
+    query, database = described((0, 0), (5, 0), (9, 0)), described((5.3, 0.4), (0, 0.1), (5.9, 0))
+    assert mutual_matches(query, database).tolist() == [[0, 1], [1, 0]]
+    assert mutual_matches(query, database, 0.51).tolist() == [[0, 1], [1, 0]]
+    assert mutual_matches(query, database, 0.49).tolist() == [[0, 1]]

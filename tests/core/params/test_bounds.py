@@ -1,7 +1,7 @@
 """Bounds: rounding that makes equal slider positions equal keys, and checks that name the rule."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import pytest
 from hypothesis import given
@@ -10,14 +10,22 @@ from typing_extensions import Doc
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import FeatureParams
-from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.gradient_map import MapParams, TerrainParams
 from gpgrad_core.loop_closure import ClosureParams
 from gpgrad_core.matching import MatchParams
 from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import bounds_of, check_bounds, fields_of
+from gpgrad_core.params.fields import (
+    bounds_of,
+    check_bounds,
+    fields_of,
+    get_path,
+    parameters_of,
+    with_path,
+)
+from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.registration import RegistrationParams
 
-PARAMS = (MapParams, FeatureParams, MatchParams, RegistrationParams, ClosureParams)
+PARAMS = (MapParams, TerrainParams, FeatureParams, MatchParams, RegistrationParams, ClosureParams)
 steps = st.sampled_from([1e-3, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 1.0, 10.0])
 
 
@@ -26,6 +34,14 @@ class Oven:
     heat: Annotated[float, Bounds(20.0, 250.0, 5.0, "°C"), Doc("How hot.")] = 180.0
     minutes: Annotated[int | None, Bounds(1, 90, 1)] = None
     fan: Annotated[bool, Doc("Whether it blows.")] = False
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+
+@dataclass(frozen=True)
+class Grill:
+    heat: Literal["low", "high"] = "low"
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -82,6 +98,24 @@ def test_values_outside_are_refused_by_name_rule_and_value(heat: float) -> None:
     assert str(caught.value) == f"heat must be from 20 to 250 °C, got {heat!r}"
 
 
+def test_a_choice_that_there_is_not_is_refused_with_those_that_there_are() -> None:
+    assert Grill("high").heat == "high"
+    with pytest.raises(InputError, match=r"^heat must be one of low, high, got 'mild'$"):
+        Grill("mild")  # type: ignore[arg-type]
+
+
+def test_every_parameter_is_read_and_changed_by_its_path() -> None:
+    params = PipelineParams()
+    for field in parameters_of(PipelineParams):
+        assert get_path(params, field.path) == field.default
+        if field.bounds is None:
+            continue
+        low = int(field.bounds.low) if field.kind is int else float(field.bounds.low)
+        changed = with_path(params, field.path, low)
+        assert get_path(changed, field.path) == low
+        assert with_path(changed, field.path, field.default) == params
+
+
 def test_only_objects_can_be_checked() -> None:
     for wrong in (Oven, 3.0):
         with pytest.raises(TypeError, match="dataclass object"):
@@ -104,6 +138,8 @@ def test_every_parameter_of_the_pipeline_is_sound(params: type) -> None:
         if field.default is not None:
             assert low <= field.default <= high
             assert bounds.round(field.default) == field.default
+        for right in (bounds.low, bounds.high):
+            assert getattr(params(**{field.name: right}), field.name) == right
         for wrong in (bounds.low - bounds.step, bounds.high + bounds.step):
             with pytest.raises(InputError, match=field.name):
                 params(**{field.name: wrong})

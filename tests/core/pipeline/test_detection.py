@@ -7,14 +7,12 @@ import pytest
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.datasets import demo_path, load_dataset
-from gpgrad_core.errors import InputError
 from gpgrad_core.features import DetectorParams
 from gpgrad_core.gradient_map import MapParams
 from gpgrad_core.pipeline import (
     PairResult,
     PipelineParams,
     detect_loop_closures,
-    infer_map,
     register_pair,
 )
 from gpgrad_core.run.memo import Memo
@@ -105,7 +103,7 @@ def test_the_same_again_runs_nothing_and_gives_the_same_objects(
     first = register_pair(query, database, PARAMS, memo)
     assert sorted(memo.since()) == sorted(
         2 * ["fit_terrain", "sample_map", "detect_features", "select_trusted", "prepare"]
-        + ["match_features", "search_motions", "register_prepared"]
+        + ["match_features", "search_candidates", "register_prepared"]
     )
     second = register_pair(query, database, PARAMS, memo)
     assert memo.since() == []
@@ -116,7 +114,7 @@ def test_the_same_again_runs_nothing_and_gives_the_same_objects(
 
 MAP, FEATURES = PARAMS.map, PARAMS.features
 MATCHING, REGISTRATION, CLOSURE = PARAMS.matching, PARAMS.registration, PARAMS.closure
-MASKING = ["match_features", "prepare", "register_prepared", "search_motions", "select_trusted"]
+MASKING = ["match_features", "prepare", "register_prepared", "search_candidates", "select_trusted"]
 SAMPLING = ["detect_features", *MASKING, "sample_map"]
 
 
@@ -177,14 +175,6 @@ def test_progress_rises_and_may_cancel_and_nothing_half_done_is_kept(
     register_pair(query, database, PARAMS, memo, heard.append)
     assert memo.since().count("fit_terrain") == 1  # the query's was whole, the other's was not
     assert heard[-1] == pytest.approx(1.0)
-
-
-def test_a_wide_cloud_is_refused_by_name(query: Submap) -> None:
-    wide = Submap.from_points(query.points * [2000, 2000, 1], "wide")
-    with pytest.raises(InputError, match="submap wide spans"):
-        infer_map(wide, PARAMS, Memo())
-    with pytest.raises(InputError, match="submap wide spans"):
-        register_pair(query, wide, PARAMS, Memo())
 
 
 def test_detection_compares_every_pair_once_the_earlier_as_database(

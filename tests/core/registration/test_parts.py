@@ -8,26 +8,30 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.registration.alignment import DRIFTED, LEVEL, align
-from gpgrad_core.registration.evidence import (
+from gpgrad_core.registration.align import DRIFTED, LEVEL, Warp, align
+from gpgrad_core.registration.candidates import NUM_YAWS, make_spectra, search_motions
+from gpgrad_core.registration.score import (
     UNRELATED_LEVEL,
     UNRELATED_SPREAD,
     Evidence,
     closure_score,
-    map_evidence,
+    map_agreement,
     shares_of_evidence,
     weigh,
 )
-from gpgrad_core.registration.placement import sharpen
-from gpgrad_core.registration.relief import make_relief
-from gpgrad_core.registration.search import NUM_YAWS, make_spectra, search_motions
-from gpgrad_core.registration.uncertainty import NUM_BANDS, BandNoise, band_edges
+from gpgrad_core.registration.surface import (
+    NUM_BANDS,
+    BandNoise,
+    band_edges,
+    sharp_surface,
+    smooth_surface,
+)
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, GradientMap, Grid
 from tests.core.ground import Ground
 from tests.core.registration.synthetic import DATABASE, GRID, GROUND, map_of
 
-RELIEF = make_relief(DATABASE)
+SURFACE = smooth_surface(DATABASE)
 
 
 def distance(found: SE2, true: SE2) -> float:
@@ -38,7 +42,7 @@ def distance(found: SE2, true: SE2) -> float:
 @pytest.mark.parametrize("yaw", [-3.0, -1.1, 0.0, 0.7, 2.4])
 def test_the_search_finds_any_turn_and_shift(yaw: float) -> None:
     true = SE2(1.3, -2.1, yaw)
-    found = search_motions(make_relief(map_of(true)), RELIEF, 3)
+    found = search_motions(smooth_surface(map_of(true)), SURFACE, 3)
     assert len(found) == 3
     assert distance(found[0], true) < 0.6  # a cell
     assert abs(math.remainder(found[0].yaw - yaw, math.tau)) <= math.radians(5) + 1e-9
@@ -46,24 +50,24 @@ def test_the_search_finds_any_turn_and_shift(yaw: float) -> None:
 
 def test_the_search_transforms_a_smaller_map_like_the_larger_one() -> None:
     true = SE2(0.3, -0.4, 0.7)
-    whole = make_relief(map_of(true))
+    whole = smooth_surface(map_of(true))
     rows, columns = whole.grid.shape
     inner = np.zeros((rows, columns), bool)
     inner[rows // 5 : -rows // 5, columns // 5 : -columns // 5] = True
     part = replace(whole, trusted=whole.trusted & inner)
-    assert make_spectra(part, NUM_YAWS).size < make_spectra(RELIEF, 1).size
-    assert distance(search_motions(part, RELIEF, 3)[0], true) < 0.6
+    assert make_spectra(part, NUM_YAWS).size < make_spectra(SURFACE, 1).size
+    assert distance(search_motions(part, SURFACE, 3)[0], true) < 0.6
 
 
 def test_the_search_on_plain_ground_finds_nothing() -> None:
-    plain = make_relief(map_of(SE2(), Ground.random(0, std=0.0)))
-    assert search_motions(plain, RELIEF, 3) == []
+    plain = smooth_surface(map_of(SE2(), Ground.random(0, std=0.0)))
+    assert search_motions(plain, SURFACE, 3) == []
 
 
 def test_cells_grow_on_wide_maps() -> None:
     grid = Grid((0.0, 0.0), 0.5, (160, 160))
     zero = np.zeros(grid.shape)
-    wide = make_relief(GradientMap(grid, zero, zero, np.zeros((160, 160, 2)), 0.15, 0.3))
+    wide = smooth_surface(GradientMap(grid, zero, zero, np.zeros((160, 160, 2)), 0.15, 0.3))
     spectra = make_spectra(wide, NUM_YAWS)
     assert spectra.cell >= 1.2
     assert 2 * spectra.half <= 70
@@ -82,20 +86,9 @@ def test_alignment_ends_at_the_truth_also_where_the_query_leans(
     true = SE2(0.6, -0.4, 1.0)
     query = map_of(true)
     leaning = query.elevation + tilt * query.grid.x
-    relief = make_relief(
-        GradientMap(
-            query.grid,
-            leaning,
-            *(
-                query.variance,
-                query.slope,
-                query.signal_std,
-                query.length_scale,
-            ),
-        )
-    )
+    surface = smooth_surface(replace(query, elevation=leaning))
     start = SE2(true.x + x, true.y + y, true.yaw + turn)
-    ends = align(relief, RELIEF, [start, true], num_cells=2000, iterations=10)
+    ends = align(surface, SURFACE, [start, true], num_cells=2000, iterations=10)
     assert ends.held.all()
     for k in range(2):
         assert distance(ends.motion(k), true) < 0.02
@@ -111,23 +104,12 @@ def test_alignment_of_drifted_maps_bears_a_bend_that_a_level_one_takes_for_a_mot
     slope = query.slope + np.stack(
         np.broadcast_arrays(0.02 + 0.012 * x - 0.004 * y, -0.004 * x), axis=-1
     )
-    relief = sharpen(
-        GradientMap(query.grid, bent, query.variance, slope, query.signal_std, query.length_scale)
-    ).whole
-    off = {
-        warp: distance(
-            align(
-                relief,
-                sharpen(DATABASE).whole,
-                [true],
-                num_cells=3000,
-                iterations=8,
-                warp=warp,
-            ).motion(0),
-            true,
-        )
-        for warp in (LEVEL, DRIFTED)
-    }
+    surface = sharp_surface(replace(query, elevation=bent, slope=slope))
+    database = sharp_surface(DATABASE)
+    off: dict[Warp, float] = {}
+    for warp in (LEVEL, DRIFTED):
+        ends = align(surface, database, [true], num_cells=3000, iterations=8, warp=warp)
+        off[warp] = distance(ends.motion(0), true)
     assert off[DRIFTED] < 0.01
     assert off[DRIFTED] < 0.3 * off[LEVEL]
 
@@ -141,17 +123,8 @@ def test_covariances_cover_the_errors_and_shrink_with_the_noise() -> None:
         for _ in range(10):
             query = map_of(true)
             noisy = query.elevation + noise * rng.standard_normal(query.grid.shape)
-            relief = make_relief(
-                GradientMap(
-                    query.grid,
-                    noisy,
-                    query.variance,
-                    query.slope,
-                    query.signal_std,
-                    query.length_scale,
-                )
-            )
-            end = align(relief, RELIEF, [true], num_cells=2000, iterations=5)
+            surface = smooth_surface(replace(query, elevation=noisy))
+            end = align(surface, SURFACE, [true], num_cells=2000, iterations=5)
             left = end.motions[0] - [true.x, true.y, true.yaw]
             errors.append(float(left @ np.linalg.solve(end.covariances[0], left)))
         sizes.append(float(np.trace(end.covariances[0][:2, :2])))
@@ -161,7 +134,7 @@ def test_covariances_cover_the_errors_and_shrink_with_the_noise() -> None:
 
 def test_alignment_leaves_alone_what_does_not_meet() -> None:
     away = SE2(40.0, 0.0, 0.3)
-    ends = align(RELIEF, RELIEF, [away, SE2()], num_cells=500, iterations=3)
+    ends = align(SURFACE, SURFACE, [away, SE2()], num_cells=500, iterations=3)
     assert ends.held.tolist() == [False, True]
     assert ends.motion(0) == away
     assert ends.likeness[0] == 0.0 < ends.likeness[1]
@@ -171,14 +144,14 @@ AGREED = Agreement(0.01, 0.01, 0.1)
 
 
 def test_a_map_agrees_with_itself_and_not_with_another() -> None:
-    same = weigh(RELIEF, RELIEF, SE2())
+    same = weigh(SURFACE, SURFACE, SE2())
     assert min(same.log_ratios) > 1.0
     # 8 m x 8 m of ground in patches of 2 pi 0.3 m x 0.3 m.
     assert same.patches == pytest.approx(64 / (2 * math.pi * 0.09), rel=0.1)
     assert same.agreement is not None
     assert same.agreement.difference == pytest.approx(0.0, abs=1e-4)
     assert same.agreement.difference < same.agreement.possible < same.agreement.relief
-    other = weigh(make_relief(map_of(SE2(), Ground.random(99, shortest=1.0))), RELIEF, SE2())
+    other = weigh(smooth_surface(map_of(SE2(), Ground.random(99, shortest=1.0))), SURFACE, SE2())
     assert other.log_ratios[0] < 0
     assert other.agreement is not None
     assert other.agreement.difference > 3 * other.agreement.possible
@@ -186,28 +159,29 @@ def test_a_map_agrees_with_itself_and_not_with_another() -> None:
 
 def test_the_map_of_the_evidence_adds_up_to_what_is_scored() -> None:
     true = SE2(1.0, -0.7, 2.0)
-    relief = make_relief(map_of(true))
-    grid, shown = map_evidence(relief, RELIEF, true)
-    evidence = weigh(relief, RELIEF, true)
+    query = map_of(true)
+    surface = smooth_surface(query)
+    grid, shown = map_agreement(query, DATABASE, true)
+    evidence = weigh(surface, SURFACE, true)
     count = np.isfinite(shown).sum()
     assert grid.shape == shown.shape
-    assert count * grid.resolution**2 / (2 * math.pi * RELIEF.scale**2) == evidence.patches
+    assert count * grid.resolution**2 / (2 * math.pi * SURFACE.scale**2) == evidence.patches
     of_terrain = shares_of_evidence(evidence, 0)[1:]
     assert np.nanmean(shown) * math.sqrt(evidence.patches) == pytest.approx(sum(of_terrain))
     # The cells lie where the maps overlap, in the database's frame.
     rows, columns = np.nonzero(np.isfinite(shown))
     places = grid.to_position(np.column_stack([columns, rows]).astype(float))
-    assert relief.grid.to_pixel(true.inverse().apply(places)).min() > -1
-    assert RELIEF.grid.to_pixel(places).min() > -0.001
-    nowhere = map_evidence(relief, RELIEF, SE2(100.0, 0.0, 0.0))[1]
+    assert surface.grid.to_pixel(true.inverse().apply(places)).min() > -1
+    assert SURFACE.grid.to_pixel(places).min() > -0.001
+    nowhere = map_agreement(query, DATABASE, SE2(100.0, 0.0, 0.0))[1]
     assert np.isnan(nowhere).all()
 
 
 def test_the_evidence_asks_for_the_same_height() -> None:
-    steeper = make_relief(
+    steeper = smooth_surface(
         map_of(SE2(), Ground(GROUND.wave_vectors, GROUND.phases, 1.5 * GROUND.amplitudes))
     )
-    of_same, of_steeper = (weigh(one, RELIEF, SE2()) for one in (RELIEF, steeper))
+    of_same, of_steeper = (weigh(one, SURFACE, SE2()) for one in (SURFACE, steeper))
     assert of_steeper.log_ratios[0] < 0.5 * of_same.log_ratios[0]
     assert of_steeper.log_ratios[1] < 0.5 * of_same.log_ratios[1]
 
@@ -215,35 +189,35 @@ def test_the_evidence_asks_for_the_same_height() -> None:
 def test_agreement_is_worth_less_the_noisier_the_maps_are() -> None:
     ratios: list[float] = []
     for std in (0.005, 0.02, 0.05, 0.1):
-        unsure = make_relief(replace(DATABASE, variance=np.full(GRID.shape, std**2)), 1.0)
+        unsure = smooth_surface(replace(DATABASE, variance=np.full(GRID.shape, std**2)), 1.0)
         ratios.append(weigh(unsure, unsure, SE2()).log_ratios[0])
     assert ratios == sorted(ratios, reverse=True)
     assert ratios[-1] < 0.2 * ratios[0]
 
 
 def test_flat_ground_says_nothing() -> None:
-    flat = make_relief(map_of(SE2(), Ground.random(5, shortest=1.0, std=0.0005)))
+    flat = smooth_surface(map_of(SE2(), Ground.random(5, shortest=1.0, std=0.0005)))
     assert max(np.abs(weigh(flat, flat, SE2()).log_ratios)) < 0.3
 
 
 def test_a_rock_that_moved_does_not_decide() -> None:
     moved = DATABASE.elevation.copy()
     moved[30:36, 30:36] += 0.5
-    with_rock = weigh(make_relief(replace(DATABASE, elevation=moved)), RELIEF, SE2())
+    with_rock = weigh(smooth_surface(replace(DATABASE, elevation=moved)), SURFACE, SE2())
     assert min(with_rock.log_ratios) > 0.5
 
 
 def test_tilt_and_bend_of_a_submap_do_not_count_as_a_difference() -> None:
     x, y = GRID.x, GRID.y[:, None]
     bent = replace(DATABASE, elevation=DATABASE.elevation + 0.02 * x - 0.01 * y + 0.003 * x * y)
-    said, same = weigh(make_relief(bent), RELIEF, SE2()), weigh(RELIEF, RELIEF, SE2())
+    said, same = weigh(smooth_surface(bent), SURFACE, SE2()), weigh(SURFACE, SURFACE, SE2())
     assert said.log_ratios == pytest.approx(same.log_ratios, abs=0.3)
 
 
 def test_weighing_the_other_way_round_says_the_same() -> None:
     true = SE2(1.0, -0.7, 2.0)
-    relief = make_relief(map_of(true))
-    forth, back = weigh(relief, RELIEF, true), weigh(RELIEF, relief, true.inverse())
+    surface = smooth_surface(map_of(true))
+    forth, back = weigh(surface, SURFACE, true), weigh(SURFACE, surface, true.inverse())
     assert forth.log_ratios == pytest.approx(back.log_ratios, abs=0.1)
     assert forth.patches == pytest.approx(back.patches, rel=0.1)
 

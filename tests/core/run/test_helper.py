@@ -216,7 +216,7 @@ def test_what_dies_before_it_is_ready_is_not_started_again(monkeypatch: pytest.M
         processes.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE))
         return processes[-1]
 
-    monkeypatch.setattr("gpgrad_core.run.helper._start_process", start)
+    monkeypatch.setattr("gpgrad_core.run.helper.start_process", start)
     helper = Helper()
     until(lambda: not is_there(processes[0].pid), "its end")
     assert helper.ask(where, "anyone") is None

@@ -83,11 +83,6 @@ def test_equal_params_are_one_key_and_others_are_not(counter: Counter) -> None:
     assert len(counter.calls) == 3
 
 
-def test_a_root_is_known_by_its_fingerprint_not_by_the_object(counter: Counter) -> None:
-    memo = Memo()
-    assert memo(counter.first, Root("a"), Params()) is memo(counter.first, Root("a"), Params())
-
-
 def test_two_functions_share_no_result(counter: Counter) -> None:
     memo = Memo()
     made = memo(counter.first, Root("a"), Params())
@@ -102,23 +97,6 @@ def test_the_order_of_inputs_is_part_of_the_key(counter: Counter) -> None:
     forth, back = memo(counter.pair, a, b)[0], memo(counter.pair, b, a)[0]
     np.testing.assert_array_equal(forth, back[::-1])
     assert counter.calls.count("pair") == 2
-
-
-def test_a_late_change_runs_late_stages_only_and_going_back_none(counter: Counter) -> None:
-    memo = Memo()
-
-    def run(height: float, factor: float) -> Made:
-        return memo(counter.second, memo(counter.first, Root("a"), Params(height)), factor)
-
-    run(1.0, 1.0)
-    counter.calls.clear()
-    run(1.0, 2.0)
-    assert counter.calls == ["second"]
-    counter.calls.clear()
-    run(1.0, 1.0)
-    assert counter.calls == []
-    run(3.0, 1.0)
-    assert counter.calls == ["first", "second"]
 
 
 def test_what_does_not_change_the_result_is_no_key(counter: Counter) -> None:

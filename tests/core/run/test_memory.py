@@ -1,11 +1,17 @@
-"""Memory that is free goes back to the system."""
+"""Memory that is free goes back to the system, and arrays in a file take none until used."""
 
+import gc
 import subprocess
 import sys
+import tempfile
+import weakref
+from pathlib import Path
 
+import numpy as np
+import psutil
 import pytest
 
-from gpgrad_core.run.memory import _malloc_trim
+from gpgrad_core.run.memory import Spool, give_back, trim
 
 # Freed blocks below one that is still held stay with the process, unless it gives them back.
 HOARD = """
@@ -20,9 +26,61 @@ print(before - psutil.Process().memory_info().rss)
 """
 
 
-@pytest.mark.skipif(_malloc_trim() is None, reason="only the GNU C library can be told")
+@pytest.mark.skipif(not trim(), reason="only the GNU C library can be told")
 def test_what_was_freed_goes_back_to_the_system() -> None:
     done = subprocess.run(
         [sys.executable, "-c", HOARD], check=True, capture_output=True, text=True, timeout=60
     )
     assert int(done.stdout) > 50_000_000
+
+
+def test_arrays_come_back_as_they_were_and_cannot_be_written() -> None:
+    generator = np.random.default_rng(0)
+    arrays = [
+        generator.normal(size=(7, 3)),
+        np.arange(5, dtype=np.uint8),
+        np.zeros((0, 3)),
+        generator.normal(size=(9, 4)).T,
+    ]
+    spool = Spool()
+    waiting = [spool.write(array) for array in arrays]
+    mapped = spool.finish()
+    for array, give in zip(arrays, waiting, strict=True):
+        given = give(mapped)
+        np.testing.assert_array_equal(given, array)
+        assert given.dtype == array.dtype
+        assert not given.flags.writeable
+
+
+def test_memory_is_taken_when_they_are_looked_at_and_given_back() -> None:
+    size = 60_000_000
+    spool = Spool()
+    give = spool.write(np.ones(size, np.uint8))
+    array = give(spool.finish())
+    process = psutil.Process()
+    give_back()
+    before = process.memory_info().rss
+    assert int(array.sum(dtype=np.int64)) == size
+    looked = process.memory_info().rss
+    give_back()
+    after = process.memory_info().rss
+    assert looked - before > 0.8 * size
+    assert looked - after > 0.8 * size
+    assert int(array.sum(dtype=np.int64)) == size
+
+
+def test_the_file_has_no_name_and_goes_with_its_last_array(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    spool = Spool()
+    give = spool.write(np.ones(1000, np.uint8))
+    mapped = spool.finish()
+    array, is_mapped = give(mapped), weakref.ref(mapped)
+    assert list(tmp_path.iterdir()) == []
+    del mapped
+    gc.collect()
+    assert array.sum() == 1000
+    del array
+    gc.collect()
+    assert is_mapped() is None

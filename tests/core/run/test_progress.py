@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpgrad_core.run.progress import Cancelled, part, silent
+from gpgrad_core.run.progress import Cancelled, part
 
 fractions = st.floats(0, 1)
 
@@ -32,8 +32,3 @@ def test_cancelling_passes_through() -> None:
 
     with pytest.raises(Cancelled, match=r"0\.5"):
         part(stop, 0.0, 1.0)(0.5)
-
-
-def test_silence_is_silent(capsys: pytest.CaptureFixture[str]) -> None:
-    silent(0.5)
-    assert capsys.readouterr() == ("", "")

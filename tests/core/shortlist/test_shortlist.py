@@ -83,11 +83,6 @@ def test_only_those_that_are_asked_for(many: Shortlist) -> None:
         many.candidates(query, 9, ["x"])
 
 
-def test_the_same_submaps_have_the_same_candidates(many: Shortlist) -> None:
-    query = features(7, 100, noise=0.3)
-    assert filled(MANY).candidates(query, 20) == many.candidates(query, 20)
-
-
 def test_a_candidate_depends_on_no_later_submap() -> None:
     """One by one is all at once: what is added later changes no earlier answer."""
     growing = Shortlist()

@@ -10,7 +10,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import GraphParams, build_pose_graph, odometry_poses
 from gpgrad_core.types import LoopClosure, Registration
-from tests.core.slam.traverses import closure, simulate, with_odometry
+from tests.core.slam.simulated import closure, simulate, with_odometry
 
 
 def test_odometry_edges_say_what_the_poses_say() -> None:

@@ -10,7 +10,7 @@ from gpgrad_core.pipeline import detect_loop_closures
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 from gpgrad_core.slam import LoopCloser, build_pose_graph, optimise_pose_graph
 from gpgrad_core.types import Registration, Submap
-from tests.core.slam.traverses import Traverse, simulate
+from tests.core.slam.simulated import Traverse, simulate
 
 NOTHING = Registration(None, np.zeros(0, bool), np.inf, 0.0, 0.0, 0.0)
 

@@ -1,0 +1,77 @@
+from .calibration import Calibration, calibrate, describe_calibration
+from .experiment import read_rivals, run_methods
+from .judge import (
+    Accepted,
+    Evaluation,
+    MethodVerdict,
+    Ranked,
+    RuleVerdict,
+    Summary,
+    evaluate,
+)
+from .overlap import TruePairs, measure_pairs
+from .pose_error import PoseErrors, pose_errors
+from .precision_recall import (
+    Interval,
+    PrecisionRecall,
+    average_precision,
+    best_f1,
+    precision_by_inliers,
+    recall_at_full_precision,
+)
+from .ranking import Ranking, rank_pairs
+from .registration_benchmark import (
+    Problem,
+    check_problems,
+    describe_problems,
+    read_problems,
+)
+from .report import (
+    Section,
+    check_directory,
+    report_evaluation,
+    write_report,
+)
+from .rules import EvaluationParams, Labels, Rule
+from .sections import Protocol, describe_images, describe_protocol
+
+__all__ = [
+    "Accepted",
+    "Calibration",
+    "Evaluation",
+    "EvaluationParams",
+    "Interval",
+    "Labels",
+    "MethodVerdict",
+    "PoseErrors",
+    "PrecisionRecall",
+    "Problem",
+    "Protocol",
+    "Ranked",
+    "Ranking",
+    "Rule",
+    "RuleVerdict",
+    "Section",
+    "Summary",
+    "TruePairs",
+    "average_precision",
+    "best_f1",
+    "calibrate",
+    "check_directory",
+    "check_problems",
+    "describe_calibration",
+    "describe_images",
+    "describe_problems",
+    "describe_protocol",
+    "evaluate",
+    "measure_pairs",
+    "pose_errors",
+    "precision_by_inliers",
+    "rank_pairs",
+    "read_problems",
+    "read_rivals",
+    "recall_at_full_precision",
+    "report_evaluation",
+    "run_methods",
+    "write_report",
+]

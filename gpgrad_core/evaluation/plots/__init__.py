@@ -1,0 +1,1 @@
+"""Plots of an evaluation's report and the paper's figures, without matplotlib's global state."""

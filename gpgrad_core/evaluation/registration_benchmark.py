@@ -1,0 +1,228 @@
+"""The problems of the point clouds registration benchmark, and how methods solve them.
+
+The benchmark of Fontana et al. (*A Benchmark for Point Clouds Registration Algorithms*,
+arXiv:2003.12841, 2020) lists its problems in text files, ``NAME_global.txt`` and
+``NAME_local.txt``. The README of iralabdisco/point_clouds_registration_benchmark gives the columns
+``id source target overlap t1 … t12``, where t1 to t12 are the upper three rows of the motion by
+which the source was misplaced. The files of that repository, which were read for this module, have
+one more column, ``scale``, before t1, and name the columns in their first row. Both forms are read.
+The error of a solution is that of ``metric.py`` there: the mean over the source's points p, with
+centroid c, of ``|p_found - p_true| / |p_true - c|``.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.datasets.poses import pose_of_matrix
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation.judge import Evaluation
+from gpgrad_core.evaluation.pages import TEMPLATES, cell, render
+from gpgrad_core.evaluation.report import Section
+from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.types import Array, Dataset, Submap
+
+LARGEST = 50_000_000
+"""Bytes of a file of problems; a row takes 300."""
+FIRST = ("id", "source", "target", "overlap")
+NUMBERS = tuple(f"t{k}" for k in range(1, 13))
+FORMS = ((*FIRST, *NUMBERS), (*FIRST, "scale", *NUMBERS))
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One pair of clouds of the benchmark.
+
+    Attributes:
+        id: The benchmark's number of it, as text.
+        source: Name of the cloud that is to be placed, without its ending.
+        target: Name of the cloud on which it is to be placed, without its ending.
+        overlap: Share of the source that overlaps the target, as the file says.
+        misplacement: The motion by which the benchmark misplaces the source in the world.
+    """
+
+    id: str
+    source: str
+    target: str
+    overlap: float
+    misplacement: Pose
+
+
+def read_problems(path: Path) -> tuple[Problem, ...]:
+    """Read a file of the benchmark's problems.
+
+    Args:
+        path: The file; its first row may name the columns.
+
+    Raises:
+        InputError: If a row has another number of columns than 16 or 17, a number is none, t1 to
+            t12 are no rigid motion, or there is no problem; the message names the line.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    problems: list[Problem] = []
+    width = 0
+    for number, line in enumerate(lines_of(read_text(path, LARGEST)), start=1):
+        words = line.split()
+        if not words or line.startswith("#"):
+            continue
+        where = f"{path}, line {number}"
+        if not width and words[0] == "id" and tuple(words) not in FORMS:
+            raise InputError(
+                f"{where}: names other columns than id source target overlap scale t1 … t12"
+            )
+        if width and len(words) != width:
+            raise InputError(f"{where}: has {len(words)} columns, the rows before it have {width}")
+        if len(words) not in map(len, FORMS):
+            raise InputError(
+                f"{where}: has {len(words)} columns; a problem has 16, id source target overlap t1 "
+                "… t12, or 17 with scale before t1"
+            )
+        width = len(words)
+        if words[0] != "id":
+            problems.append(_problem(words, where))
+    if not problems:
+        raise InputError(f"{path}: holds no problems of the registration benchmark")
+    return tuple(problems)
+
+
+def _problem(words: list[str], where: str) -> Problem:
+    (overlap,) = parse_numbers(words[3:4], where)
+    if not 0.0 <= overlap <= 100.0:
+        raise InputError(f"{where}: the overlap must be from 0 to 1, or to 100 %, got {words[3]}")
+    parse_numbers(words[4:-12], where)
+    matrix = np.array(parse_numbers(words[-12:], where)).reshape(3, 4)
+    source, target = (re.sub(r"\.[A-Za-z]\w*$", "", name) for name in words[1:3])
+    if source == target:
+        raise InputError(f"{where}: places the cloud {source} on itself")
+    return Problem(words[0], source, target, overlap, pose_of_matrix(matrix, where))
+
+
+def check_problems(problems: Sequence[Problem], dataset: Dataset, path: Path) -> None:
+    """Check before the work that a dataset has clouds of the problems.
+
+    Raises:
+        InputError: If no problem has both of its clouds there, with true poses.
+    """
+    placed = {submap.id for submap in dataset.submaps if submap.pose_true is not None}
+    if not any({problem.source, problem.target} <= placed for problem in problems):
+        raise InputError(
+            f"{path}: none of its {len(problems):,} problems has both clouds, such as "
+            f"{problems[0].source} and {problems[0].target}, with true poses in {dataset.name}"
+        )
+
+
+def describe_problems(
+    problems: Sequence[Problem], dataset: Dataset, evaluation: Evaluation, path: Path
+) -> Section:
+    """Judge how methods solve the benchmark's problems, as a section of the report.
+
+    A problem is solved by the motion that a method found for its pair, whichever of the two clouds
+    it took as the query. gpgrad's motions are those of gravity-aligned submaps, so the error is
+    that in the plane; heights and tilt are taken as true. The misplacement is not applied, because
+    a pair's motion does not depend on where its clouds were; the error that it makes is given.
+
+    Args:
+        problems: The problems.
+        dataset: The dataset, with its points.
+        evaluation: What the methods found on it.
+        path: The file of the problems, for the text.
+    """
+    submaps = {submap.id: submap for submap in dataset.submaps}
+    pairs = evaluation.pairs
+    judged: list[_Judged] = []
+    for problem in problems:
+        row = pairs.rows.get(frozenset((problem.source, problem.target)))
+        if row is None:
+            continue
+        source, target = submaps[problem.source], submaps[problem.target]
+        ahead = pairs.ids[pairs.query[row]] == source.id
+        solutions: dict[str, _Solution] = {}
+        for method in evaluation.methods:
+            motion = method.ranking.T_database_query[row]
+            if motion is not None and not ahead:
+                motion = motion.inverse()
+            solutions[method.name] = _Solution(
+                accepted=bool(method.ranking.accepted[row]),
+                right=bool(method.errors.near[row]),
+                error=None if motion is None else _error(source, target, motion),
+            )
+        misplaced = _error_misplaced(source, problem.misplacement)
+        judged.append(
+            _Judged(problem.id, source.id, target.id, problem.overlap, misplaced, solutions)
+        )
+    content = {
+        "file": path.name,
+        "problems": len(problems),
+        "held": len(judged),
+        "pairs": [asdict(pair) for pair in judged],
+    }
+    text = render(
+        TEMPLATES / "registration_benchmark.md",
+        judged=judged,
+        num_problems=len(problems),
+        file=path.name,
+        params=evaluation.params,
+        methods={
+            method.name: [pair.methods[method.name] for pair in judged]
+            for method in evaluation.methods
+        },
+        median=_median,
+        cell=cell,
+    )
+    return Section("registration_benchmark", content, text)
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """How a method solved a problem; the error is None if it gave no motion."""
+
+    accepted: bool
+    right: bool
+    error: float | None
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A problem of which the dataset has both clouds, and its solutions by method."""
+
+    id: str
+    source: str
+    target: str
+    overlap: float
+    error_misplaced: float
+    methods: dict[str, _Solution]
+
+
+def _error(source: Submap, target: Submap, motion: SE2) -> float:
+    """Give the benchmark's error of a motion ``T_target_source`` in the plane."""
+    assert source.pose_true is not None
+    assert target.pose_true is not None
+    true = source.pose_true.apply(source.points)
+    placed = (target.pose_true.planar @ motion).apply(source.points[:, :2])
+    return _mean_ratio(np.linalg.norm(placed - true[:, :2], axis=1), true)
+
+
+def _error_misplaced(source: Submap, misplacement: Pose) -> float:
+    """Give the benchmark's error of the source where the benchmark puts it at first."""
+    assert source.pose_true is not None
+    true = source.pose_true.apply(source.points)
+    return _mean_ratio(np.linalg.norm(misplacement.apply(true) - true, axis=1), true)
+
+
+def _mean_ratio(distances: Float[Array, "n"], true: Float[Array, "n 3"]) -> float:
+    weights = np.linalg.norm(true - true.mean(axis=0), axis=1)
+    return float(np.mean(distances / np.maximum(weights, 1e-9)))
+
+
+def _median(errors: Iterable[float | None]) -> str:
+    """Write the median; no error, None, is above all others."""
+    values = [np.inf if error is None else error for error in errors]
+    # The value above, because between a number and infinity there is no middle.
+    middle = float(np.quantile(values, 0.5, method="higher"))
+    return f"{middle:.3g}" if np.isfinite(middle) else "none found"

@@ -1,0 +1,103 @@
+"""What the rivals share: a detector made of two functions, and registrations without a check."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Registration, Submap
+
+D = TypeVar("D")
+
+LEAST_INLIERS = 8
+"""Smallest number of inliers of a rival's loop closure; parameters can only raise it."""
+
+
+@dataclass(frozen=True, eq=False)
+class CloudDetector(Generic[D]):
+    """A `StagedDetector` made of two functions of a module, so that it can be pickled.
+
+    Attributes:
+        describe: Makes everything that the comparison needs of a submap: a frozen dataclass.
+        register: Registers its first argument, the query, to its second.
+        params: The parameters that both functions get.
+        memo: Keeps the descriptions; it is empty at first in another process.
+    """
+
+    describe: Callable[[Submap, PipelineParams], D]
+    register: Callable[[D, D, PipelineParams], Registration]
+    params: PipelineParams
+    memo: Memo
+
+    def __call__(self, query: Submap, database: Submap) -> Registration:
+        """Register the query to the database."""
+        return self.compare(self.extract(query), self.extract(database))
+
+    def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
+        """Return the submap itself, because there is no map."""
+        progress(1.0)
+        return submap
+
+    def extract(self, made: Submap, progress: Progress = silent) -> D:
+        """Describe the submap."""
+        described = self.memo(self.describe, made, self.params)
+        progress(1.0)
+        return described
+
+    def compare(self, query: D, database: D) -> Registration:
+        """Register two described submaps."""
+        return self.register(query, database, self.params)
+
+
+def undescribed(submap: Submap, params: PipelineParams) -> Submap:  # noqa: ARG001 - as others
+    """Describe a submap by itself, for a comparison that needs its points."""
+    return submap
+
+
+def unchecked(
+    motion: SE2 | None, inliers: Bool[NDArray[np.bool_], "m"], score: float | None = None
+) -> Registration:
+    """Make a registration without a dense check.
+
+    Args:
+        motion: Maps the query's frame into the database's; None if no motion was found.
+        inliers: Which associations agree with the motion.
+        score: The method's own score; None takes the number of inliers, as in the paper's
+            Sec. VII.
+    """
+    value = float(np.sum(inliers)) if score is None else float(score)
+    return Registration(motion, inliers, np.inf, 0.0, 0.0, value)
+
+
+def judged_by_inliers(params: PipelineParams) -> PipelineParams:
+    """Let the number of inliers decide, because another method's score has another scale."""
+    num = max(params.closure.min_inliers, LEAST_INLIERS)
+    return replace(params, closure=replace(params.closure, min_inliers=num, min_score=0.0))
+
+
+def seen_from_above(
+    T_database_query: Float[Array, "4 4"], query_points: Float[Array, "n 3"]
+) -> SE2:
+    """Reduce a motion in space to the plane; both frames are gravity-aligned.
+
+    The yaw is the one closest to the rotation. The offset moves the middle of the query to the
+    same place as the motion does; with the offset of the origin, a tilt about a distant point
+    would become a shift.
+
+    Args:
+        T_database_query: Rigid motion as a matrix.
+        query_points: Points of the query [m].
+    """
+    rotation, translation = T_database_query[:3, :3], T_database_query[:3, 3]
+    yaw = float(np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1]))
+    middle = query_points.mean(axis=0)
+    there = (rotation @ middle + translation)[:2]
+    turned = SE2(0.0, 0.0, yaw).apply(middle[None, :2])[0]
+    return SE2(float(there[0] - turned[0]), float(there[1] - turned[1]), yaw)

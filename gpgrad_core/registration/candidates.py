@@ -1,0 +1,357 @@
+"""Candidate motions: Algorithm 1's RANSAC, and an exhaustive search that needs no keypoints."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil, cos, sin
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Complex64, Float, Int
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.registration.params import RegistrationParams
+from gpgrad_core.registration.surface import Image, Surface, level_octaves
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Array, Matches
+
+BoolArray = NDArray[np.bool_]
+
+TRIALS_AT_ONCE = 256
+"""Number of motions whose errors are computed together; they fit into a processor's cache."""
+SAME_TURN = 0.1
+"""Motions whose yaw differs by less than this are the same candidate [rad]."""
+NUM_YAWS = 36
+"""Number of yaws tried. The alignment that follows converges from more than half of the 10 degrees
+between them."""
+CELL = 2.0
+"""Side of a cell [scales of comparison]."""
+MOST_CELLS = 64
+"""Largest number of cells across a map. On larger maps the cells double in size, so that the time
+of a pair stays bounded."""
+SIZES = (32, 48, 64, 80, 96, 128, 160)
+"""Sizes of the spectra [cells]. They are fast to transform, and few, so that two maps mostly have
+the same."""
+LEAST_PATCHES = 4.0
+"""Smallest overlap that is considered, in patches of 2π cell²/4, over which terrain is alike."""
+APART = 2
+"""A shift within this many cells of a better one is the same candidate."""
+
+
+def find_motions(matches: Matches, params: RegistrationParams, radius: float) -> list[SE2]:
+    """Find the distinct motions with the most inliers: the RANSAC of Algorithm 1.
+
+    Args:
+        matches: The associations A.
+        params: Number of trials, number of motions wanted, and seed.
+        radius: Largest distance between the keypoints of an inlier [m].
+
+    Returns:
+        Up to ``params.hypotheses`` motions ``T_database_query``, the one with the most inliers
+        first.
+    """
+    num = len(matches)
+    if num < 2:
+        return []
+    first, second = _sample_pairs(num, params.trials, params.seed)
+    query, database = matches.query_xy, matches.database_xy
+    a, b = query[second] - query[first], database[second] - database[first]
+    # Two associations of one rigid motion have the same distance in both maps. Two that are too
+    # close to each other say nothing about the yaw.
+    span_a, span_b = np.hypot(*a.T), np.hypot(*b.T)
+    rigid = (np.abs(span_a - span_b) <= 2 * radius) & (np.minimum(span_a, span_b) >= 2 * radius)
+    a, b, first, second = a[rigid], b[rigid], first[rigid], second[rigid]
+    if len(a) == 0:
+        return []
+    # GetSE2Transform of each two associations, in closed form.
+    yaw = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1))
+    turned = _rotate(yaw, (query[first] + query[second]) / 2)
+    offset = (database[first] + database[second]) / 2 - turned
+    # Where each motion moves the middle of the query's keypoints.
+    middle = query.mean(axis=0)
+    placed = _rotate(yaw, np.broadcast_to(middle, offset.shape)) + offset
+    counts = _count_inliers(yaw, placed, query - middle, database, radius)
+    order = np.argsort(-counts, kind="stable")
+    return _distinct(yaw[order], offset[order], placed[order], radius, params.hypotheses)
+
+
+def _sample_pairs(
+    num: int, trials: int, seed: int
+) -> tuple[Int[NDArray[np.intp], "t"], Int[NDArray[np.intp], "t"]]:
+    """SelectRandomAsso: draw pairs of different associations; take all if they are few enough."""
+    if num * (num - 1) // 2 <= trials:
+        first, second = np.triu_indices(num, 1)
+        return first, second
+    generator = np.random.default_rng(seed)
+    first = generator.integers(num, size=trials)
+    second = generator.integers(num - 1, size=trials)
+    return first, second + (second >= first)
+
+
+def _rotate(yaw: Float[Array, "t"], points: Float[Array, "t 2"]) -> Float[Array, "t 2"]:
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = points.T
+    return np.column_stack([c * x - s * y, s * x + c * y])
+
+
+def _count_inliers(
+    yaw: Float[Array, "t"],
+    placed: Float[Array, "t 2"],
+    query: Float[Array, "m 2"],
+    database: Float[Array, "m 2"],
+    radius: float,
+) -> Int[NDArray[np.intp], "t"]:
+    """GetInliers for all trials; associations that share a position may count twice here.
+
+    The squared error of association (q, d) under rotation R and offset t is
+
+        |Rq + t - d|² = |q|² + |d|² + |t|² + 2 Rᵀt·q - 2 t·d - 2 (q·d cos yaw + q×d sin yaw)
+
+    Each term is a product of a number that depends on the motion and one that depends on the
+    association, so one matrix product gives all errors.
+
+    Args:
+        yaw: Yaw of each motion (t,) [rad].
+        placed: Where each motion moves the middle of the query's keypoints (t, 2) [m].
+        query: Keypoints relative to that middle (m, 2) [m].
+        database: The associated keypoints (m, 2) [m].
+        radius: Largest distance between the keypoints of an inlier [m].
+
+    Returns:
+        The number of inliers of each motion (t,).
+    """
+    # Relative to its middle no digits are lost, however far the frame's origin lies.
+    middle = database.mean(axis=0)
+    database, offset = database - middle, placed - middle
+    (qx, qy), (dx, dy) = query.T, database.T
+    lengths = np.sum(query**2, axis=1) + np.sum(database**2, axis=1)
+    ones = np.ones(len(query))
+    match_factors = np.stack([lengths, ones, qx, qy, dx, dy, qx * dx + qy * dy, qx * dy - qy * dx])
+    back_x, back_y = _rotate(-yaw, offset).T
+    tx, ty = offset.T
+    alone = [np.ones(len(yaw)), tx**2 + ty**2]
+    with_query, with_database = [2 * back_x, 2 * back_y], [-2 * tx, -2 * ty]
+    with_both = [-2 * np.cos(yaw), -2 * np.sin(yaw)]
+    trial_factors = np.column_stack([*alone, *with_query, *with_database, *with_both])
+    counts = np.empty(len(yaw), np.intp)
+    for first in range(0, len(yaw), TRIALS_AT_ONCE):
+        some = slice(first, first + TRIALS_AT_ONCE)
+        inside = trial_factors[some] @ match_factors <= radius**2
+        counts[some] = inside.astype(np.float32) @ ones.astype(np.float32)
+    return counts
+
+
+def _distinct(
+    yaw: Float[Array, "t"],
+    offset: Float[Array, "t 2"],
+    placed: Float[Array, "t 2"],
+    radius: float,
+    wanted: int,
+) -> list[SE2]:
+    """Take the first motions that differ in where they move the middle, or in their yaw."""
+    x, y = placed.T
+    c, s = np.cos(yaw), np.sin(yaw)
+    left = np.arange(len(yaw))
+    motions: list[SE2] = []
+    while len(motions) < wanted and len(left):
+        k = int(left[0])
+        motions.append(SE2(float(offset[k, 0]), float(offset[k, 1]), float(yaw[k])))
+        far = np.hypot(x[left] - x[k], y[left] - y[k]) > 2 * radius
+        turned = c[left] * c[k] + s[left] * s[k] < cos(SAME_TURN)
+        left = left[far | turned]
+    return motions
+
+
+def one_to_one(motion: SE2, matches: Matches, radius: float) -> Bool[BoolArray, "m"]:
+    """Find the inliers of a motion, so that no two share a keypoint.
+
+    Of inliers that share a keypoint's position, the one with the smallest error counts.
+
+    Args:
+        motion: ``T_database_query``.
+        matches: The associations.
+        radius: Largest distance between the keypoints of an inlier [m].
+    """
+    errors = np.hypot(*(motion.apply(matches.query_xy) - matches.database_xy).T)
+    inliers = np.zeros(len(matches), bool)
+    taken_query: set[tuple[float, float]] = set()
+    taken_database: set[tuple[float, float]] = set()
+    for k in np.argsort(errors, kind="stable"):
+        if errors[k] > radius:
+            break
+        in_query = (float(matches.query_xy[k, 0]), float(matches.query_xy[k, 1]))
+        in_database = (float(matches.database_xy[k, 0]), float(matches.database_xy[k, 1]))
+        if in_query not in taken_query and in_database not in taken_database:
+            taken_query.add(in_query)
+            taken_database.add(in_database)
+            inliers[k] = True
+    return inliers
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """Fourier transforms of one map at some yaws, for the search.
+
+    Attributes:
+        cell: Side of a cell [m].
+        middle: Point (x, y) about which the map is rotated [m].
+        half: Number of cells from that point to the edge of the rotated images.
+        values: Transforms of the terrain, the mask and the squared terrain at each yaw
+            (yaws, 3, size, half_size).
+    """
+
+    cell: float
+    middle: Float[Array, "2"]
+    half: int
+    values: Complex64[NDArray[np.complex64], "yaws 3 size half_size"]
+
+    @property
+    def size(self) -> int:
+        """Side of the transformed images [cells]."""
+        return self.values.shape[2]
+
+
+@lru_cache(maxsize=16)
+def make_spectra(
+    surface: Surface, num_yaws: int, cell: float | None = None, size: int | None = None
+) -> Spectra:
+    """Rotate a map by the first yaws and transform it.
+
+    The last results are kept, because a query is compared with many databases in a row. They are
+    too large to be kept with each map.
+
+    Args:
+        surface: The map.
+        num_yaws: `NUM_YAWS` for the query; 1 for the database, which is not rotated.
+        cell: Side of a cell [m]; None chooses it by the map's extent.
+        size: Side of the images [cells]; None chooses the smallest that serves two maps of this
+            extent.
+    """
+    import scipy.fft  # noqa: PLC0415 - loads slowly
+
+    rows, columns = np.nonzero(surface.trusted)
+    cells = np.column_stack([columns, rows]).astype(np.float64)
+    middle = surface.grid.to_position(cells.mean(axis=0)[None])[0] if len(cells) else np.zeros(2)
+    xy = surface.grid.to_position(cells) - middle
+    radius = float(np.hypot(*xy.T).max(initial=0.0))
+    finest = CELL * surface.scale
+    if cell is None:
+        cell = finest
+        while 2 * radius / cell > MOST_CELLS:
+            cell *= 2
+    half = ceil(radius / cell) + 1
+    if size is None:
+        # Shifts with fewer than 4 cells of overlap may wrap around; they are not used.
+        size = next((size for size in SIZES if size >= 4 * half - 3), SIZES[-1])
+    terrain = surface.terrain if cell == finest else level_octaves(surface, cell / 2)
+    images = np.dstack([terrain, surface.trusted.astype(np.float32)])
+    yaws = _yaws()[:num_yaws]
+    turned = np.stack([_turn(images, surface, middle, yaw, cell, half) for yaw in yaws])
+    mask = (turned[..., 1] > 0.99).astype(np.float32)
+    masked = turned[..., 0] * mask
+    fields = np.stack([masked, mask, masked * masked], axis=1)
+    values = scipy.fft.rfft2(fields, s=(size, size), workers=1)
+    return Spectra(cell, middle, half, values.astype(np.complex64, copy=False))
+
+
+def search_motions(query: Surface, database: Surface, wanted: int) -> list[SE2]:
+    """Find the distinct motions under which the terrain of two maps correlates best.
+
+    Args:
+        query: The map to be placed.
+        database: The map on which it is placed.
+        wanted: Number of motions to find.
+
+    Returns:
+        Up to so many motions ``T_database_query``, the best first. They may be a few cells off.
+    """
+    import scipy.fft  # noqa: PLC0415 - loads slowly
+
+    if wanted == 0 or not query.trusted.any() or not database.trusted.any():
+        return []
+    query_spectra, database_spectra = _comparable(query, database)
+    size, cell = query_spectra.size, query_spectra.cell
+    # The conjugate of the other factor gives the mirrored correlation, but it is the larger one.
+    fixed = np.conj(database_spectra.values[0])
+    terrain, mask, squared = (query_spectra.values[:, k] for k in range(3))
+    common, product, energy, energy_database = (
+        scipy.fft.irfft2(spectrum, s=(size, size), workers=1, overwrite_x=True)
+        for spectrum in (mask * fixed[1], terrain * fixed[0], squared * fixed[1], mask * fixed[2])
+    )
+    score = _score(common, product, np.multiply(energy, energy_database, out=energy))
+    best = score.max(axis=0)
+    motions: list[SE2] = []
+    around = np.arange(-APART, APART + 1)
+    while len(motions) < wanted:
+        row, column = divmod(int(best.argmax()), size)
+        if best[row, column] <= 0:
+            break
+        shift = -np.array([column, row])
+        shift = (shift + size // 2) % size - size // 2 + query_spectra.half - database_spectra.half
+        yaw = float(_yaws()[score[:, row, column].argmax()])
+        offset = (
+            database_spectra.middle + cell * shift - SE2(yaw=yaw).rotation @ query_spectra.middle
+        )
+        motions.append(SE2(float(offset[0]), float(offset[1]), yaw))
+        best[np.ix_((row + around) % size, (column + around) % size)] = 0.0
+    return motions
+
+
+def _score(
+    common: Float[Image, "yaws size size"],
+    product: Float[Image, "yaws size size"],
+    energy: Float[Image, "yaws size size"],
+) -> Float[Image, "yaws size size"]:
+    """Score every shift at every yaw.
+
+    The score is ``-log(1 - correlation²) √common``. It is computed in place, because passes over
+    these arrays take most of the search's time.
+
+    Args:
+        common: Number of common cells.
+        product: Sum of the products of both maps' terrain over the common cells.
+        energy: Product of the sums of their squares.
+    """
+    np.maximum(common, 0.0, out=common)
+    # The small addition keeps flat ground and rounding errors from correlating.
+    np.maximum(energy, 0.0, out=energy)
+    floor = np.multiply(common, common)
+    floor *= np.float32(1e-3)
+    floor += np.float32(1e-6)
+    energy += floor
+    np.maximum(product, 0.0, out=product)
+    product *= product
+    product /= energy
+    np.subtract(1.0, np.minimum(product, 0.998, out=product), out=product)
+    score = np.log(product, out=product)
+    enough = common >= LEAST_PATCHES * np.pi / 2
+    score *= -np.sqrt(common, out=common) * enough
+    return score
+
+
+def _yaws() -> Float[Array, "yaws"]:
+    return 2 * np.pi / NUM_YAWS * np.arange(NUM_YAWS, dtype=np.float64)
+
+
+def _comparable(query: Surface, database: Surface) -> tuple[Spectra, Spectra]:
+    """Transform two maps with the same cell and size; mostly they have these already."""
+    surfaces = ((query, NUM_YAWS), (database, 1))
+    spectra = [make_spectra(*surface) for surface in surfaces]
+    cell, size = max(each.cell for each in spectra), max(each.size for each in spectra)
+    query_spectra, database_spectra = (
+        each if (each.cell, each.size) == (cell, size) else make_spectra(*surface, cell, size)
+        for surface, each in zip(surfaces, spectra, strict=True)
+    )
+    return query_spectra, database_spectra
+
+
+def _turn(
+    images: Image, surface: Surface, middle: Array, yaw: float, cell: float, half: int
+) -> Image:
+    """Rotate images about a point, and resample them to cells of another size."""
+    step = cell / surface.grid.resolution
+    c, s = step * cos(yaw), step * sin(yaw)
+    column, row = surface.grid.to_pixel(middle[None])[0]
+    onto = np.array([[c, s, column - half * (c + s)], [-s, c, row - half * (c - s)]])
+    side = 2 * half + 1
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(images, onto, (side, side), flags=flags), np.float32)

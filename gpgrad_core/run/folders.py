@@ -1,0 +1,247 @@
+"""Folders that appear whole or not at all, whatever ends the process that writes them.
+
+They are written under a temporary name beside their place and renamed at the end. The process holds
+a lock on what it writes, which the system drops however the process ends. So what has a temporary
+name and no lock was left by a killed process, and the next one removes it.
+"""
+
+import contextlib
+import importlib
+import importlib.util
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Generator, Iterable
+from pathlib import Path
+
+from gpgrad_core.errors import InputError
+
+PART = ".part"
+JUST_MADE = 2.0
+"""Age [s] below which a temporary folder without a lock is left alone: its maker may be about to
+lock it."""
+
+
+class ProcessLock:
+    """A lock on an existing file or folder against other processes; it ends with its process.
+
+    Windows cannot lock folders: there every lock is granted.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Take the lock if nobody holds it; `held` says whether.
+
+        Raises:
+            OSError: If there is no such file or folder.
+        """
+        self.held = True
+        self._descriptor: int | None = None
+        if importlib.util.find_spec("fcntl") is None:
+            return
+        fcntl = importlib.import_module("fcntl")
+        self._descriptor = os.open(path, os.O_RDONLY)
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Its former holder may have renamed or removed it just before.
+            self.held = os.path.samestat(os.fstat(self._descriptor), path.stat())
+        except (BlockingIOError, FileNotFoundError):
+            self.held = False
+        if not self.held:
+            self.release()
+
+    def release(self) -> None:
+        """Let others have it."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+
+@contextlib.contextmanager
+def alone(folder: Path, name: Path | None = None) -> Generator[None]:
+    """Hold the lock on a folder, which is made if it does not exist.
+
+    Args:
+        folder: What is locked.
+        name: What the message calls it; None takes the folder itself.
+
+    Raises:
+        InputError: If another process holds it.
+        OSError: If it cannot be made.
+    """
+    folder.mkdir(exist_ok=True)
+    lock = ProcessLock(folder)
+    if not lock.held:
+        raise InputError(
+            f"{name or folder}: another process is working on it; wait until it has finished"
+        )
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+@contextlib.contextmanager
+def whole_folder(
+    directory: Path, *, earlier: Iterable[str] | None = None, replace: bool = False
+) -> Generator[Path]:
+    """Give a temporary folder to fill; its content appears in a directory if the block succeeds.
+
+    Args:
+        directory: Where the content will be. It is made with its parents if it does not exist.
+        earlier: None if the directory must be new or empty, or be replaced as a whole. Otherwise
+            what is in it stays, but for files of the same name and files with these names, which an
+            earlier run may have left. The last of these names appears last, so its presence says
+            that the others are whole.
+        replace: Whether to replace, without ``earlier``, a directory that is not empty.
+
+    Raises:
+        InputError: If another process is writing to the directory.
+        OSError: If it cannot be written.
+    """
+    place = directory.resolve()
+    place.parent.mkdir(parents=True, exist_ok=True)
+    recover(place)
+
+    def stays() -> bool:
+        return earlier is not None and place.is_dir() and any(place.iterdir())
+
+    # A mounted folder cannot be replaced, and beside it there may be no room or no permission.
+    inside = place.is_dir() and (
+        stays() or place.is_mount() or not os.access(place.parent, os.W_OK | os.X_OK)
+    )
+    unfinished = (place if inside else place.parent) / f".{place.name}{PART}"
+    with alone(unfinished, directory):
+        try:
+            empty(unfinished)  # what a killed process left
+            yield unfinished
+            if inside or stays():
+                _move_into(place, unfinished, tuple(earlier or ()))
+            else:
+                put_in_place(unfinished, place, replace=replace)
+        except BaseException:
+            shutil.rmtree(unfinished, ignore_errors=True)
+            raise
+
+
+def _move_into(place: Path, unfinished: Path, earlier: tuple[str, ...]) -> None:
+    """Move what a folder holds into another one that exists, the last of the names at the end."""
+    last = earlier[-1:]
+    new = sorted((entry.name for entry in unfinished.iterdir()), key=lambda name: name in last)
+
+    def move() -> None:
+        for name in (*last, *earlier):
+            if name not in new or (unfinished / name).exists():
+                (place / name).unlink(missing_ok=True)
+        for name in new:
+            with contextlib.suppress(FileNotFoundError):  # it was moved already
+                (unfinished / name).replace(place / name)
+        unfinished.rmdir()
+
+    try:
+        move()
+    except KeyboardInterrupt:
+        # A few renames are left, and half of the files would be worse than a moment's delay.
+        move()
+        raise
+
+
+def put_in_place(unfinished: Path, place: Path, *, replace: bool = False) -> None:
+    """Give a folder its final name.
+
+    Args:
+        unfinished: The folder.
+        place: Its final name.
+        replace: Whether to remove a folder that is there and not empty. If the process is killed
+            in the middle, `recover` brings it back.
+
+    Raises:
+        OSError: If the place is taken.
+    """
+    if replace and place.exists() and any(place.iterdir()):
+        place.rename(_replaced(place))
+    elif place.exists():
+        place.rmdir()
+    unfinished.rename(place)
+    shutil.rmtree(_replaced(place), ignore_errors=True)
+
+
+def is_unfinished(folder: Path) -> bool:
+    """Tell by its name whether a folder is what `whole_folder` is filling, or a killed one left."""
+    return folder.name.startswith(".") and folder.name.endswith(PART)
+
+
+def recover(place: Path) -> None:
+    """Bring back, or remove, what a process that was killed in `put_in_place` has moved away."""
+    replaced = _replaced(place)
+    if replaced.exists():
+        if place.exists():
+            shutil.rmtree(replaced)
+        else:
+            replaced.rename(place)
+
+
+def _replaced(place: Path) -> Path:
+    return place.with_name(f".{place.name}.replaced")
+
+
+def empty(folder: Path) -> None:
+    """Remove everything in a folder."""
+    for entry in folder.iterdir():
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink()
+
+
+class TemporaryFolder(tempfile.TemporaryDirectory[str]):
+    """A temporary folder that the next one with the same prefix removes if its process was killed.
+
+    Otherwise it is as `tempfile.TemporaryDirectory`.
+    """
+
+    def __init__(self, prefix: str, directory: Path | None = None) -> None:
+        """Make the folder, and remove those that killed processes left.
+
+        Args:
+            prefix: How the names of such folders begin; no other program may use it.
+            directory: Where to make it; None takes the system's folder for temporary files.
+        """
+        super().__init__(prefix=prefix, dir=directory, ignore_cleanup_errors=True)
+        self._lock = claim(Path(self.name), prefix)
+
+    def cleanup(self) -> None:
+        """Remove the folder, and let go of its lock, which is an open file."""
+        super().cleanup()
+        self._lock.release()
+
+
+def claim(own: Path, prefix: str) -> ProcessLock:
+    """Lock a temporary folder, and remove the folders beside it whose processes were killed.
+
+    Args:
+        own: The folder, which was just made.
+        prefix: How the names of such folders begin.
+
+    Returns:
+        The lock, to be kept as long as the folder.
+    """
+    lock = ProcessLock(own)
+    if importlib.util.find_spec("fcntl") is not None:
+        _remove_left(own, prefix)
+    return lock
+
+
+def _remove_left(own: Path, prefix: str) -> None:
+    owner = own.stat().st_uid
+    for folder in own.parent.glob(f"{prefix}*"):
+        with contextlib.suppress(OSError):
+            about = folder.lstat()
+            if about.st_uid != owner or folder.is_symlink() or not folder.is_dir():
+                continue
+            if time.time() - about.st_mtime < JUST_MADE:
+                continue
+            lock = ProcessLock(folder)
+            if lock.held:
+                shutil.rmtree(folder, ignore_errors=True)
+            lock.release()

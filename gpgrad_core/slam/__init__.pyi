@@ -1,0 +1,68 @@
+from .errors import (
+    Consistency,
+    TrajectoryError,
+    measure_consistency,
+    trajectory_error,
+    true_poses,
+)
+from .g2o import read_graph, vertex_numbers, write_graph
+from .graph import Edge, GraphParams, PoseGraph, build_pose_graph, odometry_poses
+from .loop_closer import LoopCloser, Step
+from .merged_map import MergeParams
+from .optimise import (
+    EdgeFit,
+    OptimisedGraph,
+    SolverParams,
+    check_solver,
+    optimise_pose_graph,
+)
+from .solution import (
+    MapCoordinates,
+    MapErrors,
+    Solution,
+    find_coordinates,
+    measure_errors,
+    solution_files,
+    solve_datasets,
+    write_merged,
+    write_solution,
+    write_track,
+)
+from .traverses import JoinedDatasets, join_datasets, place_traverses
+
+__all__ = [
+    "Consistency",
+    "Edge",
+    "EdgeFit",
+    "GraphParams",
+    "JoinedDatasets",
+    "LoopCloser",
+    "MapCoordinates",
+    "MapErrors",
+    "MergeParams",
+    "OptimisedGraph",
+    "PoseGraph",
+    "Solution",
+    "SolverParams",
+    "Step",
+    "TrajectoryError",
+    "build_pose_graph",
+    "check_solver",
+    "find_coordinates",
+    "join_datasets",
+    "measure_consistency",
+    "measure_errors",
+    "odometry_poses",
+    "optimise_pose_graph",
+    "place_traverses",
+    "read_graph",
+    "solution_files",
+    "solve_datasets",
+    "trajectory_error",
+    "true_poses",
+    "vertex_numbers",
+    "write_graph",
+    "write_merged",
+    "write_solution",
+    "write_track",
+]

@@ -1,0 +1,186 @@
+"""How good a trajectory and a map are.
+
+The absolute and relative errors of a trajectory are those of `evo`, by the true poses. How well
+submaps lie on one another needs no truth.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation.overlap import compare_footprints, make_footprint
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.types import Array, Dataset, Submap
+
+LEAST_SPREAD = 1.0
+"""Root mean square distance from the middle [m] from which positions tell a direction."""
+FEWEST_SHARE = 0.2
+"""Share of the smaller submap's cells that must be common. A smaller overlap is an edge that both
+submaps saw from far away."""
+
+
+@dataclass(frozen=True)
+class TrajectoryError:
+    """How far a trajectory is from the true one.
+
+    Attributes:
+        count: Number of poses that were compared.
+        absolute: Root mean square of the distances [m], after the rigid motion that minimises it.
+        absolute_median: Median of these distances [m].
+        absolute_most: Largest of these distances [m].
+        absolute_unaligned: Root mean square of the distances without that motion [m].
+        relative: Root mean square error of the offset from each pose to the next [m]; if the true
+            headings are not known, that of the offset's length.
+        relative_turn: Root mean square error of the turn from each pose to the next [rad]; None if
+            the true headings are not known.
+    """
+
+    count: int
+    absolute: float
+    absolute_median: float
+    absolute_most: float
+    absolute_unaligned: float
+    relative: float
+    relative_turn: float | None
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """Differences in height where submaps overlap.
+
+    Attributes:
+        count: Number of pairs of submaps that share more than a fifth of their 10 cm cells.
+        median: Median of the pairs' median height differences [m]; None if there is no such pair.
+        high: 95th percentile of them [m]; None if there is no such pair.
+    """
+
+    count: int
+    median: float | None
+    high: float | None
+
+
+def true_poses(dataset: Dataset) -> dict[str, Pose]:
+    """Give the true pose of every submap that has one, by id, in the dataset's order."""
+    poses = {submap.id: submap.pose_true for submap in dataset.submaps}
+    return {name: pose for name, pose in poses.items() if pose is not None}
+
+
+def positions(names: Iterable[str], poses: Mapping[str, Pose]) -> Float[Array, "n 3"]:
+    """List the positions of named poses (n, 3) [m]."""
+    return np.array([poses[name].translation for name in names]).reshape(-1, 3)
+
+
+def trajectory_error(
+    true: Mapping[str, Pose], estimated: Mapping[str, Pose], *, positions_only: bool = False
+) -> TrajectoryError:
+    """Compare two trajectories, pose by pose.
+
+    Args:
+        true: True poses by id, in the order of the traverse.
+        estimated: Estimated poses by id; submaps that have only one of the two are left out.
+        positions_only: Whether the true poses have positions only, and their headings must not be
+            used; see `Dataset.positions_only`.
+
+    Returns:
+        The absolute and relative errors.
+
+    Raises:
+        InputError: If fewer than two submaps have both.
+    """
+    names = [name for name in true if name in estimated]
+    if len(names) < 2:
+        raise InputError(
+            f"a trajectory error needs two or more poses with a true pose, found {len(names)}"
+        )
+    truth, places = positions(names, true), positions(names, estimated)
+    distances = np.linalg.norm(align_points(places, truth) - truth, axis=1)
+    steps = [
+        (true[a].inverse() @ true[b]).inverse() @ (estimated[a].inverse() @ estimated[b])
+        for a, b in pairwise(names)
+    ]
+    turns = [
+        2 * np.arctan2(np.linalg.norm(step.quaternion[:3]), step.quaternion[3]) for step in steps
+    ]
+    offsets = np.array([np.linalg.norm(step.translation) for step in steps])
+    if positions_only:
+        driven, drawn = (np.linalg.norm(np.diff(way, axis=0), axis=1) for way in (truth, places))
+        offsets = drawn - driven
+    return TrajectoryError(
+        count=len(names),
+        absolute=_rms(distances),
+        absolute_median=float(np.median(distances)),
+        absolute_most=float(distances.max()),
+        absolute_unaligned=_rms(np.linalg.norm(places - truth, axis=1)),
+        relative=_rms(offsets),
+        relative_turn=None if positions_only else _rms(np.array(turns)),
+    )
+
+
+def align_points(points: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """Move points [m] onto their targets by the best rigid motion, without a change of scale.
+
+    Umeyama 1991, Eqs. (39) to (41). If the points lie on one line, the turn about it is arbitrary,
+    but the remaining distances do not depend on it.
+    """
+    middle, aim = points.mean(axis=0), target.mean(axis=0)
+    left, _, right = np.linalg.svd((target - aim).T @ (points - middle))
+    mirrored = np.linalg.det(left) * np.linalg.det(right) < 0
+    rotation = left @ np.diag([1.0, 1.0, -1.0 if mirrored else 1.0]) @ right
+    return (points - middle) @ rotation.T + aim
+
+
+def level_motion(places: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Pose:
+    """Find the motion about the vertical that brings points onto their targets best.
+
+    Args:
+        places: Positions [m].
+        target: Where they belong [m].
+
+    Returns:
+        ``T_target_places``; without a turn if all places are nearly one.
+    """
+    middle, aim = places.mean(axis=0), target.mean(axis=0)
+    x, y, _ = (places - middle).T
+    along, across, _ = (target - aim).T
+    spread = float(np.sqrt(np.mean(x * x + y * y)))
+    yaw = float(np.arctan2(x @ across - y @ along, x @ along + y @ across))
+    turn = SE2(0.0, 0.0, yaw if spread > LEAST_SPREAD else 0.0)
+    offset = aim[:2] - turn.apply(middle[None, :2])[0]
+    motion = SE2(float(offset[0]), float(offset[1]), turn.yaw)
+    return Pose.from_planar(motion, float(aim[2] - middle[2]))
+
+
+def measure_consistency(submaps: Iterable[Submap], poses: Mapping[str, Pose]) -> Consistency:
+    """Compare the heights of all submaps that overlap.
+
+    Args:
+        submaps: Any iterable; it is iterated once, and only the 10 cm cells are kept in memory.
+        poses: ``T_world_submap`` by id; submaps without a pose are left out.
+    """
+    footprints = [
+        make_footprint(poses[submap.id].apply(submap.points))
+        for submap in submaps
+        if submap.id in poses
+    ]
+    differences: list[float] = []
+    low = np.array([footprint.low for footprint in footprints]).reshape(-1, 2)
+    high = np.array([footprint.high for footprint in footprints]).reshape(-1, 2)
+    for k in range(1, len(footprints)):
+        meeting = np.all((low[:k] < high[k]) & (high[:k] > low[k]), axis=1)
+        for other in np.flatnonzero(meeting):
+            _, overlap, difference = compare_footprints(footprints[k], footprints[other])
+            if overlap > FEWEST_SHARE and np.isfinite(difference):
+                differences.append(difference)
+    if not differences:
+        return Consistency(0, None, None)
+    median, high_end = np.median(differences), np.quantile(differences, 0.95)
+    return Consistency(len(differences), float(median), float(high_end))
+
+
+def _rms(values: Float[NDArray[np.floating], "n"]) -> float:
+    return float(np.sqrt(np.mean(values**2)))

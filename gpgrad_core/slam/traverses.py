@@ -1,0 +1,277 @@
+"""Several traverses in one map: the closures between them tell how their frames lie."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gpgrad_core.datasets.folder import Outline, index_of
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation.names import different_names
+from gpgrad_core.se2 import Pose
+from gpgrad_core.slam.graph import Edge, PoseGraph
+from gpgrad_core.types import Dataset
+
+AGREEMENT = 4.0
+"""Two closures agree on how two frames lie if they differ by no more than this many standard
+deviations of the odometry between them."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedGraph:
+    """A graph whose traverses lie in one frame, as far as closures join them.
+
+    Attributes:
+        graph: The graph with all poses in the frame of the first traverse. The poses of a traverse
+            that no closure joins to the first are unchanged.
+        support: How many closures agree on where each traverse lies, by the id of its first
+            submap; 0 for the first traverse.
+        alone: First submap of each traverse that no closure joins to the first.
+    """
+
+    graph: PoseGraph
+    support: dict[str, int]
+    alone: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedDatasets:
+    """Datasets side by side, each with a frame of its own.
+
+    Attributes:
+        outline: All submaps as one dataset. If there is more than one dataset, a submap's id is
+            ``NAME:ID``.
+        traverses: Ids of each dataset's submaps, by the dataset's name.
+        numbers: Number of each submap within its own dataset, by id.
+    """
+
+    outline: Outline
+    traverses: dict[str, tuple[str, ...]]
+    numbers: dict[str, int]
+
+    @property
+    def starts(self) -> tuple[str, ...]:
+        """First submap of each dataset but the first."""
+        return tuple(names[0] for names in self.traverses.values())[1:]
+
+
+def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
+    """Put datasets side by side.
+
+    Raises:
+        InputError: If there is no dataset.
+    """
+    if not outlines:
+        raise InputError("give one dataset or more")
+    names = different_names(outline.dataset.name for outline in outlines)
+    alone = len(outlines) == 1
+    parts = [
+        tuple(
+            replace(submap, id=submap.id if alone else f"{name}:{submap.id}")
+            for submap in outline.dataset.submaps
+        )
+        for name, outline in zip(names, outlines, strict=True)
+    ]
+    numbers = {
+        submap.id: k if (index := index_of(submap.id)) is None else index
+        for part in parts
+        for k, submap in enumerate(part)
+    }
+    dataset = Dataset(
+        " + ".join(names),
+        tuple(submap for part in parts for submap in part),
+        preferred=outlines[0].dataset.preferred,
+        notes=tuple(note for outline in outlines for note in outline.dataset.notes),
+        positions_only=any(outline.dataset.positions_only for outline in outlines),
+        origin=outlines[0].dataset.origin,
+    )
+    clouds = tuple(cloud for outline in outlines for cloud in outline.clouds)
+    traverses = {
+        name: tuple(submap.id for submap in part) for name, part in zip(names, parts, strict=True)
+    }
+    sensors = tuple(outline.sensor(k) for outline in outlines for k in range(len(outline.clouds)))
+    return JoinedDatasets(Outline(dataset, clouds, sensors), traverses, numbers)
+
+
+def place_traverses(graph: PoseGraph) -> PlacedGraph:
+    """Bring all traverses into the frame of the first, before the graph is solved.
+
+    Each closure between two traverses tells how one frame lies in the other, but some closures are
+    wrong. The closure that most others agree with is believed; they agree if the odometry between
+    them can explain the difference. All frames are gravity-aligned, so a frame is placed by its x,
+    y, z and yaw.
+    """
+    traverses = _traverses(graph)
+    traverse_of = {name: k for k, names in enumerate(traverses) for name in names}
+    odometry = _Odometry(graph, traverses)
+    poses, support = dict(graph.poses), {traverses[0][0]: 0}
+    placed, waiting = {0}, set(range(1, len(traverses)))
+    while waiting:
+        best = _best_closure(graph, traverse_of, odometry, placed, waiting)
+        if best is None:
+            break
+        edge, agreeing, candidate = best
+        T_world_frame = _frame(edge, poses, joins_end=traverse_of[edge.end] == candidate)
+        for name in traverses[candidate]:
+            poses[name] = T_world_frame @ poses[name]
+        support[traverses[candidate][0]] = agreeing
+        placed.add(candidate)
+        waiting.remove(candidate)
+    alone = tuple(traverses[k][0] for k in sorted(waiting))
+    return PlacedGraph(replace(graph, poses=poses), support, alone)
+
+
+def _best_closure(
+    graph: PoseGraph,
+    traverse_of: dict[str, int],
+    odometry: "_Odometry",
+    placed: set[int],
+    waiting: set[int],
+) -> tuple[Edge, int, int] | None:
+    """Find the closure from a placed traverse to a waiting one that most others agree with.
+
+    Returns:
+        The closure, how many agree with it (itself included), and the traverse that it places.
+    """
+    best: tuple[Edge, int, int] | None = None
+    highest = (0, 0.0)
+    for candidate in sorted(waiting):
+        joining = [
+            edge
+            for edge in graph.loops
+            if {traverse_of[edge.start], traverse_of[edge.end]} & placed
+            and candidate in (traverse_of[edge.start], traverse_of[edge.end])
+        ]
+        for edge in joining:
+            same_pair = [
+                oriented
+                for other in joining
+                if (oriented := _oriented_as(edge, other, traverse_of)) is not None
+            ]
+            agreeing = sum(odometry.agree(edge, other) for other in same_pair)
+            rank = agreeing, edge.score or 0.0
+            if best is None or rank > highest:
+                best, highest = (edge, agreeing, candidate), rank
+    return best
+
+
+def _oriented_as(edge: Edge, other: Edge, traverse_of: dict[str, int]) -> Edge | None:
+    """Turn another closure so that it leads between the same traverses in the same direction.
+
+    Returns:
+        The closure, its ends swapped if need be; None if it joins two other traverses.
+    """
+    ends = traverse_of[edge.start], traverse_of[edge.end]
+    if ends == (traverse_of[other.start], traverse_of[other.end]):
+        return other
+    if ends == (traverse_of[other.end], traverse_of[other.start]):
+        return replace(
+            other, start=other.end, end=other.start, T_start_end=other.T_start_end.inverse()
+        )
+    return None
+
+
+def _frame(edge: Edge, poses: dict[str, Pose], *, joins_end: bool) -> Pose:
+    """Give ``T_world_frame`` of a traverse's own level frame, according to one closure.
+
+    Args:
+        edge: The closure.
+        poses: Of the placed traverses in the world, of the others in their own frame.
+        joins_end: Whether the closure's end is in the traverse to place; else its start is.
+    """
+    if joins_end:
+        T_world_submap, T_frame_submap = poses[edge.start] @ edge.T_start_end, poses[edge.end]
+    else:
+        T_world_submap = poses[edge.end] @ edge.T_start_end.inverse()
+        T_frame_submap = poses[edge.start]
+    motion = T_world_submap.planar @ T_frame_submap.planar.inverse()
+    height = float(T_world_submap.translation[2] - T_frame_submap.translation[2])
+    return Pose.from_planar(motion, height)
+
+
+def _traverses(graph: PoseGraph) -> list[list[str]]:
+    """List the submaps along each chain of odometry."""
+    entered = {edge.end for edge in graph.edges if edge.kind == "odometry"}
+    traverses: list[list[str]] = []
+    for name in graph.poses:
+        if name not in entered:
+            traverses.append([])
+        traverses[-1].append(name)
+    return traverses
+
+
+@dataclass(frozen=True)
+class _Variance:
+    """Variance of a motion in the plane.
+
+    Attributes:
+        offset: Sum of the variances of x and y [m²].
+        yaw: Variance of the yaw [rad²].
+    """
+
+    offset: float
+    yaw: float
+
+    def seen_over(self, span: float) -> "_Variance":
+        """Give the variance at a point some way off [m], which an error of the yaw swings."""
+        return _Variance(self.offset + self.yaw * span**2, self.yaw)
+
+    def __add__(self, other: "_Variance") -> "_Variance":
+        return _Variance(self.offset + other.offset, self.yaw + other.yaw)
+
+
+def _variance(edge: Edge) -> _Variance:
+    x, y, _, _, _, yaw = np.diag(edge.covariance)
+    return _Variance(float(x + y), float(yaw))
+
+
+class _Odometry:
+    """The motions between the submaps of a traverse by odometry, and their variances."""
+
+    def __init__(self, graph: PoseGraph, traverses: list[list[str]]) -> None:
+        self._poses = graph.poses
+        self._since_start: dict[str, _Variance] = {}
+        leading_to = {edge.end: edge for edge in graph.edges if edge.kind == "odometry"}
+        for names in traverses:
+            total = _Variance(0.0, 0.0)
+            for name in names:
+                if name in leading_to:
+                    total += _variance(leading_to[name])
+                self._since_start[name] = total
+
+    def agree(self, edge: Edge, other: Edge) -> bool:
+        """Tell whether two closures can both be right.
+
+        They and the odometry between their ends form a loop: how far it is from closing is
+        compared to the standard deviation of all four motions.
+
+        Args:
+            edge: From one traverse to another.
+            other: Between the same two traverses, in the same direction.
+        """
+        along_ends = self._motion(edge.end, other.end)
+        there = edge.T_start_end @ along_ends
+        back = self._motion(edge.start, other.start) @ other.T_start_end
+        gap = there.planar.inverse() @ back.planar
+        span = _length(along_ends)
+        variance = (
+            self._variance(edge.start, other.start)
+            + self._variance(edge.end, other.end)
+            + _variance(edge).seen_over(span)
+            + _variance(other).seen_over(span)
+        )
+        near = np.hypot(gap.x, gap.y) <= AGREEMENT * np.sqrt(variance.offset)
+        return bool(near and abs(gap.yaw) <= AGREEMENT * np.sqrt(variance.yaw))
+
+    def _motion(self, a: str, b: str) -> Pose:
+        return self._poses[a].inverse() @ self._poses[b]
+
+    def _variance(self, a: str, b: str) -> _Variance:
+        """Variance of the motion between two submaps of a traverse."""
+        first, second = self._since_start[a], self._since_start[b]
+        gained = _Variance(abs(first.offset - second.offset), abs(first.yaw - second.yaw))
+        return gained.seen_over(_length(self._motion(a, b)))
+
+
+def _length(motion: Pose) -> float:
+    return float(np.linalg.norm(motion.translation))
