@@ -23,8 +23,8 @@ from versions import ROOT, fetch_page
 
 TOOLS = ("build", "hatchling", "twine")
 NEEDED = (
-    *("app/viewer/server.py", "app/viewer/save/report.html", "gpgrad_core/py.typed"),
-    *("gpgrad_core/datasets/demo/dataset.toml", "gpgrad_core/evaluation/templates/report.md"),
+    *("app/viewer/viewer.py", "app/viewer/features/save/report.html", "gpgrad_core/py.typed"),
+    *("gpgrad_core/simulation/demo/dataset.toml", "gpgrad_core/evaluation/templates/report.md"),
 )
 PARTS = {"app", "gpgrad_core"}
 

@@ -14,7 +14,7 @@ def built_first(path: Path) -> Generator[None]:
     try:
         yield
     except InputError as error:
-        from gpgrad_core.scans import is_recording  # noqa: PLC0415 - loads slowly
+        from gpgrad_core.recordings.build import is_recording  # noqa: PLC0415 - loads slowly
 
         if not is_recording(path):
             raise

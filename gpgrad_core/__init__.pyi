@@ -1,11 +1,20 @@
-from .datasets import (
-    SimulationParams,
-    demo_path,
-    load_cloud,
-    load_dataset,
-    open_dataset,
-    simulate_dataset,
-    write_dataset,
+from .detection import (
+    DetectionResult,
+    PairResult,
+    PipelineParams,
+    detect_loop_closures,
+    infer_gradient_map,
+    infer_slope_variance,
+    register_pair,
+    resolve_parameters,
+)
+from .detection.shortlist import (
+    Candidate,
+    Shortlist,
+)
+from .detection.verdict import (
+    ClosureParams,
+    classify,
 )
 from .errors import InputError
 from .evaluation import (
@@ -16,37 +25,47 @@ from .evaluation import (
     write_report,
 )
 from .features import DetectorParams, FeatureParams, extract_features
-from .fitting import FitResult, fit_parameters
-from .gradient_map import MapParams, TerrainParams
-from .loop_closure import ClosureParams, classify
-from .matching import MatchParams, match_features
-from .outputs import (
+from .io.clouds import load_cloud
+from .io.folder import (
+    load_dataset,
+    open_dataset,
+    write_dataset,
+)
+from .io.records.closure_writer import write_closures
+from .io.records.closures import (
     read_closures,
-    read_shortlist,
     report_closures,
     restore_closures,
+)
+from .io.records.fitted import write_fitted
+from .io.records.maps import write_map
+from .io.records.shortlists import (
+    read_shortlist,
     resume_shortlist,
-    write_closures,
-    write_fitted,
-    write_map,
     write_shortlist,
 )
-from .params.files import preferred_parameters, read_parameters
-from .pipeline import (
-    DetectionResult,
-    PairResult,
-    PipelineParams,
-    detect_loop_closures,
-    infer_gradient_map,
-    infer_slope_variance,
-    register_pair,
-    resolve_parameters,
+from .mapping.fitting import (
+    FitResult,
+    fit_parameters,
 )
+from .mapping.gradient_map import (
+    MapParams,
+    TerrainParams,
+)
+from .matching import MatchParams, match_features
+from .params.files import preferred_parameters, read_parameters
+from .recordings.build import (
+    BuildReport,
+    build_dataset,
+)
+from .recordings.params import BuildParams
+from .recordings.recording import RecordingSources
 from .registration import RegistrationParams, refine, register
 from .run.memo import Memo
-from .scans import BuildParams, BuildReport, RecordingSources, build_dataset
 from .se2 import SE2, Pose
-from .shortlist import Candidate, Shortlist
+from .simulation.demo import demo_path
+from .simulation.params import SimulationParams
+from .simulation.simulate import simulate_dataset
 from .slam import (
     Edge,
     EdgeFit,

@@ -65,7 +65,7 @@ def real_data() -> Path:
 @pytest.fixture
 def server() -> Iterator[object]:
     """Start a viewer's server on a free port, without a browser."""
-    from tests.app.server import started_server  # noqa: PLC0415 - for the tests of the app alone
+    from tests.support.server import started_server  # noqa: PLC0415 - for the tests of the app alone
 
     with started_server() as made:
         yield made

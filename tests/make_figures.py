@@ -10,7 +10,7 @@ from pathlib import Path
 from PIL import Image
 
 from app.cli import run
-from gpgrad_core.datasets import demo_path
+from gpgrad_core.simulation.demo import demo_path
 
 ASSETS = Path(__file__).resolve().parents[1] / "assets"
 MOST_WIDE, MAX_BYTES = 1100, 120_000

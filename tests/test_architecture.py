@@ -14,12 +14,15 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 PLANTED = {
-    "core layers": ("gpgrad_core/matching", "gpgrad_core.registration"),
-    "scans layers": ("gpgrad_core/scans/voxels.py", "gpgrad_core.scans.build"),
+    "core layers": ("gpgrad_core/matching.py", "gpgrad_core.registration"),
+    "recordings layers": ("gpgrad_core/recordings/voxels.py", "gpgrad_core.recordings.build"),
     "the core knows neither the app": ("gpgrad_core/types.py", "viser"),
-    "viewer layers": ("app/viewer/all_pairs/tab.py", "app.viewer.pose_graph.tab"),
-    "the public face": ("app/viewer/nudge/tab.py", "app.viewer.pair.scene"),
-    "panels know no scenes": ("app/viewer/world/panel.py", "app.viewer.world.scene"),
+    "viewer layers": ("app/viewer/features/all_pairs/tab.py", "app.viewer.features.pose_graph.tab"),
+    "the public face": ("app/viewer/features/nudge/tab.py", "app.viewer.features.pair.scene"),
+    "panels know no scenes": (
+        "app/viewer/features/world/panel.py",
+        "app.viewer.features.world.scene",
+    ),
 }
 """By contract: a module, and what it must not import."""
 

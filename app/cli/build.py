@@ -10,8 +10,11 @@ from typing_extensions import Doc
 from app.cli.flags import Given, Overwrite
 from app.cli.terminal import count, progress_bar, say, warn
 from app.ending import reason_of
-from gpgrad_core.outputs import check_apart
-from gpgrad_core.scans import BuildParams, RecordingSources, build_dataset, parse_condition
+from gpgrad_core.io.records.files import check_apart
+from gpgrad_core.recordings.build import build_dataset
+from gpgrad_core.recordings.conditions import parse_condition
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.recording import RecordingSources
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,7 @@ from typing_extensions import Doc
 
 from app.cli.inputs import load_sources, settled, tell_damaged
 from app.cli.terminal import progress_bar
-from gpgrad_core.datasets import Outline
-from gpgrad_core.datasets.folder import MOST_LOADED
-from gpgrad_core.fitting import representative
-from gpgrad_core.methods import Method
-from gpgrad_core.outputs import ClosureWriter, count_images, report_closures
-from gpgrad_core.pipeline import (
+from gpgrad_core.detection import (
     PipelineParams,
     check_affordable,
     detect_loop_closures,
@@ -28,12 +23,23 @@ from gpgrad_core.pipeline import (
     store_for_run,
     with_store,
 )
+from gpgrad_core.detection.shortlist import (
+    Candidates,
+    num_wanted,
+)
+from gpgrad_core.io.folder import MOST_LOADED, Outline
+from gpgrad_core.io.records.closure_writer import ClosureWriter
+from gpgrad_core.io.records.closures import (
+    count_images,
+    report_closures,
+)
+from gpgrad_core.mapping.fitting import representative
+from gpgrad_core.methods import Method
 from gpgrad_core.run.cluster import Cluster, connected
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.shortlist import Candidates, num_wanted
 from gpgrad_core.types import Dataset, ImageVerdict, LoopClosure
 
 SchedulerFlag: TypeAlias = Annotated[

@@ -22,11 +22,14 @@ from app.cli.inputs import (
 )
 from app.cli.terminal import count, say
 from app.recordings import built_first
-from gpgrad_core.datasets import outline_dataset
+from gpgrad_core.detection.shortlist import read_candidates
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.folder import outline_dataset
+from gpgrad_core.io.records.files import (
+    check_apart,
+    check_output,
+)
 from gpgrad_core.methods import METHODS, find_method
-from gpgrad_core.outputs import check_apart, check_output
-from gpgrad_core.shortlist import read_candidates
 from gpgrad_core.slam import build_pose_graph, odometry_poses, write_graph
 
 

@@ -23,6 +23,11 @@ from app.cli.inputs import (
     tell_damaged,
 )
 from app.cli.terminal import progress_bar, say, warn
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection.shortlist import (
+    num_wanted,
+    read_candidates,
+)
 from gpgrad_core.evaluation import (
     Evaluation,
     EvaluationParams,
@@ -43,14 +48,16 @@ from gpgrad_core.evaluation import (
     run_methods,
     write_report,
 )
+from gpgrad_core.io.records.closures import (
+    ClosureReport,
+    count_images,
+)
+from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, find_method
-from gpgrad_core.outputs import ClosureReport, check_apart, count_images
 from gpgrad_core.params.bounds import SEEDS
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.shortlist import num_wanted, read_candidates
 from gpgrad_core.types import Dataset
 
 REPORT = ("report.md", "report.json")

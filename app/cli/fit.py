@@ -10,19 +10,25 @@ from typing_extensions import Doc
 from app.cli.flags import Given
 from app.cli.inputs import ParamsFile, base_params, load
 from app.cli.terminal import count, progress_bar, say
-from gpgrad_core.fitting import FitResult, fit_parameters, fitted_names
-from gpgrad_core.gradient_map import TerrainParams
-from gpgrad_core.methods.paper import paper_params, paper_start
-from gpgrad_core.outputs import (
+from gpgrad_core.detection import fit_submap
+from gpgrad_core.io.records.files import (
     check_apart,
     check_output,
+)
+from gpgrad_core.io.records.fitted import (
     fitted_rows,
     write_fitted,
     write_fitted_table,
 )
+from gpgrad_core.mapping.fitting import (
+    FitResult,
+    fit_parameters,
+    fitted_names,
+)
+from gpgrad_core.mapping.gradient_map import TerrainParams
+from gpgrad_core.methods.paper import paper_params, paper_start
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.params.fields import bounds_of
-from gpgrad_core.pipeline import fit_submap
 from gpgrad_core.run.progress import part
 from gpgrad_core.types import Dataset
 

@@ -19,14 +19,19 @@ from app.cli.inputs import (
     load,
 )
 from app.cli.terminal import count, progress_bar, say, warn
-from gpgrad_core.datasets import check_vacant, write_dataset
-from gpgrad_core.datasets.dem import read_elevation_model
-from gpgrad_core.datasets.folder import index_of
-from gpgrad_core.datasets.poses import read_poses
 from gpgrad_core.errors import InputError
-from gpgrad_core.georeference import read_origin
-from gpgrad_core.gradient_map import NOISE_STD
-from gpgrad_core.locating import (
+from gpgrad_core.io.folder import (
+    check_vacant,
+    index_of,
+    write_dataset,
+)
+from gpgrad_core.io.georeference import read_origin
+from gpgrad_core.io.poses import read_poses
+from gpgrad_core.io.records.files import (
+    check_apart,
+    check_output,
+)
+from gpgrad_core.locating.locate import (
     Location,
     cut_windows,
     locate,
@@ -35,11 +40,15 @@ from gpgrad_core.locating import (
     spread,
     width_of,
 )
-from gpgrad_core.outputs import check_apart, check_output
-from gpgrad_core.outputs.located import shown_on_model, write_located
+from gpgrad_core.locating.record import (
+    shown_on_model,
+    write_located,
+)
+from gpgrad_core.mapping.gradient_map import NOISE_STD
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.se2 import Pose
+from gpgrad_core.simulation.dem import read_elevation_model
 from gpgrad_core.types import Dataset
 
 CELLS_A_VOXEL = 0.25

@@ -12,12 +12,23 @@ from app.cli.coordinates import CrsFlag, OriginFlag, georeference_of
 from app.cli.flags import Given
 from app.cli.inputs import ParamsFile, base_params, load, settled
 from app.cli.terminal import progress_bar, say, warn
+from gpgrad_core.detection import infer_gradient_map
 from gpgrad_core.errors import InputError
-from gpgrad_core.gradient_map import MapParams, map_grid, point_noise
-from gpgrad_core.outputs import MAP_ENDINGS, check_apart, check_output, write_map
-from gpgrad_core.outputs.georeferenced import write_cloud_optimised
-from gpgrad_core.outputs.maps import layers_of
-from gpgrad_core.pipeline import infer_gradient_map
+from gpgrad_core.io.records.files import (
+    check_apart,
+    check_output,
+)
+from gpgrad_core.io.records.georeferenced import write_cloud_optimised
+from gpgrad_core.io.records.maps import (
+    MAP_ENDINGS,
+    layers_of,
+    write_map,
+)
+from gpgrad_core.mapping.gradient_map import (
+    MapParams,
+    map_grid,
+    point_noise,
+)
 from gpgrad_core.run.memo import Memo
 
 RASTERS = (".tif", ".tiff")

@@ -28,8 +28,8 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import EvaluationParams, Protocol, check_directory
 from gpgrad_core.evaluation.reproduction import TITLES, Subject, check_method, study
 from gpgrad_core.evaluation.sections import as_in_paper
+from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, Method, find_method
-from gpgrad_core.outputs import check_apart
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.params.fields import AUTOMATIC
 from gpgrad_core.run.folders import whole_folder

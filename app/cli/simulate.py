@@ -9,16 +9,14 @@ from typing_extensions import Doc
 
 from app.cli.flags import Given, Overwrite
 from app.cli.terminal import count, progress_bar, say
-from gpgrad_core.datasets import (
-    ElevationModel,
-    SimulationParams,
-    check_vacant,
-    simulate_into,
-)
-from gpgrad_core.outputs import check_apart
+from gpgrad_core.io.folder import check_vacant
+from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.scans import simulate_recording
+from gpgrad_core.simulation.dem import ElevationModel
+from gpgrad_core.simulation.params import SimulationParams
+from gpgrad_core.simulation.recording import simulate_recording
+from gpgrad_core.simulation.simulate import simulate_into
 
 
 @dataclass(frozen=True)

@@ -28,29 +28,32 @@ from app.cli.inputs import (
 )
 from app.cli.terminal import count, progress_bar, say, warn
 from app.recordings import built_first
-from gpgrad_core.datasets import outline_dataset
-from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation import check_directory
-from gpgrad_core.fitting import representative
-from gpgrad_core.georeference import Georeference
-from gpgrad_core.methods import find_method
-from gpgrad_core.outputs import (
-    check_apart,
-    read_closures,
-    report_closures,
-    restore_closures,
-    write_closures,
-)
-from gpgrad_core.pipeline import (
+from gpgrad_core.detection import (
     DetectionResult,
     PipelineParams,
 )
+from gpgrad_core.detection.shortlist import (
+    Candidates,
+    read_candidates,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation import check_directory
+from gpgrad_core.io.folder import outline_dataset
+from gpgrad_core.io.georeference import Georeference
+from gpgrad_core.io.records.closure_writer import write_closures
+from gpgrad_core.io.records.closures import (
+    read_closures,
+    report_closures,
+    restore_closures,
+)
+from gpgrad_core.io.records.files import check_apart
+from gpgrad_core.mapping.fitting import representative
+from gpgrad_core.methods import find_method
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.shortlist import Candidates, read_candidates
 from gpgrad_core.slam import (
     GraphParams,
     JoinedDatasets,

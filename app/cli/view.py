@@ -24,19 +24,33 @@ from app.cli.inputs import (
     settled,
 )
 from app.cli.terminal import say, warn
-from app.viewer.door.admission import Admission, as_origin, check_token, is_loopback
-from app.viewer.memory import read_size, shown
-from app.viewer.permissions import Permissions
-from app.viewer.server import Stage, Viewer
-from gpgrad_core.datasets import demo_path
-from gpgrad_core.datasets.folder import MOST_LOADED
+from app.viewer.server.admission import (
+    Admission,
+    as_origin,
+    check_token,
+    is_loopback,
+)
+from app.viewer.server.memory import (
+    read_size,
+    shown,
+)
+from app.viewer.server.permissions import Permissions
+from app.viewer.viewer import (
+    Stage,
+    Viewer,
+)
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.folder import MOST_LOADED
 from gpgrad_core.params.files import read_parameters
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.simulation.demo import demo_path
 
 if TYPE_CHECKING:  # loaded when they are needed: a page is served before
-    from app.viewer.session_file import Opened, SavedSession
+    from app.viewer.session.session_file import (
+        Opened,
+        SavedSession,
+    )
 
 
 @dataclass(frozen=True)
@@ -167,7 +181,7 @@ class View:
     def _saved(self) -> "SavedSession | None":
         if self.state is None:
             return None
-        from app.viewer.session_file import read_session  # noqa: PLC0415 - loads slowly
+        from app.viewer.session.session_file import read_session  # noqa: PLC0415 - loads slowly
 
         return read_session(self.state)
 
@@ -175,7 +189,7 @@ class View:
         self, source: Path, saved: "SavedSession | None", memo: Memo, stage: Stage
     ) -> "Opened":
         """Load the dataset, and fit what is automatic, while pages are served already."""
-        from app.viewer.session_file import Opened  # noqa: PLC0415 - loads slowly
+        from app.viewer.session.session_file import Opened  # noqa: PLC0415 - loads slowly
 
         dataset = load(source, most_bytes=MOST_LOADED, told=stage("Reading the submaps"))
         base = base_params(dataset, None if saved else self.params)

@@ -15,14 +15,19 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import gpgrad_core  # noqa: E402 - found only now
-from gpgrad_core.datasets import demo_path, load_dataset  # noqa: E402
-from gpgrad_core.datasets.clouds import CLOUD_FORMATS  # noqa: E402
+from gpgrad_core.detection import (  # noqa: E402
+    PipelineParams,
+    register_pair,
+    resolve_parameters,
+)
 from gpgrad_core.features import DETECTORS  # noqa: E402
 from gpgrad_core.features.extraction import MOST_BYTES  # noqa: E402
-from gpgrad_core.gradient_map import MOST_CELLS  # noqa: E402
+from gpgrad_core.io.clouds import CLOUD_FORMATS  # noqa: E402
+from gpgrad_core.io.folder import load_dataset  # noqa: E402
+from gpgrad_core.mapping.gradient_map import MOST_CELLS  # noqa: E402
 from gpgrad_core.params.fields import Field, parameters_of, with_unit  # noqa: E402
-from gpgrad_core.pipeline import PipelineParams, register_pair, resolve_parameters  # noqa: E402
 from gpgrad_core.run.memo import Memo  # noqa: E402
+from gpgrad_core.simulation.demo import demo_path  # noqa: E402
 
 project = "gpgrad"
 author = "the gpgrad authors"
@@ -132,8 +137,11 @@ def write_live_page(app: Sphinx, error: Exception | None) -> None:
     """Put a closure of the demo beside the pages, to be turned and moved without a server."""
     if error is not None or app.builder.name != "html":
         return
-    from app.viewer.demo.pages import write_closure  # noqa: PLC0415 - loads slowly
-    from app.viewer.state import open_dataset, with_pair  # noqa: PLC0415
+    from app.viewer.features.demo.pages import write_closure  # noqa: PLC0415 - loads slowly
+    from app.viewer.session.state import (  # noqa: PLC0415
+        open_dataset,
+        with_pair,
+    )
 
     logging.getLogger("app").setLevel(logging.WARNING)
     dataset, memo = load_dataset(demo_path()), Memo()

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from gpgrad_core.detection import DetectionResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.names import file_names
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
@@ -34,8 +35,7 @@ from gpgrad_core.evaluation.precision_recall import (
 )
 from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
-from gpgrad_core.outputs import ClosureReport
-from gpgrad_core.pipeline import DetectionResult
+from gpgrad_core.io.records.closures import ClosureReport
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Array, Dataset
 

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import NDArray
+from gpgrad_core.detection import DetectionResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.overlap import TruePairs
-from gpgrad_core.outputs import ClosureReport
-from gpgrad_core.pipeline import DetectionResult
+from gpgrad_core.io.records.closures import ClosureReport
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array, Dataset, read_only
 

@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from gpgrad_core.datasets.poses import pose_of_matrix
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation
 from gpgrad_core.evaluation.pages import TEMPLATES, cell, render
 from gpgrad_core.evaluation.report import Section
+from gpgrad_core.io.poses import pose_of_matrix
 from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Array, Dataset, Submap

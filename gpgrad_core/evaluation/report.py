@@ -16,7 +16,9 @@ from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict
 from gpgrad_core.evaluation.overlap import TruePairs
 from gpgrad_core.evaluation.pages import TEMPLATES, cell, render
 from gpgrad_core.evaluation.rules import Labels, Rule
-from gpgrad_core.outputs import ClosureReport, replacing, write_closures
+from gpgrad_core.io.records.closure_writer import write_closures
+from gpgrad_core.io.records.closures import ClosureReport
+from gpgrad_core.io.records.files import replacing
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.version import VERSION
 

@@ -8,6 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
+from gpgrad_core.detection import (
+    DetectionResult,
+    PipelineParams,
+)
+from gpgrad_core.detection.all_pairs import SearchableDetector
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.experiment import detect_kept
 from gpgrad_core.evaluation.judge import Evaluation, evaluate
@@ -15,8 +20,6 @@ from gpgrad_core.evaluation.overlap import measure_pairs
 from gpgrad_core.evaluation.rules import EvaluationParams
 from gpgrad_core.matching import match_features
 from gpgrad_core.methods import Method
-from gpgrad_core.pipeline import DetectionResult, PipelineParams
-from gpgrad_core.pipeline.all_pairs import SearchableDetector
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store

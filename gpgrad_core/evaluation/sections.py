@@ -6,12 +6,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from gpgrad_core.detection import DetectionResult
 from gpgrad_core.evaluation.judge import Evaluation, evaluate
 from gpgrad_core.evaluation.pages import TEMPLATES, cell, render
 from gpgrad_core.evaluation.report import Section
 from gpgrad_core.evaluation.rules import EvaluationParams
-from gpgrad_core.outputs import ClosureReport
-from gpgrad_core.pipeline import DetectionResult
+from gpgrad_core.io.records.closures import ClosureReport
 from gpgrad_core.types import Dataset, ImageSays
 
 Protocol = Literal["gpgrad", "paper"]

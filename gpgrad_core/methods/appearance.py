@@ -9,16 +9,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gpgrad_core.errors import InputError
-from gpgrad_core.images import (
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection.images import (
     Descriptors,
     ImageFeatures,
     extract_images,
     fit_two_views,
     nearest_words,
 )
+from gpgrad_core.errors import InputError
 from gpgrad_core.methods.rival import unchecked
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Registration, Submap

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.methods.rival import CloudDetector, unchecked, undescribed
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Registration, Submap

@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.rival import seen_from_above, unchecked
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Registration, Submap
 
 NORMAL_NEIGHBOURS = 30

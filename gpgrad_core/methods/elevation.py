@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from gpgrad_core.detection import (
+    MapDetector,
+    PipelineParams,
+)
 from gpgrad_core.features import DetectorParams
-from gpgrad_core.pipeline import MapDetector, PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import GradientMap
 

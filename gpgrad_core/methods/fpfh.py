@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.described_clouds import (
     DescribedCloud,
@@ -14,7 +15,6 @@ from gpgrad_core.methods.described_clouds import (
     thinned,
 )
 from gpgrad_core.methods.rival import CloudDetector, seen_from_above, unchecked
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
 

@@ -11,13 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.features import DetectorParams, FeatureParams
-from gpgrad_core.features.interpolation import interpolate
-from gpgrad_core.gp.likelihood import Hyperparameters
-from gpgrad_core.gradient_map import MapParams, TerrainParams
-from gpgrad_core.loop_closure import ClosureParams
-from gpgrad_core.matching import MatchParams, match_features
-from gpgrad_core.pipeline import (
+from gpgrad_core.detection import (
     PairResult,
     PipelineParams,
     check_affordable,
@@ -27,7 +21,16 @@ from gpgrad_core.pipeline import (
     infer_map,
     judge_pair,
 )
-from gpgrad_core.pipeline.all_pairs import TunedDetector
+from gpgrad_core.detection.all_pairs import TunedDetector
+from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.features import DetectorParams, FeatureParams
+from gpgrad_core.features.interpolation import interpolate
+from gpgrad_core.gp.likelihood import Hyperparameters
+from gpgrad_core.mapping.gradient_map import (
+    MapParams,
+    TerrainParams,
+)
+from gpgrad_core.matching import MatchParams, match_features
 from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.rival import CloudDetector, seen_from_above, unchecked, undescribed
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
 

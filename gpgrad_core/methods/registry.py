@@ -5,6 +5,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from gpgrad_core.detection import (
+    MapDetector,
+    PipelineParams,
+    check_searchable,
+    resolve_parameters,
+)
+from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.appearance import appearance_detector
@@ -17,15 +24,8 @@ from gpgrad_core.methods.rival import judged_by_inliers
 from gpgrad_core.methods.scan_context import judged_by_context, scan_context_detector
 from gpgrad_core.methods.shot import cshot_detector, shot_detector
 from gpgrad_core.methods.smoothed import smoothed_detector
-from gpgrad_core.pipeline import (
-    MapDetector,
-    PipelineParams,
-    check_searchable,
-    resolve_parameters,
-)
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.shortlist import Candidates
 from gpgrad_core.types import LoopDetector, Submap
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2

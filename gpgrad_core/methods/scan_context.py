@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.described_clouds import height_between, thinned
 from gpgrad_core.methods.rival import CloudDetector, seen_from_above, unchecked
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
 

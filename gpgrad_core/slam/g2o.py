@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from gpgrad_core.datasets.folder import index_of
-from gpgrad_core.datasets.poses import make_pose
 from gpgrad_core.errors import InputError
-from gpgrad_core.outputs.files import replacing
+from gpgrad_core.io.folder import index_of
+from gpgrad_core.io.poses import make_pose
+from gpgrad_core.io.records.files import replacing
 from gpgrad_core.reading.text import lines_of, parse_count, parse_numbers, read_text, write_lines
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, EdgeKind, GraphParams, PoseGraph

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gpgrad_core.errors import InputError
-from gpgrad_core.pipeline import (
+from gpgrad_core.detection import (
     MapDetector,
     PipelineParams,
     check_searchable,
@@ -21,13 +20,23 @@ from gpgrad_core.pipeline import (
     resolve_parameters,
     with_store,
 )
-from gpgrad_core.pipeline.all_pairs import SearchableDetector, StagedDetector, side_by_side
+from gpgrad_core.detection.all_pairs import (
+    SearchableDetector,
+    StagedDetector,
+    side_by_side,
+)
+from gpgrad_core.detection.shortlist import (
+    Candidate,
+    Candidates,
+    Shortlist,
+    num_wanted,
+)
+from gpgrad_core.errors import InputError
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.memo import Memo, array_bytes
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import Pose
-from gpgrad_core.shortlist import Candidate, Candidates, Shortlist, num_wanted
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
 from gpgrad_core.slam.traverses import place_traverses

@@ -16,10 +16,10 @@ from jaxtyping import Float
 from typing_extensions import Doc
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.datasets.voxel_means import voxel_means
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.cloud import thin_dense
-from gpgrad_core.gradient_map import (
+from gpgrad_core.io.voxel_means import voxel_means
+from gpgrad_core.mapping.gradient_map import (
     TerrainParams,
     fit_terrain,
     kept_rows,

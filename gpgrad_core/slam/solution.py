@@ -9,20 +9,23 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.datasets.clouds.ply import write_ply_pieces
-from gpgrad_core.datasets.poses import write_poses
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.report import check_directory
-from gpgrad_core.georeference import Georeference
-from gpgrad_core.gradient_map import TerrainParams
-from gpgrad_core.outputs.files import replacing
-from gpgrad_core.outputs.georeferenced import (
+from gpgrad_core.io.clouds.ply import write_ply_pieces
+from gpgrad_core.io.georeference import Georeference
+from gpgrad_core.io.poses import write_poses
+from gpgrad_core.io.records.files import replacing
+from gpgrad_core.io.records.georeferenced import (
     write_cloud_optimised,
     write_geojson,
     write_kml,
     write_laz,
 )
-from gpgrad_core.outputs.maps import write_arrays, write_raster
+from gpgrad_core.io.records.maps import (
+    write_arrays,
+    write_raster,
+)
+from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose

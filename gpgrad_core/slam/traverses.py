@@ -5,9 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gpgrad_core.datasets.folder import Outline, index_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.names import different_names
+from gpgrad_core.io.folder import (
+    Outline,
+    index_of,
+)
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, PoseGraph
 from gpgrad_core.types import Dataset

@@ -12,14 +12,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gpgrad_core.datasets import load_dataset, simulate_dataset
+from gpgrad_core.detection import (
+    PipelineParams,
+    detect_loop_closures,
+)
 from gpgrad_core.evaluation import EvaluationParams, TruePairs, evaluate, measure_pairs
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.methods import METHODS
-from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
+from gpgrad_core.simulation.simulate import simulate_dataset
 from gpgrad_core.types import Dataset
 from tests.quality.degraded import SETS, load_degraded
 from tests.quality.test_hard_ground import KINDS, SCANS

@@ -6,18 +6,23 @@
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from gpgrad_core.datasets import demo_path, load_dataset
-from gpgrad_core.features import DetectorParams, FeatureParams, detect_features, extract_features
-from gpgrad_core.gradient_map import MapParams, fit_terrain, sample_map
-from gpgrad_core.matching import match_features
-from gpgrad_core.pipeline import (
+from gpgrad_core.detection import (
     PipelineParams,
     detect_loop_closures,
     infer_gradient_map,
     register_pair,
 )
+from gpgrad_core.features import DetectorParams, FeatureParams, detect_features, extract_features
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.mapping.gradient_map import (
+    MapParams,
+    fit_terrain,
+    sample_map,
+)
+from gpgrad_core.matching import match_features
 from gpgrad_core.registration import register
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import Dataset, GradientMap, Submap
 
 PARAMS = PipelineParams(map=MapParams().guessed)

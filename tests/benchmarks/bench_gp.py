@@ -16,13 +16,13 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from threadpoolctl import threadpool_info
 
 from gpgrad_core.arrays import Array
+from gpgrad_core.detection import infer_gradient_map
 from gpgrad_core.gp.dense import fit_dense, infer_elevation, infer_slope, infer_variance
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.pipeline import infer_gradient_map
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.types import GradientMap, Submap
-from tests.core.ground import cloud
+from tests.support.ground import cloud
 
 SIZE = (10.0, 10.0)
 NOISE = 0.05

@@ -22,17 +22,22 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gpgrad_core.datasets import demo_path, load_dataset
+from gpgrad_core.detection import (
+    PipelineParams,
+    detect_loop_closures,
+    resolve_parameters,
+)
 from gpgrad_core.evaluation import EvaluationParams, TruePairs, evaluate, measure_pairs
-from gpgrad_core.gradient_map import few_of
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.mapping.gradient_map import few_of
 from gpgrad_core.methods import METHODS
 from gpgrad_core.methods.described_clouds import register_by_ransac
 from gpgrad_core.methods.paper import PaperDetector, paper_params, paper_start, tune
 from gpgrad_core.methods.rival import CloudDetector
 from gpgrad_core.methods.shot import describe_shot
-from gpgrad_core.pipeline import PipelineParams, detect_loop_closures, resolve_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.threads import at_most_workers, single_threaded_libraries
+from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import Dataset, LoopDetector
 from tests.benchmarks.peers.tables import markdown
 

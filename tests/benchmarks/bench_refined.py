@@ -26,7 +26,7 @@ import small_gicp
 import tyro
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.datasets import demo_path, load_dataset
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.evaluation import (
     EvaluationParams,
     Labels,
@@ -39,14 +39,15 @@ from gpgrad_core.evaluation import (
     run_methods,
 )
 from gpgrad_core.evaluation.precision_recall import precision_recall
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.methods import METHODS, Method, find_method
 from gpgrad_core.methods.described_clouds import height_between
 from gpgrad_core.methods.rival import seen_from_above
 from gpgrad_core.params.files import preferred_parameters
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import Dataset, Submap
 from tests.benchmarks.peers.tables import markdown
 

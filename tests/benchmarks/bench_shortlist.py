@@ -15,23 +15,25 @@ from time import perf_counter
 import numpy as np
 import tyro
 
-from gpgrad_core.datasets import SimulationParams, load_dataset, simulate_dataset
-from gpgrad_core.evaluation import EvaluationParams, measure_pairs
-from gpgrad_core.features.slope_field import RINGS, SPOKES
-from gpgrad_core.fitting import representative
-from gpgrad_core.params.files import preferred_parameters
-from gpgrad_core.pipeline import (
+from gpgrad_core.detection import (
     PipelineParams,
     detect_loop_closures,
     infer_features,
     resolve_parameters,
 )
+from gpgrad_core.detection.shortlist import Shortlist
+from gpgrad_core.evaluation import EvaluationParams, measure_pairs
+from gpgrad_core.features.slope_field import RINGS, SPOKES
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.mapping.fitting import representative
+from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.shortlist import Shortlist
+from gpgrad_core.simulation.params import SimulationParams
+from gpgrad_core.simulation.simulate import simulate_dataset
 from gpgrad_core.types import Dataset, Features
-from tests.core.shortlist.places import features as any_features
+from tests.core.detection.shortlist.places import features as any_features
 
 COUNTS = (10, 30, 50)
 SIZES = (1_000, 10_000)

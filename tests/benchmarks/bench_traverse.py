@@ -27,22 +27,27 @@ import psutil
 import tyro
 from scipy.spatial import cKDTree
 
-from gpgrad_core.datasets import open_dataset
-from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
-from gpgrad_core.fitting import representative
-from gpgrad_core.outputs import ClosureWriter, report_closures
-from gpgrad_core.pipeline import (
+from gpgrad_core.detection import (
     MapDetector,
     PipelineParams,
     detect_loop_closures,
     resolve_parameters,
     with_store,
 )
+from gpgrad_core.detection.shortlist import (
+    Candidates,
+    num_wanted,
+    read_candidates,
+)
+from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
+from gpgrad_core.io.folder import open_dataset
+from gpgrad_core.io.records.closure_writer import ClosureWriter
+from gpgrad_core.io.records.closures import report_closures
+from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.shortlist import Candidates, num_wanted, read_candidates
 from gpgrad_core.types import Dataset, LoopClosure, SubmapSource
 
 STAGES = {"maps and keypoints": (0.0, 0.5), "shortlist": (0.5, 0.6), "pairs": (0.6, 1.0)}

@@ -20,14 +20,18 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from app.viewer import state as states
-from app.viewer.params.tab import MAIN_PARAMETERS
-from app.viewer.server import Viewer
-from gpgrad_core.datasets import demo_path, load_dataset
-from gpgrad_core.gradient_map import MapParams, kept_points
+from app.viewer.features.params.tab import MAIN_PARAMETERS
+from app.viewer.session import state as states
+from app.viewer.viewer import Viewer
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.mapping.gradient_map import (
+    MapParams,
+    kept_points,
+)
 from gpgrad_core.params.fields import with_path
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.progress import silent
+from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import Dataset, Submap
 from tests.browser.chromium import find_chromium
 from tests.browser.unwatched import UnwatchedPage, open_unwatched

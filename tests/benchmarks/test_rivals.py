@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gpgrad_core.datasets.poses import pose_row
+from gpgrad_core.io.poses import pose_row
 from gpgrad_core.se2 import SE2, Pose
 from tests.benchmarks.bench_whole import Line, best_of, describe
 from tests.benchmarks.whole import judge

@@ -13,9 +13,9 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, Playwright, sync_playwright
 
-from app.viewer.modes.tab import PANEL_WIDTH
+from app.viewer.features.modes.tab import PANEL_WIDTH
 from gpgrad_core.arrays import NDArray
-from tests.waiting import PATIENCE
+from tests.support.waiting import PATIENCE
 
 # Software rendering works without a graphics card. The browser must make no requests of its own.
 FLAGS = [

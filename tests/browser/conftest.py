@@ -6,11 +6,12 @@ from functools import partial
 
 import pytest
 
-from app.viewer.server import Viewer
-from gpgrad_core.datasets import demo_path, load_dataset
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.pipeline import PipelineParams
+from app.viewer.viewer import Viewer
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.store import Store
+from gpgrad_core.simulation.demo import demo_path
 
 QUICK = PipelineParams(map=MapParams(max_points=3000, resolution=0.12))
 """Few points and large cells: software rendering draws every one of them."""

@@ -11,14 +11,21 @@ import viser
 from PIL import Image
 from playwright.sync_api import Browser
 
-from app.viewer.draw.animation import ease
-from app.viewer.pair.scene import PairScene
-from app.viewer.server import Viewer
-from app.viewer.state import ViewOptions, open_dataset
-from gpgrad_core.datasets import demo_path, load_dataset
+from app.viewer.features.pair.scene import PairScene
+from app.viewer.scene.animation import ease
+from app.viewer.session.state import (
+    ViewOptions,
+    open_dataset,
+)
+from app.viewer.viewer import Viewer
+from gpgrad_core.detection import (
+    PipelineParams,
+    register_pair,
+)
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.params.files import preferred_parameters
-from gpgrad_core.pipeline import PipelineParams, register_pair
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import Matches
 from tests.browser.chromium import ViewerPage, find_chromium, launch
 

@@ -7,7 +7,7 @@ import viser
 
 from app.viewer.widgets.actions import on_choice
 from app.viewer.widgets.bridge import Bridge, Data, say
-from tests.waiting import PATIENCE
+from tests.support.waiting import PATIENCE
 
 pytestmark = pytest.mark.browser
 

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from app.viewer.best_pair.search import BestPairNote
-from app.viewer.params.tab import MAIN_PARAMETERS
-from app.viewer.server import Viewer
+from app.viewer.features.best_pair.search import BestPairNote
+from app.viewer.features.params.tab import MAIN_PARAMETERS
+from app.viewer.viewer import Viewer
 from app.viewer.widgets.bridge import Data
-from gpgrad_core.datasets import demo_path, load_dataset
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run.store import Store
+from gpgrad_core.simulation.demo import demo_path
 from tests.browser.conftest import QUICK
 
 if TYPE_CHECKING:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.viewer.server import Viewer
-from gpgrad_core.datasets import demo_path, load_dataset
+from app.viewer.viewer import Viewer
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.simulation.demo import demo_path
 from tests.browser.conftest import QUICK
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]

@@ -12,10 +12,13 @@ from typing import Any
 import pytest
 import viser
 
-from app.viewer.door.admission import Admission
-from app.viewer.door.limits import Limits
-from app.viewer.door.server import Told, open_server
-from tests.waiting import PATIENCE
+from app.viewer.server.admission import Admission
+from app.viewer.server.guard import (
+    Told,
+    open_server,
+)
+from app.viewer.server.limits import Limits
+from tests.support.waiting import PATIENCE
 
 pytestmark = pytest.mark.browser
 

@@ -6,10 +6,11 @@ from typing import Any
 
 import pytest
 
-from app.viewer.door.admission import Admission
-from app.viewer.server import Viewer
-from gpgrad_core.datasets import demo_path, load_dataset
+from app.viewer.server.admission import Admission
+from app.viewer.viewer import Viewer
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run.store import Store
+from gpgrad_core.simulation.demo import demo_path
 from tests.browser.conftest import QUICK
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]

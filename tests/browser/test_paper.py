@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.paper import PaperPair, register_paper_pair
-from gpgrad_core.pipeline import PipelineParams
 
 if TYPE_CHECKING:
     from tests.browser.chromium import ViewerPage

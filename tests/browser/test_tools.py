@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from app.viewer.host import pages
+from app.viewer.server.host import pages
 
 if TYPE_CHECKING:
     from tests.browser.chromium import ViewerPage

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from app.viewer.params.tab import MAIN_PARAMETERS
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.pipeline import PipelineParams
+from app.viewer.features.params.tab import MAIN_PARAMETERS
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.mapping.gradient_map import MapParams
 
 if TYPE_CHECKING:
     from tests.browser.chromium import ViewerPage

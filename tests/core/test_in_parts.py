@@ -4,17 +4,20 @@ import numpy as np
 import pytest
 
 from gpgrad_core import matching
+from gpgrad_core.detection import infer_gradient_map
 from gpgrad_core.features import interpolation, slope_field
 from gpgrad_core.gp import fine_kernel, tiles
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.splat import Axis, Splat
 from gpgrad_core.gp.tiles import fit_tiles
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.pipeline import infer_gradient_map
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.registration.surface import MOST_SIDE, thin_grid
 from gpgrad_core.types import Features, Grid
 from tests.core.gp.oracle import grid_beyond
-from tests.core.ground import cloud, submap
+from tests.support.ground import (
+    cloud,
+    submap,
+)
 
 PARAMS = MapParams(length_scale=0.3, noise_std=0.03, resolution=0.05, scale=0.3)
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gpgrad_core.detection import infer_gradient_map
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.pipeline import infer_gradient_map
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.scale import (
     finest_of_kernel,
     noise_density,
@@ -18,7 +18,10 @@ from gpgrad_core.scale import (
     std_at_scale,
 )
 from gpgrad_core.types import Submap
-from tests.core.ground import Ground, scatter
+from tests.support.ground import (
+    Ground,
+    scatter,
+)
 
 positive = st.floats(1e-3, 1e3)
 

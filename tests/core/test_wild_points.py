@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from gpgrad_core.arrays import Array
 from gpgrad_core.types import Submap
 from gpgrad_core.wild_points import find_wild_points
-from tests.core.ground import cloud
+from tests.support.ground import cloud
 
 GROUND = cloud(3, 3000, (8.0, 8.0))
 SPARSE = cloud(5, 300, (8.0, 8.0))

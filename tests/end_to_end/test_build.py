@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 
 from app.cli import run
-from tests.core.scans.drive import make_drive, write_drive
-from tests.core.scans.test_build import contents
+from tests.core.recordings.test_build import contents
 from tests.end_to_end.conftest import patch
 from tests.end_to_end.process import start
+from tests.support.drive import (
+    make_drive,
+    write_drive,
+)
 
 LONG = make_drive(num_scans=120, points_a_scan=1500)
 FLAGS = ("--max-length", "3", "--max-range", "4")
@@ -70,7 +73,7 @@ def test_interrupted(
 
     out = tmp_path / "data"
     with monkeypatch.context() as patched:
-        patched.setattr("gpgrad_core.scans.build.write_ply", interrupt)
+        patched.setattr("gpgrad_core.recordings.build.write_ply", interrupt)
         assert run(["build", str(recording), "--out", str(out)]) == 130
     said = capsys.readouterr().err
     assert said == "gpgrad: interrupted; run the same command to resume\n"

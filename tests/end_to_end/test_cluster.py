@@ -9,20 +9,21 @@ from typing import Any
 
 import pytest
 
-from gpgrad_core.datasets import demo_path, load_dataset
-from gpgrad_core.errors import InputError
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.pipeline import (
+from gpgrad_core.detection import (
     DetectionResult,
     MapDetector,
     PipelineParams,
     detect_loop_closures,
     with_store,
 )
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.cluster import connected
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.store import Store
+from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import Dataset
 from tests.end_to_end.process import gpgrad
 

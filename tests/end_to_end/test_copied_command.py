@@ -7,12 +7,19 @@ from pathlib import Path
 
 import pytest
 
-from app.viewer.save.command_line import detect_command
-from app.viewer.state import open_dataset, with_pair
-from gpgrad_core.datasets import load_dataset
+from app.viewer.features.save.command_line import detect_command
+from app.viewer.session.state import (
+    open_dataset,
+    with_pair,
+)
+from gpgrad_core.detection import (
+    PipelineParams,
+    register_pair,
+    resolve_parameters,
+)
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.params.fields import with_path
 from gpgrad_core.params.files import preferred_parameters
-from gpgrad_core.pipeline import PipelineParams, register_pair, resolve_parameters
 from gpgrad_core.run.memo import Memo
 from tests.end_to_end.process import gpgrad
 

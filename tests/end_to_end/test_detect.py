@@ -11,11 +11,11 @@ import pytest
 
 import app.cli.comparing
 from app.cli import run
-from gpgrad_core.datasets import demo_path
-from gpgrad_core.outputs import read_closures
-from gpgrad_core.pipeline import with_store
+from gpgrad_core.detection import with_store
+from gpgrad_core.io.records.closures import read_closures
 from gpgrad_core.run.parallel import WORTH_PROCESSES
 from gpgrad_core.run.store import Store
+from gpgrad_core.simulation.demo import demo_path
 from tests.core.methods.test_appearance import picture, turned
 from tests.end_to_end.process import gpgrad, gpgrad_process, run_on_terminal
 

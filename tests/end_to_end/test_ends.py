@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from app.cli import run
-from gpgrad_core.datasets import SimulationParams
 from gpgrad_core.run.folders import JUST_MADE, TemporaryFolder
 from gpgrad_core.run.parallel import SOCKETS
-from gpgrad_core.scans import simulate_recording
-from tests.core.scans.test_build import contents
+from gpgrad_core.simulation.params import SimulationParams
+from gpgrad_core.simulation.recording import simulate_recording
+from tests.core.recordings.test_build import contents
 from tests.end_to_end.process import QUICK_MAP, ROOT, environment, gpgrad, interruptible, start
 from tests.end_to_end.test_simulate import TINY
 from tests.end_to_end.test_slam import write_by_hand
@@ -243,11 +243,14 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("it began to work")
 
     for place in (
-        *("gpgrad_core.datasets.simulate.run_jobs", "app.cli.comparing.detect_loop_closures"),
+        *("gpgrad_core.simulation.simulate.run_jobs", "app.cli.comparing.detect_loop_closures"),
         *("app.cli.comparing.settled", "app.cli.evaluate.run_methods", "app.cli.slam.settled"),
         "app.cli.reproduce.study",
         *("app.cli.fit.fit_parameters", "app.cli.map.infer_gradient_map"),
-        *("gpgrad_core.scans.simulate.make_terrain", "gpgrad_core.scans.build.open_recording"),
+        *(
+            "gpgrad_core.simulation.recording.make_terrain",
+            "gpgrad_core.recordings.build.open_recording",
+        ),
     ):
         monkeypatch.setattr(place, fail)
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import app.cli.evaluate
-from gpgrad_core.datasets import write_dataset
+from gpgrad_core.io.folder import write_dataset
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
 from tests.core.evaluation.test_registration_benchmark import found, write, yard

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.core.ground import cloud
 from tests.end_to_end.process import gpgrad
+from tests.support.ground import cloud
 
 
 @pytest.fixture

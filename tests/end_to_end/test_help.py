@@ -123,7 +123,10 @@ def test_help_comes_quickly_and_without_the_viewer() -> None:
         ("simulate", {"viser", "open3d", "matplotlib", "gtsam", "cv2"}),
         ("detect", {"viser", "open3d", "matplotlib", "gtsam"}),
         # Its first page is served before the rest is loaded.
-        ("view", {"open3d", "matplotlib", "gtsam", "scipy", "tifffile", "app.viewer.session"}),
+        (
+            "view",
+            {"open3d", "matplotlib", "gtsam", "scipy", "tifffile", "app.viewer.features.session"},
+        ),
     ],
 )
 def test_a_verb_loads_no_library_before_it_needs_it(verb: str, heavy: set[str]) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from app.cli import run
-from gpgrad_core.datasets import load_dataset
+from gpgrad_core.io.folder import load_dataset
 from tests.end_to_end.process import gpgrad
 
 rasterio = pytest.importorskip("rasterio", reason="rasterio is not installed")

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from tests.core.scans.test_build import contents
+from tests.core.recordings.test_build import contents
 from tests.end_to_end.process import Finished, gpgrad
 
 pytestmark = pytest.mark.slow  # paper's maps are fine: seconds for each run

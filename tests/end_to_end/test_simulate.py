@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from gpgrad_core.datasets import load_dataset
+from gpgrad_core.io.folder import load_dataset
 from tests.end_to_end.process import gpgrad
 
 TINY = ("--num-submaps", "2", "--spacing", "1", "--extent", "16", "--max-range", "3")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from app.cli import run
-from gpgrad_core.outputs import read_closures
+from gpgrad_core.io.records.closures import read_closures
 from tests.end_to_end.process import gpgrad
 
 

@@ -9,30 +9,33 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from app.viewer.data.unpacking import unpack
-from app.viewer.session_file import read_session
-from gpgrad_core.datasets import load_cloud, load_dataset
-from gpgrad_core.datasets.clouds import CLOUD_FORMATS
-from gpgrad_core.datasets.clouds.format import CloudFormat
-from gpgrad_core.datasets.cpet import read_matrix_pose
-from gpgrad_core.datasets.dataset_toml import read_dataset_toml
-from gpgrad_core.datasets.dem import read_elevation_model
-from gpgrad_core.datasets.poses import read_poses
+from app.viewer.features.data.unpacking import unpack
+from app.viewer.session.session_file import read_session
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import read_problems
-from gpgrad_core.outputs import read_closures, restore_closures
+from gpgrad_core.io.clouds import CLOUD_FORMATS, load_cloud
+from gpgrad_core.io.clouds.format import CloudFormat
+from gpgrad_core.io.cpet import read_matrix_pose
+from gpgrad_core.io.dataset_toml import read_dataset_toml
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.io.poses import read_poses
+from gpgrad_core.io.records.closures import (
+    read_closures,
+    restore_closures,
+)
 from gpgrad_core.params.files import preferred_parameters, read_parameters
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.reading.images import read_grey_png, read_images
-from gpgrad_core.scans import open_recording
-from gpgrad_core.scans.katwijk import read_places
-from gpgrad_core.scans.pds import read_places_table
-from gpgrad_core.scans.pose_files import (
+from gpgrad_core.recordings.build import open_recording
+from gpgrad_core.recordings.katwijk import read_places
+from gpgrad_core.recordings.pds import read_places_table
+from gpgrad_core.recordings.pose_files import (
     read_mount,
     read_pose_file,
     read_times,
     read_truth_file,
 )
+from gpgrad_core.simulation.dem import read_elevation_model
 from gpgrad_core.slam import read_graph
 from gpgrad_core.types import Dataset
 from tests.fuzz import clouds, packed, texts

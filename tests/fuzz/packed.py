@@ -192,8 +192,8 @@ def _jpeg() -> bytes:
 @cache
 def _bags() -> tuple[tuple[str, bytes], ...]:
     """A bag of each kind, by its ending."""
-    from tests.core.scans.bags import write_bag  # noqa: PLC0415 (needs the extra 'ros')
-    from tests.core.scans.drive import make_drive  # noqa: PLC0415
+    from tests.support.bags import write_bag  # noqa: PLC0415 (needs the extra 'ros')
+    from tests.support.drive import make_drive  # noqa: PLC0415
 
     few = make_drive(num_scans=3, points_a_scan=10)
     with tempfile.TemporaryDirectory() as name:

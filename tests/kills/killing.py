@@ -16,9 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.datasets import SimulationParams, simulate_dataset, write_dataset
-from gpgrad_core.scans import simulate_recording
-from tests.core.scans.test_build import contents
+from gpgrad_core.io.folder import write_dataset
+from gpgrad_core.simulation.params import SimulationParams
+from gpgrad_core.simulation.recording import simulate_recording
+from gpgrad_core.simulation.simulate import simulate_dataset
+from tests.core.recordings.test_build import contents
 from tests.end_to_end.process import environment, start
 
 SMALL = SimulationParams(

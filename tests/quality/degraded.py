@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.datasets import load_dataset
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.types import Dataset, Submap
 
 SETS = ("marsyard2021", "sthelens", "apollo15", "hillside")

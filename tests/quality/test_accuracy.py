@@ -13,7 +13,7 @@ from gpgrad_core.gp.inference import Solver
 from gpgrad_core.gp.kernel import SquaredExponential
 from tests.core.gp.oracle import Errors, Fields, compare, grid_beyond
 from tests.core.gp.test_accuracy import draw_errors
-from tests.core.ground import cloud
+from tests.support.ground import cloud
 
 NUM_DRAWS = int(os.environ.get("GPGRAD_DRAWS", "300"))
 

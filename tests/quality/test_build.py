@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from gpgrad_core.datasets import SimulationParams, load_dataset
+from gpgrad_core.detection import infer_gradient_map
 from gpgrad_core.evaluation.calibration import judge_errors
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.pipeline import infer_gradient_map
-from gpgrad_core.scans import build_dataset, simulate_recording
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.mapping.gradient_map import MapParams
+from gpgrad_core.recordings.build import build_dataset
+from gpgrad_core.simulation.params import SimulationParams
+from gpgrad_core.simulation.recording import simulate_recording
 from gpgrad_core.types import Submap
-from tests.core.scans.test_build import contents
+from tests.core.recordings.test_build import contents
 from tests.end_to_end.process import ROOT, environment
 from tests.end_to_end.test_build import count_lines
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from gpgrad_core.datasets import load_dataset
 from gpgrad_core.evaluation import calibrate, describe_calibration
+from gpgrad_core.io.folder import load_dataset
 
 
 @pytest.mark.parametrize("name", ["marsyard2021", "sthelens", "apollo15"])

@@ -15,8 +15,8 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
-from app.viewer.door.server import open_server
-from tests.app.page import ProtocolPage
+from app.viewer.server.guard import open_server
+from tests.support.page import ProtocolPage
 
 Slider: TypeAlias = viser.GuiSliderHandle[int]
 

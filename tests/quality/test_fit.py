@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from gpgrad_core.datasets import load_dataset
+from gpgrad_core.detection import infer_gradient_map
 from gpgrad_core.evaluation.calibration import judge_errors
-from gpgrad_core.fitting import fit_parameters
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.pipeline import infer_gradient_map
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.mapping.fitting import fit_parameters
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.types import Submap
 
 MOST_SECONDS = 5.0

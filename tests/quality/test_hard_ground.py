@@ -10,11 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpgrad_core.datasets import SimulationParams, load_dataset, simulate_dataset
+from gpgrad_core.detection import (
+    DetectionResult,
+    detect_loop_closures,
+)
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, TruePairs, evaluate, measure_pairs
-from gpgrad_core.pipeline import DetectionResult, detect_loop_closures
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
+from gpgrad_core.simulation.params import SimulationParams
+from gpgrad_core.simulation.simulate import simulate_dataset
 from gpgrad_core.types import Dataset
 from tests.quality.degraded import SETS, load_degraded
 

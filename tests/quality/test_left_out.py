@@ -13,13 +13,15 @@ import numpy as np
 import pytest
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.datasets import SimulationParams, load_dataset, simulate_dataset
+from gpgrad_core.detection import detect_loop_closures
+from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation import EvaluationParams, evaluate
-from gpgrad_core.loop_closure import ClosureParams
-from gpgrad_core.pipeline import detect_loop_closures
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.registration.score import UNRELATED_LEVEL, UNRELATED_SPREAD
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
+from gpgrad_core.simulation.params import SimulationParams
+from gpgrad_core.simulation.simulate import simulate_dataset
 from gpgrad_core.types import Dataset
 
 MEASURED = ("marsyard2021", "sthelens", "apollo15")

@@ -13,13 +13,17 @@ from contextlib import suppress
 
 import pytest
 
-from app.viewer.params.tab import MAIN_PARAMETERS
-from app.viewer.server import Sharing, Viewer
-from gpgrad_core.datasets import demo_path, load_dataset
-from gpgrad_core.gradient_map import MapParams
+from app.viewer.features.params.tab import MAIN_PARAMETERS
+from app.viewer.viewer import (
+    Sharing,
+    Viewer,
+)
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.params.fields import get_path
-from gpgrad_core.pipeline import PipelineParams
-from tests.app.page import ProtocolPage
+from gpgrad_core.simulation.demo import demo_path
+from tests.support.page import ProtocolPage
 
 PAGES = 8
 EVENTS = 200

@@ -9,16 +9,21 @@ from pathlib import Path
 import pytest
 import viser
 
-from app.viewer.feature import Feature
-from app.viewer.runner import Capacity
-from app.viewer.session import Session
-from app.viewer.session_file import Opened
-from app.viewer.state import ViewState
-from gpgrad_core.datasets import demo_path, load_dataset
+from app.viewer.features.desk import Feature
+from app.viewer.features.session import Session
+from app.viewer.session.runner import Capacity
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import ViewState
+from gpgrad_core.detection import (
+    PairResult,
+    PipelineParams,
+    resolve_parameters,
+)
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.params.files import preferred_parameters
-from gpgrad_core.pipeline import PairResult, PipelineParams, resolve_parameters
 from gpgrad_core.run.helper import start_helper
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.simulation.demo import demo_path
 
 LATEST = 3.0
 """After the first picture [s]."""

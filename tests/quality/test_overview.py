@@ -11,14 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.viewer.server import Viewer
-from gpgrad_core.datasets import load_dataset, write_dataset
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.pipeline import PipelineParams
+from app.viewer.viewer import Viewer
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.io.folder import (
+    load_dataset,
+    write_dataset,
+)
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
-from tests.app.synthetic import make_submap
 from tests.browser.chromium import ViewerPage, find_chromium, launch
+from tests.support.synthetic import make_submap
 
 pytestmark = pytest.mark.browser
 

@@ -11,12 +11,13 @@ from contextlib import suppress
 import psutil
 import pytest
 
-from app.viewer.server import Viewer
-from gpgrad_core.datasets import demo_path, load_dataset
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.pipeline import PipelineParams
+from app.viewer.viewer import Viewer
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.memory import give_back
-from tests.app.page import ProtocolPage
+from gpgrad_core.simulation.demo import demo_path
+from tests.support.page import ProtocolPage
 
 SESSIONS = int(os.environ.get("GPGRAD_SESSIONS", "500"))
 AT_ONCE = 4

@@ -16,9 +16,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpgrad_core.datasets import load_dataset, outline_dataset
-from gpgrad_core.outputs import read_closures, report_closures, restore_closures, write_closures
-from gpgrad_core.pipeline import DetectionResult, PipelineParams, detect_loop_closures
+from gpgrad_core.detection import (
+    DetectionResult,
+    PipelineParams,
+    detect_loop_closures,
+)
+from gpgrad_core.io.folder import (
+    load_dataset,
+    outline_dataset,
+)
+from gpgrad_core.io.records.closure_writer import write_closures
+from gpgrad_core.io.records.closures import (
+    read_closures,
+    report_closures,
+    restore_closures,
+)
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.se2 import SE2
 from gpgrad_core.slam import (
@@ -31,9 +43,9 @@ from gpgrad_core.slam import (
     true_poses,
 )
 from gpgrad_core.types import Dataset, LoopClosure, Submap
-from tests.core.ground import Ground
 from tests.core.slam.simulated import simulate
 from tests.end_to_end.process import ROOT, environment
+from tests.support.ground import Ground
 
 SETS = ("marsyard2021", "sthelens", "apollo15")
 Found = Callable[[str], tuple[LoopClosure, ...]]

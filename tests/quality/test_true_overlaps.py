@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpgrad_core.datasets import load_dataset
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.evaluation.overlap import CELL
+from gpgrad_core.io.folder import load_dataset
 
 SETS = ("marsyard2021", "sthelens", "apollo15")
 FEWEST_CELLS = 5000

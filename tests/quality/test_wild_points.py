@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 import gpgrad_core as gg
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.pipeline import resolve_parameters
+from gpgrad_core.detection import resolve_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset, LoopClosure, Submap
 

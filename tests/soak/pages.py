@@ -12,9 +12,9 @@ from typing import Any
 
 from websockets.exceptions import ConnectionClosed
 
-from gpgrad_core.datasets import write_dataset
-from tests.app.page import ProtocolPage
-from tests.app.synthetic import make_dataset
+from gpgrad_core.io.folder import write_dataset
+from tests.support.page import ProtocolPage
+from tests.support.synthetic import make_dataset
 
 RANGES = {
     "Length-scale": (0.2, 0.8),

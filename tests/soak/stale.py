@@ -4,16 +4,21 @@ import random
 import time
 from collections.abc import Sequence
 
-from app.viewer.door.server import open_server
-from app.viewer.params.tab import MAIN_PARAMETERS
-from app.viewer.runner import Capacity
-from app.viewer.session import Session
-from app.viewer.session_file import Opened, SavedSession, parse_session
-from gpgrad_core.datasets import demo_path, load_dataset
+from app.viewer.features.params.tab import MAIN_PARAMETERS
+from app.viewer.features.session import Session
+from app.viewer.server.guard import open_server
+from app.viewer.session.runner import Capacity
+from app.viewer.session.session_file import (
+    Opened,
+    SavedSession,
+    parse_session,
+)
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.params.fields import get_path
 from gpgrad_core.run.memo import Memo
-from tests.app.page import ProtocolPage
+from gpgrad_core.simulation.demo import demo_path
 from tests.soak.pages import MAIN, SoakPage, drag
+from tests.support.page import ProtocolPage
 
 QUIET = 1.0
 """Without a message for so long, a page has heard everything [s]."""

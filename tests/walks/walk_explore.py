@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.viewer.server import Viewer
-from gpgrad_core.datasets import demo_path, load_dataset
-from gpgrad_core.datasets.poses import read_poses
+from app.viewer.viewer import Viewer
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.io.poses import read_poses
+from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.slam import read_graph
 from tests.browser.chromium import Pixels, ViewerPage, changed, find_chromium, launch
 from tests.browser.conftest import QUICK

@@ -18,13 +18,14 @@ from pathlib import Path
 
 import pytest
 
-from app.viewer.server import Viewer
-from gpgrad_core.datasets import SimulationParams, load_dataset, simulate_into
-from gpgrad_core.datasets.folder import MOST_LOADED
-from gpgrad_core.pipeline import PipelineParams
+from app.viewer.viewer import Viewer
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.io.folder import MOST_LOADED, load_dataset
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
+from gpgrad_core.simulation.params import SimulationParams
+from gpgrad_core.simulation.simulate import simulate_into
 from tests.browser.chromium import ViewerPage, find_chromium, launch
 
 pytestmark = pytest.mark.browser

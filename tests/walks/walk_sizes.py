@@ -15,9 +15,10 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from app.viewer.server import Viewer
-from gpgrad_core.datasets import demo_path, load_dataset
-from gpgrad_core.pipeline import PipelineParams
+from app.viewer.viewer import Viewer
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.simulation.demo import demo_path
 from tests.browser.chromium import ViewerPage, find_chromium, launch
 
 pytestmark = pytest.mark.browser

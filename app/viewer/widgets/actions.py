@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import viser
 
-from app.viewer.door.server import forget_file
+from app.viewer.server.guard import forget_file
 
 Option = TypeVar("Option", bound=str)
 

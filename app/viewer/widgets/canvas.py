@@ -12,10 +12,14 @@ import numpy as np
 import viser
 from msgspec import Meta, Struct, structs
 
-from app.viewer.draw.cameras import set_view, view_of
-from app.viewer.draw.layers import Scale
-from app.viewer.draw.placement import UNKNOWN_CANVAS, Camera, Canvas
-from app.viewer.host import Host
+from app.viewer.scene.cameras import (
+    set_view,
+    view_of,
+)
+from app.viewer.scene.layers import Scale
+from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
+from app.viewer.server.host import Host
+from app.viewer.session.state import Camera
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import Bridge, run_when_shown
 

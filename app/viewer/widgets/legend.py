@@ -2,8 +2,8 @@
 
 from html import escape
 
-from app.viewer.draw.colors import legend_uri
-from app.viewer.draw.layers import Scale
+from app.viewer.scene.colors import legend_uri
+from app.viewer.scene.layers import Scale
 from app.viewer.widgets.html import QUIET
 
 

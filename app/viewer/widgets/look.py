@@ -9,7 +9,7 @@ from typing import Any
 
 import viser
 
-from app.viewer.host import Host
+from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import run_when_shown
 

@@ -19,7 +19,7 @@ from typing import Any
 import viser
 from msgspec import Struct
 
-from app.viewer.host import Host
+from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import Bridge, run_when_shown
 from app.viewer.widgets.look import uuid_of

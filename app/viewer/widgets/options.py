@@ -6,8 +6,8 @@ from typing import Any, Generic, TypeVar, get_args, get_type_hints
 
 import viser
 
-from app.viewer.host import Host
-from app.viewer.state import Widget
+from app.viewer.server.host import Host
+from app.viewer.session.state import Widget
 from app.viewer.widgets.actions import on_choice
 from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.params.bounds import Bounds

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 import viser
 
-from app.viewer.host import Host
+from app.viewer.server.host import Host
 from app.viewer.widgets.actions import on_choice, on_step
 
 MOST_LISTED = 300

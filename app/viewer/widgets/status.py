@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Mapping
 from html import escape
 
-from app.viewer.host import Host
+from app.viewer.server.host import Host
 from app.viewer.widgets.bridge import Bridge, say
 from app.viewer.widgets.html import BAD, BUSY, GOOD, QUIET, button
 

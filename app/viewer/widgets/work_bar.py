@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from app.viewer.host import Host
+from app.viewer.server.host import Host
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.html import BAD, BUSY, message_line
 

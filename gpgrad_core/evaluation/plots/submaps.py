@@ -15,7 +15,6 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.datasets.folder import index_of
 from gpgrad_core.evaluation.plots.curves import new_panels
 from gpgrad_core.evaluation.plots.style import (
     COLUMN,
@@ -39,6 +38,7 @@ from gpgrad_core.evaluation.plots.style import (
 )
 from gpgrad_core.evaluation.reproduction import ShownPair, ShownSubmap, poses_of
 from gpgrad_core.features.interpolation import interpolate
+from gpgrad_core.io.folder import index_of
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Array, Dataset, GradientMap, Grid, Submap
 

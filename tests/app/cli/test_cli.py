@@ -14,10 +14,10 @@ import app.cli.inputs
 import app.cli.view
 from app.cli import FAILED, INTERRUPTED, run
 from app.cli.flags import Given, parse
-from app.viewer.server import Opening
-from app.viewer.session_file import Opened
-from gpgrad_core.datasets import Outline
-from gpgrad_core.gradient_map import MapParams
+from app.viewer.session.session_file import Opened
+from app.viewer.viewer import Opening
+from gpgrad_core.io.folder import Outline
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import silent

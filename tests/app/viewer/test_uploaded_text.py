@@ -7,16 +7,16 @@ from typing import Any
 import pytest
 import viser
 
-from app.viewer.door.server import open_server
-from app.viewer.params.presets import PresetsTool
-from app.viewer.save.tab import SaveTab
-from app.viewer.session_file import LARGEST
-from app.viewer.state import open_dataset
-from gpgrad_core.pipeline import PipelineParams
-from tests.app.desk import make_desk
-from tests.app.page import ProtocolPage
-from tests.app.synthetic import make_dataset
-from tests.app.widgets import find
+from app.viewer.features.params.presets import PresetsTool
+from app.viewer.features.save.tab import SaveTab
+from app.viewer.server.guard import open_server
+from app.viewer.session.session_file import LARGEST
+from app.viewer.session.state import open_dataset
+from gpgrad_core.detection import PipelineParams
+from tests.support.desk import make_desk
+from tests.support.page import ProtocolPage
+from tests.support.synthetic import make_dataset
+from tests.support.widgets import find
 
 STATE = open_dataset(make_dataset(num_points=200), PipelineParams())
 DEEP = "x = " + "[" * 5000
@@ -44,8 +44,8 @@ def pages() -> Iterator[tuple[viser.ViserServer, ProtocolPage, ProtocolPage]]:
 @pytest.mark.parametrize(
     ("button", "parser"),
     [
-        ("Restore session", "app.viewer.save.tab.parse_session"),
-        ("Upload parameters", "app.viewer.params.presets.parse_toml"),
+        ("Restore session", "app.viewer.features.save.tab.parse_session"),
+        ("Upload parameters", "app.viewer.features.params.presets.parse_toml"),
     ],
 )
 def test_while_a_file_is_parsed_other_pages_are_served(

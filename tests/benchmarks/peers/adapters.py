@@ -23,8 +23,8 @@ DENSE_TILE = 2000
 
 def ours(task: Task) -> Answer:
     """Infer a gradient map as the pipeline does, binning of large clouds included."""
-    from gpgrad_core.gradient_map import MapParams
-    from gpgrad_core.pipeline import infer_gradient_map
+    from gpgrad_core.detection import infer_gradient_map
+    from gpgrad_core.mapping.gradient_map import MapParams
     from gpgrad_core.types import Submap
 
     params = MapParams(

@@ -7,7 +7,7 @@ import numpy as np
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.types import Grid
-from tests.core.ground import cloud
+from tests.support.ground import cloud
 
 NOISE = 0.05
 """Standard deviation of a point's height [m]."""

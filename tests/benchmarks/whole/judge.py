@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.scans.params import BuildParams
-from gpgrad_core.scans.pose_files import read_pose_file
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.pose_files import read_pose_file
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import trajectory_error
 

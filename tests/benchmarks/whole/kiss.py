@@ -15,7 +15,7 @@ import numpy as np
 import tyro
 from scipy.spatial.transform import Rotation
 
-from gpgrad_core.datasets.poses import pose_row
+from gpgrad_core.io.poses import pose_row
 from gpgrad_core.se2 import Pose
 
 RANGE = 100.0

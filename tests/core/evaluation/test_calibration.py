@@ -3,16 +3,19 @@
 import numpy as np
 import pytest
 
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.evaluation.calibration import (
     Calibration,
     calibrate,
     describe_calibration,
     judge_errors,
 )
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.types import Dataset, Submap
-from tests.core.ground import Ground, scatter
+from tests.support.ground import (
+    Ground,
+    scatter,
+)
 
 NEAR, FAR = 0.01, 0.06
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gpgrad_core.detection import DetectionResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import Accepted, EvaluationParams, Interval, evaluate
-from gpgrad_core.pipeline import DetectionResult
 from gpgrad_core.types import Dataset
 from tests.core.evaluation.conftest import record, report
 

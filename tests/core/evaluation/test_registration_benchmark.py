@@ -7,13 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gpgrad_core.detection import detect_loop_closures
 from gpgrad_core.evaluation import evaluate, measure_pairs, read_problems
 from gpgrad_core.evaluation.registration_benchmark import check_problems, describe_problems
-from gpgrad_core.outputs import ClosureReport, PairRecord
-from gpgrad_core.pipeline import detect_loop_closures
+from gpgrad_core.io.records.closures import (
+    ClosureReport,
+    PairRecord,
+)
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Registration, Submap
-from tests.core.datasets.refusal import assert_refused
+from tests.support.refusal import assert_refused
 
 HEADER = "id source target overlap scale t1 t2 t3 t4 t5 t6 t7 t8 t9 t10 t11 t12"
 ROW = (

@@ -8,6 +8,7 @@ import cv2
 import matplotlib as mpl
 import pytest
 
+from gpgrad_core.detection import DetectionResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import (
     Evaluation,
@@ -21,8 +22,7 @@ from gpgrad_core.evaluation import (
 from gpgrad_core.evaluation.plots import report as plots
 from gpgrad_core.evaluation.plots.style import in_print
 from gpgrad_core.evaluation.report import describe
-from gpgrad_core.outputs import read_closures
-from gpgrad_core.pipeline import DetectionResult
+from gpgrad_core.io.records.closures import read_closures
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.types import Dataset
 from tests.core.evaluation.conftest import RIGHT, record, report

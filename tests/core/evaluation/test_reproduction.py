@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from gpgrad_core.detection import DetectionResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, PrecisionRecall, evaluate
 from gpgrad_core.evaluation.plots.curves import draw_figure_8, draw_figure_9, mean_precision
@@ -24,7 +25,6 @@ from gpgrad_core.evaluation.reproduction import (
     choose,
 )
 from gpgrad_core.methods import METHODS
-from gpgrad_core.pipeline import DetectionResult
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, GradientMap, Grid, Matches
 from tests.core.evaluation.conftest import RIGHT, closure

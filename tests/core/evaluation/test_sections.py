@@ -2,8 +2,8 @@
 
 import pytest
 
+from gpgrad_core.detection import DetectionResult
 from gpgrad_core.evaluation import EvaluationParams, describe_protocol, evaluate
-from gpgrad_core.pipeline import DetectionResult
 from gpgrad_core.types import Dataset
 
 

@@ -8,7 +8,7 @@ from gpgrad_core.features import DetectorParams, FeatureParams, extract_features
 from gpgrad_core.matching import match_features
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Grid
-from tests.core.ground import Ground
+from tests.support.ground import Ground
 
 SIGNAL_STD = 0.15
 

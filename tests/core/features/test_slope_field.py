@@ -12,7 +12,7 @@ from gpgrad_core.matching import match_features
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Features, GradientMap, Grid
 from tests.core.features.maps import SIGNAL_STD, ground_turned_by, seen_from
-from tests.core.ground import Ground
+from tests.support.ground import Ground
 
 SLOPE = DetectorParams("slope")
 

@@ -8,8 +8,8 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.types import Grid
-from tests.core.clouds import KINDS
 from tests.core.gp.oracle import Errors, Fields, compare
+from tests.support.clouds import KINDS
 
 MOST_LENGTH_SCALES = 60.0
 """Across a cloud; wider ones are shrunk, so that the dense form stays fast."""

@@ -12,7 +12,7 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
 from gpgrad_core.gp.dense import fit_dense, infer_elevation, infer_slope, infer_variance
 from gpgrad_core.gp.kernel import SquaredExponential
-from tests.core.ground import cloud
+from tests.support.ground import cloud
 
 seeds = st.integers(0, 2**32 - 1)
 kernels = st.builds(SquaredExponential, st.floats(0.05, 1), st.floats(0.1, 1))

@@ -16,7 +16,7 @@ from gpgrad_core.gp.tiles import TilePosterior
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.types import Grid
 from tests.core.gp.oracle import Fields, compare, grid_beyond, rms
-from tests.core.ground import cloud
+from tests.support.ground import cloud
 
 seeds = st.integers(0, 2**32 - 1)
 SOLVERS: list[Solver] = ["lattice", "tiles"]

@@ -11,7 +11,7 @@ from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import fit_lattice
 from gpgrad_core.types import Grid
 from tests.core.gp.oracle import Fields, compare, grid_beyond, rms
-from tests.core.ground import cloud
+from tests.support.ground import cloud
 
 seeds = st.integers(0, 2**32 - 1)
 

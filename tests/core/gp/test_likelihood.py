@@ -17,7 +17,7 @@ from gpgrad_core.gp.likelihood import (
     draw_patches,
     log_marginal_likelihood,
 )
-from tests.core.ground import cloud
+from tests.support.ground import cloud
 
 seeds = st.integers(0, 2**32 - 1)
 hyperparameters = st.builds(

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from gpgrad_core.arrays import NDArray
+from gpgrad_core.detection import (
+    PipelineParams,
+    detect_loop_closures,
+)
+from gpgrad_core.detection.images import nearest_words
 from gpgrad_core.errors import InputError
-from gpgrad_core.images import nearest_words
 from gpgrad_core.methods.appearance import AppearanceDetector, see
-from gpgrad_core.pipeline import PipelineParams, detect_loop_closures
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset, Submap
-from tests.core.ground import submap
+from tests.support.ground import submap
 
 Image = NDArray[np.uint8]
 

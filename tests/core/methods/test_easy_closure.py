@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods import METHODS, find_method
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
 from tests.core.methods.rocks import look

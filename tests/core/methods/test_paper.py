@@ -8,8 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.gradient_map import MapParams
-from gpgrad_core.loop_closure import ClosureParams, classify
+from gpgrad_core.detection import (
+    PipelineParams,
+    fit_submap,
+)
+from gpgrad_core.detection.verdict import (
+    ClosureParams,
+    classify,
+)
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.paper import (
     paper_params,
     paper_start,
@@ -18,14 +25,16 @@ from gpgrad_core.methods.paper import (
     ssd_metric,
     tune,
 )
-from gpgrad_core.pipeline import PipelineParams, fit_submap
 from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import SE2, fit_se2
 from gpgrad_core.types import GradientMap, Grid, Matches
 from tests.core.features.maps import seen_from
-from tests.core.ground import Ground, submap
+from tests.support.ground import (
+    Ground,
+    submap,
+)
 
 GRID = Grid((-2.0, -2.0), 0.1, (41, 41))
 RADIUS = 0.15
@@ -151,7 +160,7 @@ def test_a_fit_of_a_submap_is_kept_for_later_runs(
 ) -> None:
     bumps, params = submap(3, 200), paper_params(PipelineParams()).map
     first = tune(bumps, params, Memo(store=Store(tmp_path)))
-    monkeypatch.setattr("gpgrad_core.pipeline.automatic.fit_parameters", None)
+    monkeypatch.setattr("gpgrad_core.detection.automatic.fit_parameters", None)
     assert tune(bumps, params, Memo(store=Store(tmp_path))) == first
 
 

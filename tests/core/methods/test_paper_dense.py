@@ -6,6 +6,11 @@ import numpy as np
 import pytest
 
 from gpgrad_core.arrays import Array
+from gpgrad_core.detection import (
+    PipelineParams,
+    detect_loop_closures,
+    fit_submap,
+)
 from gpgrad_core.methods.paper import (
     PaperDetector,
     PaperPair,
@@ -13,7 +18,6 @@ from gpgrad_core.methods.paper import (
     paper_start,
     register_paper_pair,
 )
-from gpgrad_core.pipeline import PipelineParams, detect_loop_closures, fit_submap
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset, Features, GradientMap, Submap
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import DetectorParams
 from gpgrad_core.methods import METHODS, find_method
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.run.memo import Memo
-from tests.core.ground import submap
+from tests.support.ground import submap
 
 PROMISED = {"gradient", "paper", "elevation", "smoothed", "fpfh", "shot", "cshot", "chance"}
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.described_clouds import height_between
 from gpgrad_core.methods.scan_context import (
     RINGS,
@@ -19,7 +20,6 @@ from gpgrad_core.methods.scan_context import (
     ring_key,
     scan_context,
 )
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Submap
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.described_clouds import (
     DescribedCloud,
     fit_rigid,
@@ -23,7 +24,6 @@ from gpgrad_core.methods.shot import (
     shot,
     surface_variation,
 )
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Submap
 

@@ -8,10 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typing_extensions import Doc
 
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import FeatureParams
-from gpgrad_core.gradient_map import MapParams, TerrainParams
-from gpgrad_core.loop_closure import ClosureParams
+from gpgrad_core.mapping.gradient_map import (
+    MapParams,
+    TerrainParams,
+)
 from gpgrad_core.matching import MatchParams
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import (
@@ -22,7 +26,6 @@ from gpgrad_core.params.fields import (
     parameters_of,
     with_path,
 )
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.registration import RegistrationParams
 
 PARAMS = (MapParams, TerrainParams, FeatureParams, MatchParams, RegistrationParams, ClosureParams)

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.gradient_map import MapParams
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.params.files import preferred_parameters, read_parameters, with_tables
-from gpgrad_core.pipeline import PipelineParams
 from gpgrad_core.types import Dataset
 
 

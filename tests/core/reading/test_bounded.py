@@ -9,7 +9,7 @@ from gpgrad_core.reading.json_files import parse_json
 from gpgrad_core.reading.paths import check_name, check_path
 from gpgrad_core.reading.text import parse_number
 from gpgrad_core.reading.toml_files import LARGEST, parse_toml
-from tests.core.datasets.refusal import assert_refused
+from tests.support.refusal import assert_refused
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import numpy as np
 from gpgrad_core.arrays import Array
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Grid
-from tests.core.ground import Ground
+from tests.support.ground import Ground
 
 GRID = Grid((-4.0, -4.0), 0.1, (81, 81))  # small enough to be checked cell by cell
 GROUND = Ground.random(4, shortest=1.0)

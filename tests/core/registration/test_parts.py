@@ -28,8 +28,8 @@ from gpgrad_core.registration.surface import (
 )
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, GradientMap, Grid
-from tests.core.ground import Ground
 from tests.core.registration.synthetic import DATABASE, GRID, GROUND, map_of
+from tests.support.ground import Ground
 
 SURFACE = smooth_surface(DATABASE)
 

@@ -16,8 +16,8 @@ from gpgrad_core.registration.surface import thin_out
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Grid, Matches, Registration
-from tests.core.ground import Ground
 from tests.core.registration.synthetic import DATABASE, GRID, map_of
+from tests.support.ground import Ground
 
 seeds = st.integers(0, 2**32 - 1)
 motions = st.builds(SE2, st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-math.pi, math.pi))

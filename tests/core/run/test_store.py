@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.gradient_map import TerrainParams
-from gpgrad_core.pipeline import PipelineParams
+from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import INDEX, Damaged, Store, key_of, library_version, pack, unpack
 from gpgrad_core.se2 import SE2

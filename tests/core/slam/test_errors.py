@@ -13,8 +13,8 @@ from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import measure_consistency, trajectory_error, true_poses
 from gpgrad_core.slam.graph import odometry_poses
 from gpgrad_core.types import Submap
-from tests.core.ground import Ground
 from tests.core.slam.simulated import simulate
+from tests.support.ground import Ground
 
 
 def theirs(poses: dict[str, Pose]) -> trajectory.PosePath3D:

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
+from gpgrad_core.detection import detect_loop_closures
 from gpgrad_core.errors import InputError
-from gpgrad_core.pipeline import detect_loop_closures
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 from gpgrad_core.slam import LoopCloser, build_pose_graph, optimise_pose_graph
 from gpgrad_core.types import Registration, Submap

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.gradient_map import TerrainParams, fit_terrain
+from gpgrad_core.mapping.gradient_map import (
+    TerrainParams,
+    fit_terrain,
+)
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.merged_map import (
     BLEND,
@@ -21,7 +24,7 @@ from gpgrad_core.slam.merged_map import (
     merge_maps,
 )
 from gpgrad_core.types import Submap
-from tests.core.ground import Ground
+from tests.support.ground import Ground
 
 GROUND = Ground.random(7, shortest=1.0, std=0.2)
 TERRAIN = TerrainParams(length_scale=0.15, noise_std=0.02)

@@ -11,9 +11,13 @@ import pytest
 import rasterio
 from evo.tools import file_interface
 
-from gpgrad_core.datasets import load_dataset, outline_dataset, write_dataset
 from gpgrad_core.errors import InputError
-from gpgrad_core.gradient_map import TerrainParams
+from gpgrad_core.io.folder import (
+    load_dataset,
+    outline_dataset,
+    write_dataset,
+)
+from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import (
     MapErrors,
@@ -29,8 +33,8 @@ from gpgrad_core.slam import (
 )
 from gpgrad_core.slam.solution import used_graph
 from gpgrad_core.types import Dataset, LoopClosure, Submap
-from tests.core.ground import Ground
 from tests.core.slam.simulated import closure
+from tests.support.ground import Ground
 
 GROUND = Ground.random(11, shortest=1.0, std=0.2)
 PLACES = [  # all within one tile of the merged map

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpgrad_core.datasets import Outline
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.folder import Outline
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import (
     JoinedDatasets,

@@ -1,11 +1,11 @@
 import pytest
 import viser
 
-from app.viewer.draw.placement import Canvas
+from app.viewer.scene.placement import Canvas
 from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.canvas import Canvases
-from tests.app.page import FakePage
-from tests.app.widgets import html_says
+from tests.support.page import FakePage
+from tests.support.widgets import html_says
 
 GOOD = {"width": 640, "height": 900.5, "left": 0, "top": 0.0, "right": 20, "bottom": 300}
 

@@ -6,7 +6,7 @@ import viser
 
 from app.viewer.widgets.actions import on_option, on_press
 from app.viewer.widgets.commands import CAMERA_KEYS, Command, Commands, help_html
-from tests.app.page import FakePage
+from tests.support.page import FakePage
 
 
 def registered(server: viser.ViserServer) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.numbers import Numbers, read_number
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
-from tests.app.widgets import html_says
+from tests.support.widgets import html_says
 
 NOISE = Bounds(0.0005, 10.0, 0.005, "m", slider=(0.005, 0.3))
 POINTS = Bounds(3, 10_000_000, 1, "points", slider=(500, 30_000))

@@ -1,0 +1,458 @@
+"""All pairs of a dataset: registered once, then judged anew whenever a threshold moves."""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from math import comb, radians
+
+import numpy as np
+from jaxtyping import Float
+
+from app.viewer.session.decisions import (
+    ACCEPTED,
+    MISSED,
+    NO_OVERLAP,
+    REFUSED,
+    RIGHT,
+    WRONG_MOTION,
+)
+from app.viewer.session.methods import (
+    METHODS,
+    MethodName,
+)
+from app.viewer.session.state import ViewState
+from gpgrad_core.arrays import Array
+from gpgrad_core.detection import (
+    DetectionResult,
+    MapDetector,
+    PipelineParams,
+    detect_loop_closures,
+    judge_pair,
+    resolve_parameters,
+    store_for_run,
+    with_store,
+)
+from gpgrad_core.detection.shortlist import (
+    Candidates,
+    num_wanted,
+)
+from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
+from gpgrad_core.evaluation.pose_error import (
+    MAX_TURN,
+    MotionClasses,
+    classify_motions,
+    pose_errors,
+)
+from gpgrad_core.evaluation.precision_recall import (
+    PrecisionRecall,
+    average_precision,
+    precision_recall,
+)
+from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
+from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
+from gpgrad_core.mapping.fitting import representative
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run.threads import num_workers
+from gpgrad_core.types import Dataset, LoopClosure
+
+RULES: dict[str, Rule] = {rule.name: rule for rule in EvaluationParams().rules}
+"""By name, when a pair counts as truly the same place."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedPairs:
+    """All pairs of a dataset with their registrations.
+
+    Attributes:
+        dataset: Whose pairs.
+        params: That they were registered with.
+        result: The registrations.
+        truth: How far the pairs truly overlap; None where fewer than two true poses are known.
+        method: That registered them.
+    """
+
+    dataset: Dataset
+    params: PipelineParams
+    result: DetectionResult
+    truth: TruePairs | None
+    method: MethodName = "gradient"
+
+    def is_of(self, state: ViewState) -> bool:
+        """Say whether a state would give the same registrations; most thresholds do not matter."""
+        registered_by = METHODS[self.method].registered_by
+        return (
+            state.dataset is self.dataset
+            and state.method == self.method
+            and registered_by(state.given) == registered_by(self.params)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TruthCheck:
+    """How the verdicts agree with the truth by one rule.
+
+    Attributes:
+        rule: When a pair is true.
+        labels: What it says of the pairs, in the order of the truth.
+        curve: Over the threshold on the score, the one on inliers as it is; None where no pair
+            is true.
+        precision: At the thresholds as they are; NaN where no judged pair is accepted.
+        recall: At the thresholds as they are.
+        average_precision: Area under the curve.
+    """
+
+    rule: Rule
+    labels: Labels
+    curve: PrecisionRecall | None
+    precision: float
+    recall: float
+    average_precision: float
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedPairs:
+    """All pairs, judged at some thresholds.
+
+    Attributes:
+        compared: The pairs that were judged.
+        closures: Every pair with its verdict, as `DetectionResult` orders them.
+        check: The comparison with the truth, where that is known.
+        outcomes: Of each closure: `RIGHT`, `WRONG_MOTION` or `NO_OVERLAP` if it was accepted and
+            the truth is known, `MISSED` if it was wrongly refused, and else `ACCEPTED` or
+            `REFUSED`.
+        truths: What the truth says of each closure: `TRUE`, `APART`, or `UNKNOWN` where it is not
+            known, or where the rule leaves the pair out.
+    """
+
+    compared: ComparedPairs
+    closures: tuple[LoopClosure, ...]
+    check: TruthCheck | None
+    outcomes: tuple[str, ...]
+    truths: tuple[str, ...]
+
+    @property
+    def num_skipped(self) -> int:
+        """Number of pairs that were not compared."""
+        return comb(len(self.compared.dataset.submaps), 2) - len(self.closures)
+
+    @property
+    def num_accepted(self) -> int:
+        """Number of pairs accepted as loop closures."""
+        return sum(closure.accepted for closure in self.closures)
+
+
+IMAGES = Memo(200_000_000)
+"""Keypoints of camera images, which are made when images are first asked for their verdict."""
+MANY_PAIRS = 1000
+"""From this number on, pairs are compared in processes of their own. That is faster, and leaves
+this one to the pages."""
+OF_A_PROCESS = 500_000_000
+"""Bytes of results that each of them keeps; views and registrations are in the store."""
+TRUE, APART, UNKNOWN = "true", "apart", "unknown"
+
+
+def compare_pairs(
+    dataset: Dataset,
+    params: PipelineParams,
+    memo: Memo,
+    progress: Progress = silent,
+    candidates: Candidates = "automatic",
+    method: MethodName = "gradient",
+) -> ComparedPairs:
+    """Register the pairs of a dataset, and measure how far they truly overlap.
+
+    Args:
+        dataset: Submaps in order.
+        params: Of all stages.
+        memo: Shared with whatever else needs maps of the same submaps.
+        progress: Called from this thread; may raise Cancelled.
+        candidates: With how many earlier submaps a submap is compared; see
+            `detect_loop_closures`.
+        method: That registers them.
+
+    Raises:
+        InputError: If a submap's map cannot be made.
+    """
+    num_pairs = sum(num_wanted(candidates, k) for k in range(len(dataset.submaps)))
+    detect = _detect_here if num_pairs < MANY_PAIRS else _detect_in_processes
+    result = detect(dataset, params, memo, part(progress, 0.0, 0.97), candidates, method)
+    truth = None
+    if sum(submap.pose_true is not None for submap in dataset.submaps) >= 2:
+        truth = measure_pairs(dataset, part(progress, 0.97, 1.0))
+    return ComparedPairs(dataset, params, result, truth, method)
+
+
+def _detect_here(
+    dataset: Dataset,
+    params: PipelineParams,
+    memo: Memo,
+    progress: Progress,
+    candidates: Candidates,
+    method: MethodName,
+) -> DetectionResult:
+    """Compare in threads, which leave what they make in the memo."""
+    make = METHODS[method].detector
+    with ThreadPoolExecutor(num_workers(), thread_name_prefix="all-pairs") as executor:
+        return detect_loop_closures(
+            dataset,
+            params,
+            detector=None if make is None else make(params, memo),
+            candidates=candidates,
+            executor=executor,
+            memo=memo,
+            progress=progress,
+        )
+
+
+def _detect_in_processes(
+    dataset: Dataset,
+    params: PipelineParams,
+    memo: Memo,
+    progress: Progress,
+    candidates: Candidates,
+    method: MethodName,
+) -> DetectionResult:
+    """Compare as ``gpgrad detect`` does; what it has compared is taken from the same store."""
+    submaps = dataset.submaps
+    some = [submaps[k] for k in representative(len(submaps))]
+    make = METHODS[method].detector
+    if make is None:
+        params = resolve_parameters(some, params, memo)
+    with (
+        store_for_run(memo.store, len(submaps)) as store,
+        workers(num_workers(), MANY_PAIRS) as executor,
+    ):
+        return detect_loop_closures(
+            dataset,
+            params,
+            detector=with_store((make or MapDetector)(params, Memo(OF_A_PROCESS)), store),
+            candidates=candidates,
+            executor=executor,
+            progress=progress,
+        )
+
+
+def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> JudgedPairs:
+    """Judge every pair, and compare the verdicts with the truth.
+
+    Args:
+        compared: The registered pairs.
+        thresholds: Of the verdict.
+        rule: When a pair is truly the same place.
+    """
+    submaps = {submap.id: submap for submap in compared.dataset.submaps}
+    params = replace(compared.params, closure=thresholds)
+    closures = tuple(
+        judge_pair(
+            submaps[closure.query_id],
+            submaps[closure.database_id],
+            closure.registration,
+            params,
+            IMAGES,
+        )
+        for closure in compared.result.closures
+    )
+    if compared.truth is None:
+        plain = tuple(ACCEPTED if closure.accepted else REFUSED for closure in closures)
+        return JudgedPairs(compared, closures, None, plain, len(closures) * (UNKNOWN,))
+    truth = compared.truth
+    labels = rule.label(truth)
+    ranking = rank_pairs(DetectionResult(closures, {}), compared.dataset, truth, "all pairs")
+    turn = np.pi if truth.positions_only else radians(MAX_TURN)
+    errors = pose_errors(ranking.T_database_query, truth.T_database_query, max_turn=turn)
+    classes = classify_motions(errors, truth.surface_overlap)
+    check = _check(ranking, thresholds, rule, labels)
+    rows = tuple(
+        truth.rows.get(frozenset((closure.query_id, closure.database_id))) for closure in closures
+    )
+    outcomes = tuple(
+        _outcome(row, closure, labels, classes) for row, closure in zip(rows, closures, strict=True)
+    )
+    truths = tuple(
+        (TRUE if labels.positive[row] else APART)
+        if row is not None and labels.judged[row]
+        else UNKNOWN
+        for row in rows
+    )
+    return JudgedPairs(compared, closures, check, outcomes, truths)
+
+
+def _check(ranking: Ranking, thresholds: ClosureParams, rule: Rule, labels: Labels) -> TruthCheck:
+    # A pair with too few inliers is not accepted at any score: then the curve runs through the
+    # point at which the thresholds stand.
+    could_pass = (ranking.num_inliers >= thresholds.min_inliers) & np.array(
+        [motion is not None for motion in ranking.T_database_query], dtype=np.bool_
+    )
+    score = np.where(could_pass, ranking.score, -np.inf)[labels.judged]
+    positive = labels.positive[labels.judged]
+    accepted = ranking.accepted[labels.judged]
+    right, named, total = int(np.sum(accepted & positive)), int(accepted.sum()), int(positive.sum())
+    if total == 0:
+        return TruthCheck(rule, labels, None, np.nan, np.nan, np.nan)
+    full = precision_recall(score, positive)
+    reached = full.thresholds > -np.inf
+    curve = PrecisionRecall(full.thresholds[reached], full.precision[reached], full.recall[reached])
+    return TruthCheck(
+        rule,
+        labels,
+        curve,
+        right / named if named else np.nan,
+        right / total,
+        average_precision(full),
+    )
+
+
+def _outcome(row: int | None, closure: LoopClosure, labels: Labels, classes: MotionClasses) -> str:
+    """Say what became of a pair; its row is that of the truth, None where that is not known."""
+    if row is None:
+        return ACCEPTED if closure.accepted else REFUSED
+    if not closure.accepted:
+        return MISSED if labels.judged[row] and labels.positive[row] else REFUSED
+    if classes.right[row]:
+        return RIGHT
+    return WRONG_MOTION if classes.wrong_motion[row] else NO_OVERLAP
+
+
+# The cells of a matrix: a pair in each, or a block of pairs where many are. A page draws a few
+# thousand cells well, and no more.
+
+MOST_GROUPS = 60
+"""Rows of a matrix. More submaps are gathered in groups of equal size."""
+WORST_FIRST = (NO_OVERLAP, WRONG_MOTION, MISSED, RIGHT, ACCEPTED, REFUSED)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The pairs of one cell.
+
+    Attributes:
+        query: Id of the query of the pair with the highest score.
+        database: Id of its database submap.
+        score: Its score.
+        outcome: The worst outcome of all pairs of the cell.
+        num_pairs: Number of them.
+    """
+
+    query: str
+    database: str
+    score: float
+    outcome: str
+    num_pairs: int
+
+
+@dataclass(frozen=True, eq=False)
+class PairCells:
+    """Cells by rows (queries) and columns (database submaps).
+
+    Attributes:
+        rows: Ids of the submaps in each row, in the dataset's order.
+        columns: Ids of the submaps in each column.
+        cells: By (row, column); where no pair was compared there is none.
+        overlaps: Highest true overlap (rows, columns) of the pairs whose query is in the column and
+            whose database submap is in the row, mirrored to `cells`; NaN where it is not known.
+    """
+
+    rows: tuple[tuple[str, ...], ...]
+    columns: tuple[tuple[str, ...], ...]
+    cells: Mapping[tuple[int, int], Cell]
+    overlaps: Float[Array, "rows columns"]
+
+    @property
+    def has_blocks(self) -> bool:
+        """Whether a cell stands for several pairs."""
+        return any(len(group) > 1 for group in (*self.rows, *self.columns))
+
+    def place(self, query: str, database: str) -> tuple[int, int] | None:
+        """Find the cell of a pair (row, column); None if it is not in this matrix."""
+        row = next((k for k, group in enumerate(self.rows) if query in group), None)
+        column = next((k for k, group in enumerate(self.columns) if database in group), None)
+        return None if row is None or column is None else (row, column)
+
+
+def gather_all(judged: JudgedPairs) -> PairCells:
+    """Put all pairs of a dataset into at most `MOST_GROUPS` rows and columns."""
+    ids = [submap.id for submap in judged.compared.dataset.submaps]
+    size = max(1, -(-len(ids) // MOST_GROUPS))
+    groups = tuple(tuple(ids[k : k + size]) for k in range(0, len(ids), size))
+    return gather(judged, groups, groups)
+
+
+def gather_block(judged: JudgedPairs, whole: PairCells, pair: tuple[str, str]) -> PairCells | None:
+    """Show the pairs of one block one by one.
+
+    Args:
+        judged: All pairs with their verdicts.
+        whole: What `gather_all` made of them.
+        pair: (query, database) of a pair in the block, the later submap first.
+
+    Returns:
+        The pairs of the block; None where every cell of the whole is a single pair, or where the
+        pair is of another dataset.
+    """
+    place = whole.place(*pair)
+    if place is None or not whole.has_blocks:
+        return None
+    rows, columns = whole.rows[place[0]], whole.columns[place[1]]
+    return gather(judged, tuple((name,) for name in rows), tuple((name,) for name in columns))
+
+
+def gather(
+    judged: JudgedPairs, rows: Sequence[tuple[str, ...]], columns: Sequence[tuple[str, ...]]
+) -> PairCells:
+    """Put the pairs of some submaps into cells.
+
+    Args:
+        judged: All pairs with their verdicts.
+        rows: Ids of the queries of each row.
+        columns: Ids of the database submaps of each column.
+    """
+    row_of = {name: k for k, group in enumerate(rows) for name in group}
+    column_of = {name: k for k, group in enumerate(columns) for name in group}
+    worst = {outcome: rank for rank, outcome in enumerate(WORST_FIRST)}
+    best: dict[tuple[int, int], LoopClosure] = {}
+    outcomes: dict[tuple[int, int], str] = {}
+    counts: dict[tuple[int, int], int] = {}
+    for closure, outcome in zip(judged.closures, judged.outcomes, strict=True):
+        row, column = row_of.get(closure.query_id), column_of.get(closure.database_id)
+        if row is None or column is None:
+            continue
+        at = row, column
+        counts[at] = counts.get(at, 0) + 1
+        if at not in best or closure.registration.score > best[at].registration.score:
+            best[at] = closure
+        if at not in outcomes or worst[outcome] < worst[outcomes[at]]:
+            outcomes[at] = outcome
+    cells = {
+        at: Cell(
+            closure.query_id,
+            closure.database_id,
+            closure.registration.score,
+            outcomes[at],
+            counts[at],
+        )
+        for at, closure in best.items()
+    }
+    overlaps = _overlaps(judged, row_of, column_of, (len(rows), len(columns)))
+    return PairCells(tuple(rows), tuple(columns), cells, overlaps)
+
+
+def _overlaps(
+    judged: JudgedPairs,
+    row_of: Mapping[str, int],
+    column_of: Mapping[str, int],
+    shape: tuple[int, int],
+) -> Float[Array, "rows columns"]:
+    overlaps = np.full(shape, np.nan)
+    truth = judged.compared.truth
+    if truth is None or judged.check is None:
+        return overlaps
+    rows = np.array([row_of.get(name, -1) for name in truth.ids])[truth.database]
+    columns = np.array([column_of.get(name, -1) for name in truth.ids])[truth.query]
+    # On the diagonal, the pairs within a group are shown by their scores.
+    within = (rows >= 0) & (columns >= 0) & (rows != columns)
+    measured = judged.check.rule.measured(truth)
+    np.fmax.at(overlaps, (rows[within], columns[within]), measured[within])
+    return overlaps

@@ -1,0 +1,352 @@
+"""The All pairs tab: wires its panel to a worker that registers all pairs, and one that judges."""
+
+import threading
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+import viser
+
+from app.viewer.features.all_pairs.judging import (
+    RULES,
+    ComparedPairs,
+    JudgedPairs,
+    PairCells,
+    TruthCheck,
+    compare_pairs,
+    gather_all,
+    gather_block,
+    judge,
+)
+from app.viewer.features.all_pairs.panel import (
+    AllPairsPanel,
+    Choice,
+    Findings,
+    folded,
+    shortlist_html,
+    summary_html,
+)
+from app.viewer.features.all_pairs.pictures import (
+    count_scores,
+    disagreements_html,
+    highest_color,
+    matrix_html,
+    scores_html,
+    threshold_html,
+)
+from app.viewer.features.desk import (
+    Desk,
+    Feature,
+)
+from app.viewer.features.work import (
+    Work,
+    message_of,
+)
+from app.viewer.session.decisions import (
+    NO_OVERLAP,
+    RIGHT,
+    WRONG_MOTION,
+    in_order,
+)
+from app.viewer.session.methods import (
+    METHODS,
+    MethodName,
+)
+from app.viewer.session.runner import Runner
+from app.viewer.session.state import (
+    ViewState,
+    same_search,
+)
+from app.viewer.widgets.actions import on_choice, on_press
+from app.viewer.widgets.bridge import SaidPair, Whole
+from app.viewer.widgets.html import FAINT, paragraph
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection.all_pairs import EVEN_FROM
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
+from gpgrad_core.params.fields import parameters_of, with_path
+from gpgrad_core.run.progress import Progress
+
+
+@dataclass(frozen=True, eq=False)
+class _Judging:
+    """What the verdicts on all pairs depend on."""
+
+    compared: ComparedPairs
+    state: ViewState
+    rule: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """All pairs judged, with the cells that show them."""
+
+    pairs: JudgedPairs
+    whole: PairCells
+    block: PairCells | None
+
+
+class SaidCell(msgspec.Struct):
+    """A click on a cell of a matrix."""
+
+    name: str
+    row: Whole
+    column: Whole
+
+
+class SaidThreshold(msgspec.Struct):
+    """The score that a hand has drawn the threshold to, and whether it was let go there."""
+
+    score: float
+    rested: bool = False
+
+
+class AllPairsTab(Feature):
+    """Registers all pairs when asked, and judges them anew as the thresholds move."""
+
+    def __init__(self, desk: Desk) -> None:
+        """Make the panel in the current container."""
+        self._desk = desk
+        self._lock = threading.Lock()
+        self._state = desk.state
+        self._rule = next(iter(RULES))
+        self._compared: ComparedPairs | None = None
+        self._kept: dict[MethodName, ComparedPairs] = {}  # of the dataset
+        self._asked: tuple[object, ...] = ()
+        self.panel = AllPairsPanel(desk.host, tuple(RULES), desk.choose)
+        on_press(self.panel.run, self.compare_pairs)
+        on_choice(self.panel.rule, self._set_rule)
+        self._comparer: Work[ViewState, ComparedPairs] = Work(
+            self.panel.work_bar,
+            lambda state: f"Running all pairs of {len(state.dataset.submaps):,} submaps",
+            self._compare,
+            self._on_compared,
+            slots=desk.capacity.long,
+            name="all pairs",
+            watch=lambda fraction, message: desk.tell(
+                lambda feature: feature.comparing(fraction, message)
+            ),
+            even_from=EVEN_FROM,
+        )
+        self._judge: Runner[_Judging, _Judged] = Runner(
+            self._judge_all,
+            self._on_judged,
+            lambda _, error: self.panel.work_bar.failed(message_of(error)),
+            name="verdicts",
+        )
+        self.workers = (self._comparer, self._judge)
+        self._latest: tuple[tuple[object, ...], JudgedPairs, PairCells] | None = None
+        self._cells: dict[str, PairCells] = {}  # what the pages show, by the name of the matrix
+        desk.bridge.hear_as("matrix", SaidCell, self._open_cell)
+        desk.bridge.hear_as("pair", SaidPair, self._open_pair)
+        desk.bridge.hear_as("threshold", SaidThreshold, self._set_threshold)
+
+    def follow(self, state: ViewState) -> None:
+        """Follow the session: its thresholds, its pair, another dataset or method."""
+        with self._lock:
+            before, self._state = self._state, state
+            if state.dataset is not before.dataset:
+                self._kept = {}
+            other = not same_search(state, before)
+            if other:  # each method's results are kept apart
+                self._compared = self._kept.get(state.method)
+                self._latest, self._asked, self._cells = None, (), {}
+        if other:
+            self._comparer.cancel()
+            self.panel.clear()
+        self._submit()
+
+    def compare_pairs(self) -> None:
+        """Register all pairs with the parameters as they are; returns at once."""
+        self._comparer.start(self._state)
+
+    def stop_comparing(self) -> None:
+        """Stop registering."""
+        self._comparer.cancel()
+
+    def _set_rule(self, rule: str) -> None:
+        self._rule = rule
+        self._submit()
+
+    def _submit(self) -> None:
+        """Ask for new verdicts, unless nothing changed that they depend on."""
+        with self._lock:
+            compared, state = self._compared, self._state
+            if compared is None:
+                return
+            pair = state.query_id, state.database_id
+            asked = compared, state.params.closure, pair, self._rule, compared.is_of(state)
+            if asked != self._asked:
+                self._asked = asked
+                self._judge.submit(_Judging(compared, state, self._rule))
+
+    def _compare(self, state: ViewState, progress: Progress) -> ComparedPairs:
+        _ = state.pair  # refuses one submap alone
+        return compare_pairs(
+            state.dataset,
+            state.given,
+            self._desk.memo,
+            progress,
+            self.panel.candidates,
+            state.method,
+        )
+
+    def _on_compared(self, state: ViewState, compared: ComparedPairs, seconds: float) -> None:
+        del seconds
+        with self._lock:
+            if not same_search(state, self._state):
+                return  # another was opened in the very last moment
+            self._compared = self._kept[state.method] = compared
+        self._submit()
+
+    def _judge_all(self, job: _Judging, progress: Progress) -> _Judged:
+        """Judge all pairs, unless only another one of them is shown."""
+        del progress  # it is over in a moment
+        key = job.compared, job.state.params.closure, job.rule
+        if self._latest is None or self._latest[0] != key:
+            pairs = judge(job.compared, job.state.params.closure, RULES[job.rule])
+            self._latest = key, pairs, gather_all(pairs)
+        _, pairs, whole = self._latest
+        state = job.state
+        pair = in_order(state.dataset, state.query_id, state.database_id)
+        return _Judged(pairs, whole, gather_block(pairs, whole, pair))
+
+    def _on_judged(self, job: _Judging, judged: _Judged, seconds: float) -> None:
+        del seconds
+        if job.compared is not self._compared:
+            return
+        self._cells = {"all": judged.whole}
+        if judged.block is not None:
+            self._cells["block"] = judged.block
+        host = self._desk.host
+        with host.atomic():
+            self.panel.show(findings(judged.pairs, judged.whole, judged.block, job.state))
+        host.flush()
+        dataset, pairs = job.state.dataset, judged.pairs
+        outcomes = {
+            (closure.query_id, closure.database_id): outcome
+            for closure, outcome in zip(pairs.closures, pairs.outcomes, strict=True)
+        }
+        self._desk.tell(lambda feature: feature.checked(dataset, outcomes))
+        self._desk.tell(lambda feature: feature.judged(dataset, pairs.closures))
+
+    # What the pictures say; it comes from a page.
+
+    def _open_cell(self, page: viser.ClientHandle, said: SaidCell) -> None:
+        """Show the best pair of a cell."""
+        del page
+        matrix = self._cells.get(said.name)
+        if matrix is None:
+            return
+        row, column = int(said.row), int(said.column)
+        cell = matrix.cells.get((row, column)) or matrix.cells.get((column, row))
+        if cell is not None:
+            self._desk.choose(cell.query, cell.database)
+
+    def _open_pair(self, page: viser.ClientHandle, said: SaidPair) -> None:
+        """Show a pair that is named."""
+        del page
+        self._desk.choose(said.query, said.database)
+
+    def _set_threshold(self, page: viser.ClientHandle, said: SaidThreshold) -> None:
+        """Take the least score to where a hand has drawn it."""
+        del page
+        params, path = self._desk.state.asked, METHODS[self._desk.state.method].threshold
+        field = next(field for field in parameters_of(PipelineParams) if field.path == path)
+        try:
+            rounded = said.score if field.bounds is None else field.bounds.round(said.score)
+            params = with_path(params, path, int(rounded) if field.kind is int else rounded)
+        except (InputError, ValueError, OverflowError):
+            return  # no page of ours draws it out of bounds
+        self._desk.change(params=params, moving=True)
+        if said.rested:
+            self._desk.tell(lambda feature: feature.rested(params))
+
+
+def findings(
+    judged: JudgedPairs, whole: PairCells, block: PairCells | None, state: ViewState
+) -> Findings:
+    """Turn the judged pairs into pictures and words."""
+    high, histogram = highest_color(judged), count_scores(judged)
+    compared, count = judged.compared, judged.num_accepted
+    closures = "loop closure" if count == 1 else "loop closures"
+    skipped = f" ({judged.num_skipped:,} were not compared)" if judged.num_skipped else ""
+    by_motion = "" if judged.check is None else f": {_by_motion(judged)}"
+    summary = (
+        f"{count} {closures} in {len(judged.closures):,} pairs{skipped}{by_motion} · "
+        f"{compared.result.seconds['total']:.1f} s · method {state.method}"
+    )
+    outdated = "The parameters have changed since: run again to update."
+    shown = state.query_id, state.database_id
+    shortlist = compared.result.shortlists.get(state.query_id, ())
+    ids = [submap.id for submap in compared.dataset.submaps]
+    earlier = ids.index(state.query_id) if state.query_id in ids else 0
+    choices = sorted(
+        (
+            Choice(closure.query_id, closure.database_id, closure.registration.score, outcome)
+            for closure, outcome in zip(judged.closures, judged.outcomes, strict=True)
+        ),
+        key=lambda choice: -choice.score,
+    )
+    caption = "" if judged.check is None else _curve_caption(judged.check)
+    html = {
+        "summary": summary_html(summary, "" if compared.is_of(state) else outdated),
+        "matrix": matrix_html("all", whole, high, shown),
+        "block": "" if block is None else matrix_html("block", block, high, shown),
+        "key": folded("How to read it", _matrix_caption(judged, whole, high)),
+        "scores": scores_html(judged, histogram),
+        "disagreements": disagreements_html(judged, histogram),
+        "curve": paragraph(caption, FAINT),
+        "threshold": threshold_html(METHODS[state.method].lowest(state.params)),
+        "reasons": shortlist_html(*shown, shortlist, earlier),
+    }
+    return Findings(html, tuple(choices), shown, has_truth=judged.check is not None)
+
+
+def _by_motion(judged: JudgedPairs) -> str:
+    """Count the accepted pairs by what the truth says of them."""
+    return ", ".join(
+        f"{judged.outcomes.count(outcome)} {name}"
+        for outcome, name in (
+            (RIGHT, "with the right motion"),
+            (WRONG_MOTION, "with a wrong motion"),
+            (NO_OVERLAP, "without overlap"),
+        )
+    )
+
+
+def _matrix_caption(judged: JudgedPairs, whole: PairCells, high: float) -> str:
+    parts: list[str] = []
+    if whole.has_blocks:
+        size = len(whole.rows[0])
+        parts.append(
+            f"Each cell of the large matrix is a block of {size} by {size} submaps. It has the "
+            "colour of the highest score and the mark of the worst outcome, and a click opens its "
+            "best pair. The small matrix has the pairs of that block one by one."
+        )
+    parts.append(
+        "Rows are queries, columns are the database. Below the diagonal is the score, from dark "
+        f"(0) to yellow ({high:.1f})."
+    )
+    if judged.check is None:
+        parts.append("Rings mark accepted pairs; magenta marks the pair shown.")
+        return " ".join(parts)
+    measure = "of the boxes" if judged.check.rule.measure == "box" else "of the surfaces"
+    parts.append(
+        f"Above it is the true overlap {measure}, from dark (0) to light (1). Green rings are "
+        f"accepted pairs with the right motion, within {MAX_OFFSET:g} m and {MAX_TURN:g}°. Red "
+        "crosses have a wrong motion, and white squares no common ground. Orange diamonds are "
+        "missed pairs; magenta marks the pair shown."
+    )
+    return " ".join(parts)
+
+
+def _curve_caption(check: TruthCheck) -> str:
+    if check.curve is None:
+        return f"No pair is true by the rule {check.rule.name}, so there is nothing to find."
+    precision = f"{check.precision:.3f}" if np.isfinite(check.precision) else "—"
+    return (
+        f"At the present thresholds, precision is {precision} and recall {check.recall:.3f}. "
+        "Drag the magenta line to another score. "
+        f"Average precision {check.average_precision:.3f}. {check.rule.statement}"
+    )

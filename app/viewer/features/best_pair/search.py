@@ -1,0 +1,395 @@
+"""The search for a loop closure: what a dataset opens with should show what the viewer is for."""
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
+
+import msgspec
+import viser
+
+from app.viewer.features.best_pair.likely import (
+    Pair,
+    overlapping_pairs,
+    voted_pairs,
+)
+from app.viewer.features.desk import (
+    Desk,
+    Feature,
+    ModeSwitch,
+    Subject,
+)
+from app.viewer.features.work import message_of
+from app.viewer.server.host import Host
+from app.viewer.session.methods import (
+    map_params,
+    register_pair,
+)
+from app.viewer.session.runner import Runner
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import (
+    NEEDS_TWO,
+    ViewState,
+    same_search,
+    was_fitted,
+)
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.actions import on_press
+from app.viewer.widgets.bridge import SaidPair, Whole, run_when_shown, say
+from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import button
+from gpgrad_core.detection import (
+    PairResult,
+    infer_features,
+)
+from gpgrad_core.run.progress import Progress, part
+from gpgrad_core.run.threads import at_most_workers
+from gpgrad_core.types import Dataset, Features, LoopClosure, Submap
+
+# Over the lower middle of the picture: the panels cover its sides, and the caption is above. No row
+# of a panel moves.
+PLACE = (
+    "position:fixed;bottom:52px;left:50%;transform:translateX(-50%);z-index:4;box-sizing:border-box;"
+    "width:max-content;max-width:min(27rem,94vw);padding:.5em .8em;border-radius:.5em;"
+    "font-size:.85em;line-height:1.45;background:light-dark(#fff,#2b2b2b);"
+    "color:light-dark(#222,#eee);border:1px solid light-dark(#b5b5b5,#666);"
+    "box-shadow:0 2px 8px rgba(0,0,0,.25)"
+)
+APART = "margin:.4em .5em 0 0"
+
+
+class BestPairNote:
+    """A note that lies over the picture; it is there while there is something to say."""
+
+    def __init__(self, host: Host) -> None:
+        """Make it in the current container, empty."""
+        self._handle = host.gui.add_html("")
+
+    @property
+    def said(self) -> str:
+        """The note as HTML."""
+        return self._handle.content
+
+    def say(
+        self, text: str, choices: tuple[tuple[str, str, str], ...] = (), *, watch: int | None = None
+    ) -> None:
+        """Say something.
+
+        Args:
+            text: The note.
+            choices: Buttons below it: label, query and database of the pair that each shows.
+            watch: Number to tell when somebody acts on the page; None watches nothing.
+        """
+        buttons = [
+            button(label, say("show-pair", query=query, database=database), APART)
+            for label, query, database in choices
+        ]
+        script = ""
+        if watch is not None:
+            script = run_when_shown(fill_page_file("best_pair.js", NUMBER=watch))
+        else:
+            buttons.append(button("Close", say("close-note"), APART))
+        self._handle.content = (
+            f'<div data-testid="best-pair" role="status" style="{PLACE}">{escape(text)}'
+            f"<div>{''.join(buttons)}</div></div>{script}"
+        )
+
+    def clear(self) -> None:
+        """Say nothing."""
+        if self._handle.content:
+            self._handle.content = ""
+
+
+MOST_PAIRS = 8
+"""So many of the likeliest pairs are scored at most."""
+ENOUGH = 1.2
+"""Once a loop closure is known, and so much time has passed, the best one is shown [s]."""
+EXTRACTING = 0.8
+"""Share of the progress that the keypoints of all submaps take, where no poses are known."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What is searched.
+
+    Attributes:
+        number: Of the search, for the pages.
+        state: The session when it began; the pair is shown only if that is still the same.
+        began: When [s].
+        asked: Whether somebody asked for it; else it began because the pair is no loop closure.
+    """
+
+    number: int
+    state: ViewState
+    began: float
+    asked: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Best:
+    """What the search found.
+
+    Attributes:
+        best: The loop closure with the highest score; None if there was none.
+        num_scored: Number of pairs that were scored.
+    """
+
+    best: LoopClosure | None
+    num_scored: int
+
+
+class SaidTouched(msgspec.Struct):
+    """Somebody has acted on a page that was to tell so, with the number of a search."""
+
+    number: Whole
+
+
+class BestPair(Feature):
+    """Scores the likeliest pairs once a dataset has opened on none, and shows the best.
+
+    It works in one thread beside whatever else runs, and stops as soon as anybody acts.
+    """
+
+    def __init__(self, desk: Desk, opened: Opened, commands: Commands, modes: ModeSwitch) -> None:
+        """Make the note in the current container, and begin with what is opened."""
+        self._modes = modes
+        self._desk = desk
+        self._lock = threading.Lock()
+        self._state = desk.state
+        self._number = 0
+        self._due = opened.saved is None  # once the first picture is there
+        self._searching = False
+        self._noted: Pair | None = None  # the pair that the note is about
+        self._switched_to: Pair | None = None
+        self._judged: tuple[LoopClosure, ...] = ()
+        self._button: viser.GuiButtonHandle | None = None
+        self.note = BestPairNote(desk.host)
+        self._runner: Runner[_Search, _Best] = Runner(
+            self._search,
+            self._on_found,
+            self._on_error,
+            on_cancel=lambda _: self._end(),
+            slots=desk.capacity.long,
+            name="best pair",
+        )
+        self.workers = (self._runner,)
+        desk.bridge.hear_as("touched", SaidTouched, self._on_touched)
+        desk.bridge.hear_as("show-pair", SaidPair, self._on_show_pair)
+        desk.bridge.hear("close-note", lambda page, data: self.note.clear())  # noqa: ARG005
+        commands.add("Pair", "Show the best loop closure", self.show_best)
+
+    def add_button(self) -> None:
+        """Make the button "Show best" in the current container."""
+        self._button = self._desk.host.gui.add_button(
+            "Show best",
+            disabled=True,
+            hint="Shows the loop closure with the highest score of all pairs that were run.",
+        )
+        on_press(self._button, self.show_best)
+
+    # What happens.
+
+    def follow(self, state: ViewState) -> None:
+        """Stop if anybody has changed anything; another dataset is another search."""
+        if state is self._state:
+            return
+        before, self._state = self._state, state
+        if was_fitted(before, state):
+            return
+        pair = state.query_id, state.database_id
+        with self._lock:
+            by_itself = pair == self._switched_to
+            gone = self._noted is not None and pair != self._noted
+            if not same_search(state, before):
+                self._judged = ()
+            if state.dataset is not before.dataset:
+                self._due = gone = True
+                self._offer_best(False)
+            elif not by_itself:
+                self._due = False
+        if state.dataset is not before.dataset or not by_itself:
+            self._stop()
+        if gone and not by_itself:
+            self._noted = None
+            self.note.clear()
+
+    def opened(self, opened: Opened) -> None:
+        """Leave a saved session as it was saved."""
+        with self._lock:
+            self._due = self._due and opened.saved is None
+
+    def show(self, state: ViewState, result: PairResult) -> None:
+        """Begin once the first picture is there, if it shows no loop closure."""
+        with self._lock:
+            if not self._due or state is not self._state:
+                return
+            self._due = False
+        if not result.closure.accepted and len(state.dataset.submaps) > 2:
+            self._begin(state, asked=False)
+
+    def turned(self, subject: Subject) -> None:
+        """Say nothing of a pair while all submaps are shown."""
+        if subject == "world":
+            self._stop()
+            self.note.clear()
+
+    def comparing(self, fraction: float | None, message: str) -> None:
+        """Make way for the comparison of all pairs."""
+        del message
+        if fraction is not None:
+            self._due = False
+            self._stop()
+
+    def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
+        """Know all pairs from now on."""
+        if dataset is self._state.dataset:
+            self._judged = closures
+            self._offer_best(self._best_judged() is not None)
+
+    def _offer_best(self, offered: bool) -> None:
+        if self._button is not None:
+            self._button.disabled = not offered
+
+    # What is asked for.
+
+    def show_best(self) -> None:
+        """Show the best loop closure that is known, or search for one."""
+        best = self._best_judged()
+        if best is not None:
+            self._modes.tune(best.query_id, best.database_id)
+        elif not self._desk.state.is_pair:
+            self.note.say(NEEDS_TWO)
+        elif not self._searching:
+            self._begin(self._desk.state, asked=True)
+
+    def _best_judged(self) -> LoopClosure | None:
+        accepted = [closure for closure in self._judged if closure.accepted]
+        return max(accepted, key=lambda closure: closure.registration.score, default=None)
+
+    def _on_touched(self, page: viser.ClientHandle, said: SaidTouched) -> None:
+        del page
+        if said.number == self._number:
+            self._stop()
+
+    def _on_show_pair(self, page: viser.ClientHandle, said: SaidPair) -> None:
+        del page
+        self._modes.tune(said.query, said.database)
+
+    def _begin(self, state: ViewState, *, asked: bool) -> None:
+        with self._lock:
+            self._number += 1
+            self._searching = True
+            self._noted = state.query_id, state.database_id
+        job = _Search(self._number, state, time.monotonic(), asked)
+        self._tell(job, "The likeliest pairs are being chosen …")
+        self._runner.submit(job)
+
+    def _stop(self) -> None:
+        if self._searching:
+            self._runner.cancel()
+            self._end()
+
+    def _end(self) -> None:
+        """Say nothing more of a search that somebody has stopped."""
+        with self._lock:
+            was, self._searching = self._searching, False
+            self._number += was  # what still comes of it is of an older one
+        if was:
+            self.note.clear()
+            self._desk.host.flush()
+
+    def _tell(self, job: _Search, text: str) -> None:
+        """Say how far a search is, unless it has ended."""
+        if job.number == self._number:
+            why = "" if job.asked else "This pair is no loop closure. "
+            self.note.say(why + text, watch=job.number)
+            self._desk.host.flush()
+
+    # What the worker does.
+
+    def _search(self, job: _Search, progress: Progress) -> _Best:
+        best: LoopClosure | None = None
+        num_scored = 0
+        with at_most_workers(1):
+            for query, database in self._likely(job, progress):
+                state = job.state
+                closure = register_pair(
+                    state.dataset.submap(query),
+                    state.dataset.submap(database),
+                    state.given,
+                    self._desk.memo,
+                    progress,
+                    method=state.method,
+                ).closure
+                num_scored += 1
+                score = closure.registration.score
+                if closure.accepted and (best is None or score > best.registration.score):
+                    best = closure
+                if best is not None and time.monotonic() - job.began > ENOUGH:
+                    break
+        return _Best(best, num_scored)
+
+    def _likely(self, job: _Search, progress: Progress) -> Iterator[Pair]:
+        """Give the pairs to score, the likeliest first."""
+        state = job.state
+        opened = set[str]() if job.asked else {state.query_id, state.database_id}
+        pairs = overlapping_pairs(state.dataset, MOST_PAIRS + 1)
+        if not pairs:
+            told = part(progress, 0.0, EXTRACTING)
+
+            def extract(submap: Submap) -> Features:
+                self._tell(job, f"No poses are known: the keypoints of {submap.id} are compared …")
+                memo = self._desk.memo
+                params = map_params(submap, state.given, memo, told, state.method)
+                return infer_features(submap, params, memo, told)
+
+            pairs = voted_pairs(state.dataset, MOST_PAIRS + 1, extract, told)
+        others = [pair for pair in pairs if set(pair) != opened][:MOST_PAIRS]
+        for number, pair in enumerate(others, start=1):
+            progress(EXTRACTING)
+            self._tell(job, f"The likeliest pairs are being scored: {number} of {len(others)} …")
+            yield pair
+
+    def _on_found(self, job: _Search, outcome: _Best, seconds: float) -> None:
+        del seconds
+        opened = job.state.query_id, job.state.database_id
+        with self._lock:
+            if job.number != self._number or not self._searching:
+                return  # somebody has acted
+            self._searching = False
+            best = outcome.best
+            if best is not None:
+                self._switched_to = self._noted = best.query_id, best.database_id
+        if best is None:
+            self.note.say(_nothing(outcome.num_scored))
+        else:
+            self._desk.change(pair=self._switched_to, only_from=job.state)
+            now = self._desk.state
+            with self._lock:
+                shown, self._switched_to = self._switched_to, None
+            if (now.query_id, now.database_id) == shown:
+                back = f"{opened[0]} → {opened[1]}"
+                none = "" if job.asked else f" {back}, with which the dataset opened, is none."
+                self.note.say(
+                    f"Switched to {best.query_id} → {best.database_id}, the best loop closure so "
+                    f"far.{none}",
+                    () if opened == shown else ((f"Back to {back}", *opened),),
+                )
+            else:
+                self.note.clear()
+        self._desk.host.flush()
+
+    def _on_error(self, job: _Search, error: Exception) -> None:
+        if job.number == self._number:
+            self._searching = False
+            self.note.say(f"The likeliest pairs could not be scored: {message_of(error)}")
+            self._desk.host.flush()
+
+
+def _nothing(num_scored: int) -> str:
+    """Say that no loop closure was found."""
+    if not num_scored:
+        return "No other pair overlaps by the poses. Run all pairs to compare the rest."
+    pairs = "pair is" if num_scored == 1 else f"{num_scored} pairs are"
+    return f"No loop closure so far: the likeliest {pairs} none. Run all pairs to compare the rest."

@@ -1,0 +1,189 @@
+"""What can be opened: below a folder, and of the datasets that were open before.
+
+Links are resolved first, so nothing outside of the folder can be opened.
+"""
+
+import json
+import logging
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds import is_cloud
+from gpgrad_core.io.cpet import is_posed_scan
+from gpgrad_core.io.records.files import replacing
+from gpgrad_core.reading.json_files import read_json
+from gpgrad_core.reading.paths import check_path
+
+MOST_ENTRIES = 500
+"""Longer lists make the browser slow; what is left out is counted."""
+
+
+@dataclass(frozen=True)
+class Listing:
+    """What a user can choose in a folder.
+
+    Attributes:
+        folder: Relative to the root; "." is the root itself.
+        folders: Names of the folders within.
+        clouds: Names of the clouds within.
+        is_dataset: Whether the folder itself can be opened.
+        num_hidden: Entries left out of a long list.
+    """
+
+    folder: Path
+    folders: tuple[str, ...]
+    clouds: tuple[str, ...]
+    is_dataset: bool
+    num_hidden: int = 0
+
+    @property
+    def entries(self) -> tuple[str, ...]:
+        """Names to choose from: folders end in "/"."""
+        return (*(f"{name}/" for name in self.folders), *self.clouds)
+
+
+def inside(root: Path, path: Path) -> Path:
+    """Resolve a path that must lie below a root.
+
+    Args:
+        root: The folder.
+        path: Absolute, or relative to the root.
+
+    Returns:
+        The path without links.
+
+    Raises:
+        InputError: If it does not exist or lies elsewhere, be it by a link.
+    """
+    real_root = root.resolve()
+    try:
+        real = (root / path).resolve(strict=True)
+    except (OSError, ValueError, RuntimeError) as error:  # a zero byte; links in a circle
+        raise InputError(f"{path}: no such file or folder in {root}") from error
+    if not real.is_relative_to(real_root):
+        raise InputError(f"{path}: lies outside of {root}, and this viewer may open nothing else")
+    return real
+
+
+def check_inside(root: Path, path: Path) -> Path:
+    """Resolve a dataset's path, and check that nothing in it is a link to elsewhere.
+
+    Raises:
+        InputError: As `inside`.
+    """
+    real = inside(root, path)
+    for entry in _entries(real):
+        if entry.is_symlink():
+            inside(root, entry)
+    return real
+
+
+def list_folder(root: Path, folder: Path) -> Listing:
+    """List what can be chosen in a folder below the root.
+
+    Args:
+        root: What must not be left.
+        folder: Relative to it.
+
+    Raises:
+        InputError: If the folder is none, cannot be read, or lies elsewhere.
+    """
+    real = inside(root, folder)
+    if not real.is_dir():
+        raise InputError(f"{folder}: is not a folder")
+    folders: list[str] = []
+    clouds: list[str] = []
+    try:
+        entries = sorted(real.iterdir())
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read: {error.strerror or error}") from error
+    for entry in entries:
+        if entry.name.startswith(".") or not entry.resolve().is_relative_to(root.resolve()):
+            continue
+        if entry.is_dir():
+            folders.append(entry.name)
+        elif is_cloud(entry):
+            clouds.append(entry.name)
+    hidden = max(len(folders) - MOST_ENTRIES, 0) + max(len(clouds) - MOST_ENTRIES, 0)
+    return Listing(
+        real.relative_to(root.resolve()),
+        tuple(folders[:MOST_ENTRIES]),
+        tuple(clouds[:MOST_ENTRIES]),
+        is_dataset=(
+            bool(clouds)
+            or "submaps" in folders
+            or any(is_posed_scan(real / name) for name in folders)
+        ),
+        num_hidden=hidden,
+    )
+
+
+def _entries(path: Path) -> Iterator[Path]:
+    """List all that loading a dataset may read; links to folders are listed but not entered."""
+    if path.is_file():
+        yield path
+        return
+    for name in ("", "submaps", "images"):
+        folder = path / name
+        if not folder.is_dir():
+            continue
+        deep = name == "images"
+        for parent, folders, files in os.walk(folder):
+            yield from (Path(parent) / entry for entry in (*folders, *files))
+            if not deep:
+                break
+    # Scans with a pose each lie in a folder each.
+    for folder in path.iterdir():
+        if is_posed_scan(folder):
+            yield from folder.iterdir()
+
+
+_log = logging.getLogger(__name__)
+
+MOST_RECENT = 8
+FILE = "recent.json"
+LARGEST = 100_000
+"""Bytes; eight paths have a tenth."""
+
+
+def recent_datasets(config: Path) -> tuple[str, ...]:
+    """Read the paths of the datasets opened last, newest first, without those that are gone."""
+    try:
+        paths = read_json(config / FILE, LARGEST)
+    except (OSError, InputError):
+        return ()  # the first time, or not worth an error
+    if not isinstance(paths, list):
+        return ()
+    texts = [path for path in cast("list[object]", paths) if isinstance(path, str)]
+    return tuple(path for path in texts if _is_there(path))[:MOST_RECENT]
+
+
+def _is_there(path: str) -> bool:
+    try:
+        return check_path(path).exists()
+    except InputError:
+        return False
+
+
+def remember_dataset(config: Path, path: str) -> tuple[str, ...]:
+    """Put a dataset first among the recent ones; returns them all.
+
+    A list that cannot be written is lost with the viewer, and that goes to the log: opening
+    worked.
+
+    Args:
+        config: Folder of the user's settings; made if need be.
+        path: Of the dataset.
+    """
+    paths = tuple(dict.fromkeys((path, *recent_datasets(config))))[:MOST_RECENT]
+    try:
+        config.mkdir(parents=True, exist_ok=True)
+        with replacing(config / FILE) as unfinished:
+            unfinished.write_text(json.dumps(paths, indent=1), encoding="utf-8")
+    except (OSError, ValueError) as error:
+        _log.warning("recent datasets were not saved: %s", error)
+    return paths

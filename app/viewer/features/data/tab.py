@@ -1,0 +1,249 @@
+"""The Data tab: wires its panel to a loader, and the loader to the session."""
+
+import os
+import shutil
+import tempfile
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from app.recordings import built_first
+from app.viewer.features.data.folders import (
+    check_inside,
+    list_folder,
+    recent_datasets,
+    remember_dataset,
+)
+from app.viewer.features.data.panel import DatasetPanel
+from app.viewer.features.data.unpacking import (
+    MOST_GROWTH,
+    check_cloud,
+    unpack,
+)
+from app.viewer.features.desk import (
+    Desk,
+    Feature,
+)
+from app.viewer.features.work import Work
+from app.viewer.session.session_file import (
+    Opened,
+    SavedSession,
+)
+from app.viewer.widgets.actions import on_press
+from gpgrad_core.detection import (
+    PipelineParams,
+    resolve_parameters,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.folder import MOST_LOADED, load_dataset
+from gpgrad_core.params.files import preferred_parameters
+from gpgrad_core.reading.paths import check_name
+from gpgrad_core.run.progress import Progress, part
+from gpgrad_core.simulation.demo import demo_path
+
+CLOUDS = "uploaded clouds"
+"""Name of the dataset that single clouds gather in."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to open: a path, what a page has uploaded, or else the demo."""
+
+    path: Path | None = None
+    upload: tuple[str, bytes] | None = None
+    saved: SavedSession | None = None
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        if self.upload is not None:
+            return self.upload[0]
+        return "the demo" if self.path is None else str(self.path)
+
+
+class DataTab(Feature):
+    """Opens one dataset at a time; what is open stays until the next is ready."""
+
+    def __init__(self, desk: Desk) -> None:
+        """Make the panel in the current container."""
+        self._desk = desk
+        self._permissions = desk.permissions
+        self._uploads: Path | None = None  # of this session, made when first needed
+        self._folder = Path()
+        allowed = desk.permissions
+        self.panel = DatasetPanel(
+            desk.host,
+            on_load=self.open,
+            on_demo=lambda: self._start(Request()),
+            on_enter=None if allowed.root is None else self._enter,
+            on_upload_file=None if allowed.uploads is None else self._upload,
+            upload_hint=f"Up to {allowed.max_upload / 1e6:,.0f} MB.",
+        )
+        on_press(self.panel.here, lambda: self._submit(self._folder))
+        self.panel.show(desk.state.source)
+        self._show_recent()
+        self._loader: Work[Request, Opened] = Work(
+            self.panel.work_bar,
+            lambda request: f"Loading {request.name}",
+            self._load,
+            self._on_loaded,
+            name="dataset",
+        )
+        self.workers = (self._loader,)
+        if allowed.root is not None:
+            self._list()
+
+    def restore(self, saved: SavedSession) -> None:
+        """Open what a saved session had open, with all that it had set."""
+        self._start(Request(path=saved.dataset, saved=saved))
+
+    def refuse(self, message: str) -> None:
+        """Say why a file that a page sends was not taken."""
+        self.panel.work_bar.failed(message)
+
+    def close(self) -> None:
+        """Stop, and remove what was uploaded."""
+        super().close()
+        if self._uploads is not None:
+            shutil.rmtree(self._uploads, ignore_errors=True)
+
+    # What the panel asks for.
+
+    def open(self, path: str) -> None:
+        """Open what lies at a path as it was typed."""
+        if not path:
+            self.panel.work_bar.failed("Type the path of a dataset folder first.")
+            return
+        self._submit(Path(path).expanduser())
+
+    def _submit(self, path: Path) -> None:
+        self._start(Request(path=path))
+
+    def _start(self, request: Request) -> None:
+        self._loader.start(request)
+
+    def _upload(self, name: str, content: bytes) -> None:
+        try:
+            name = check_name(name).name  # a page may send any name, and files are made of it
+        except InputError as error:
+            self.panel.work_bar.failed(f"The upload was refused: {error}")
+            return
+        self._start(Request(upload=(name, content)))
+
+    def _enter(self, name: str) -> None:
+        chosen = self._folder / name.rstrip("/") if name else self._folder.parent
+        if name and not name.endswith("/"):
+            self._submit(chosen)
+            return
+        self._folder = chosen
+        self._list()
+
+    def _list(self) -> None:
+        root = self._permissions.root
+        assert root is not None
+        try:
+            listing = list_folder(root, self._folder)
+        except InputError as error:
+            self._folder = Path()
+            self.panel.work_bar.failed(str(error))
+            return
+        self.panel.show_folder(root, listing)
+
+    def _show_recent(self) -> None:
+        if self._permissions.config is not None:
+            self.panel.show_recent(recent_datasets(self._permissions.config))
+
+    # What the loader does.
+
+    def _load(self, request: Request, progress: Progress) -> Opened:
+        progress(0.0)
+        notes: tuple[str, ...] = ()
+        loading = progress
+        if request.upload is not None:
+            source, notes = self._unpacked(*request.upload, part(progress, 0.0, 0.5))
+            loading = part(progress, 0.5, 1.0)
+        elif request.path is not None and self._permissions.root is not None:
+            source = check_inside(self._permissions.root, request.path)
+        else:
+            source = request.path or demo_path()
+        try:
+            # What was uploaded lies in a temporary folder, where nobody can build from it.
+            with built_first(source) if request.upload is None else nullcontext():
+                dataset = load_dataset(source, loading, most_bytes=MOST_LOADED)
+        except BaseException as error:
+            self._forget(request, source)
+            if request.upload is None or not isinstance(error, InputError | OSError):
+                raise
+            raise InputError(_as_uploaded(error, request.upload[0], source)) from error
+        dataset = replace(dataset, notes=(*notes, *dataset.notes))
+        if request.saved is not None:
+            request.saved.check(dataset)
+        params = preferred_parameters(dataset, PipelineParams())
+        used = resolve_parameters(dataset.submaps, params, self._desk.memo)
+        return Opened(dataset, params, str(source), request.saved, used)
+
+    def _unpacked(
+        self, name: str, content: bytes, progress: Progress
+    ) -> tuple[Path, tuple[str, ...]]:
+        """Put what was uploaded where it can be loaded from."""
+        if self._uploads is None:
+            assert self._permissions.uploads is not None
+            self._uploads = Path(tempfile.mkdtemp(dir=self._permissions.uploads))
+        most = MOST_GROWTH * self._permissions.max_upload
+        if name.lower().endswith(".zip"):
+            folder = Path(tempfile.mkdtemp(dir=self._uploads)) / (Path(name).stem or "dataset")
+            return unpack(name, content, folder, most, progress)
+        folder = self._uploads / CLOUDS
+        folder.mkdir(exist_ok=True)
+        cloud = folder / name
+        if cloud.exists():
+            raise InputError(f"{name}: was uploaded before; rename one of them")
+        if len(content) + sum(file.stat().st_size for file in folder.iterdir()) > most:
+            raise InputError(
+                f"{name}: the uploaded clouds would have more than {most / 1e6:,.0f} MB together; "
+                "open another dataset to begin anew"
+            )
+        cloud.write_bytes(content)
+        try:
+            check_cloud(cloud, most)
+        except InputError:
+            cloud.unlink()
+            raise
+        return folder, ()
+
+    def _forget(self, request: Request, source: Path) -> None:
+        """Remove an upload that cannot be loaded."""
+        if request.upload is None:
+            return
+        cloud = source / request.upload[0]
+        if source.name == CLOUDS:
+            cloud.unlink(missing_ok=True)
+        else:
+            self._remove(source)
+
+    def _remove(self, folder: Path) -> None:
+        """Remove the upload that a folder is in."""
+        if self._uploads is None or not folder.is_relative_to(self._uploads):
+            return
+        top = self._uploads / folder.relative_to(self._uploads).parts[0]
+        shutil.rmtree(top, ignore_errors=True)
+
+    def _on_loaded(self, request: Request, opened: Opened, seconds: float) -> None:
+        del seconds
+        self._desk.open(opened)
+        self.panel.show(opened.source)
+        if request.path is not None and self._permissions.config is not None:
+            path = str(Path(opened.source).absolute())
+            self.panel.show_recent(remember_dataset(self._permissions.config, path))
+        if self._uploads is not None:  # what is no longer open
+            for old in self._uploads.iterdir():
+                if not Path(opened.source).is_relative_to(old):
+                    shutil.rmtree(old, ignore_errors=True)
+
+
+def _as_uploaded(error: Exception, name: str, source: Path) -> str:
+    """Say what is wrong with an upload by the names that the page knows, not by where it lies."""
+    if isinstance(error, OSError):
+        return f"{name}: {error.strerror or error}"
+    within = "" if source.name == CLOUDS else f"{name}: "
+    return str(error).replace(f"{source}{os.sep}", within).replace(str(source), name)

@@ -1,0 +1,203 @@
+"""The pages to take away: a pair in motion, and the world."""
+
+import contextlib
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from html import escape
+from math import degrees
+from pathlib import Path
+
+import viser
+
+from app.viewer.features.pair import PairScene
+from app.viewer.features.world import (
+    World,
+    WorldScene,
+    relaxation,
+)
+from app.viewer.scene.animation import (
+    Animation,
+    ease,
+    frames,
+)
+from app.viewer.scene.cameras import set_start
+from app.viewer.server.guard import open_server
+from app.viewer.server.limits import Limits
+from app.viewer.session.state import (
+    Camera,
+    ViewState,
+    registered,
+    with_options,
+)
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.legend import legend_html
+from gpgrad_core.detection import PairResult
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.slam import OptimisedGraph
+
+GLIDING_SECONDS = 3.5
+
+
+def gliding(draw: Callable[[float], None]) -> Animation:
+    """Let a query glide into place."""
+    return Animation(GLIDING_SECONDS, lambda share: draw(ease(share)), rest=1.5)
+
+
+def write_closure(
+    state: ViewState, result: PairResult, path: Path, progress: Progress = silent
+) -> None:
+    """Write the page of a pair, whose query glides into place over and over.
+
+    Args:
+        state: The pair, and how it is drawn.
+        result: What was found.
+        path: File to write.
+        progress: Called once a picture; may raise Cancelled.
+    """
+    together = with_options(state, registered(state.options))
+
+    def compose(server: viser.ViserServer) -> Composed:
+        scene = PairScene(server)
+        shown = scene.show(together, result)
+        draw = scene.gliding(together, result)
+        moving = None if draw is None else gliding(draw)
+        camera = scene.camera(state, layout="side by side")
+        return Composed(camera, legend_html(shown.scale), moving)
+
+    title = f"{state.dataset.name}: submap {state.query_id} onto {state.database_id}"
+    content = save_page(
+        compose,
+        title=title,
+        caption=_verdict(result),
+        progress=progress,
+    )
+    path.write_bytes(content)
+
+
+def write_world(
+    world: World, solved: OptimisedGraph | None, path: Path, progress: Progress = silent
+) -> None:
+    """Write the page of a world, which relaxes over and over if it stands at corrected poses.
+
+    Args:
+        world: All submaps, and how they are drawn.
+        solved: The corrected poses, if there are any.
+        path: File to write.
+        progress: Called once a picture; may raise Cancelled.
+    """
+    graph = solved if world.options.poses == "corrected" else None
+
+    def compose(server: viser.ViserServer) -> Composed:
+        scene = WorldScene(server, visible=True)
+        scale = scene.show(world)
+        camera = scene.camera()
+        assert camera is not None
+        moving = None if graph is None else relaxation(graph, scene.mover())
+        return Composed(camera, legend_html(scale), moving)
+
+    count = len(world.poses)
+    words = {
+        "odometry": "at the poses from odometry",
+        "true": "at their true poses",
+        "in rows": "in rows, because they have no poses",
+        "corrected": "moving from odometry to the corrected poses",
+    }
+    content = save_page(
+        compose,
+        title=f"{world.dataset.name}: {count} submaps",
+        caption=f"All submaps {words[world.options.poses]}; coloured by {world.options.color}.",
+        progress=progress,
+    )
+    path.write_bytes(content)
+
+
+def _verdict(result: PairResult) -> str:
+    """Say in one line what was found."""
+    registration = result.registration
+    verdict = "Loop closure" if result.closure.accepted else "No loop closure"
+    motion = registration.T_database_query
+    if motion is None:
+        return f"{verdict}: no motion found."
+    return (
+        f"{verdict}: {registration.num_inliers} inliers, score {registration.score:.2f}; "
+        f"offset {motion.x:+z.2f} m, {motion.y:+z.2f} m, turn {degrees(motion.yaw):+z.1f}°."
+    )
+
+
+DARK, LIGHT = ("#e6e6e6", "rgba(30,30,30,.82)"), ("#222", "rgba(255,255,255,.85)")
+
+
+@dataclass(frozen=True, eq=False)
+class Composed:
+    """What a page shows besides its scene.
+
+    Attributes:
+        camera: The view that it opens with.
+        legend: What the colours mean, as HTML that is safe.
+        moving: Played over and over; None for a scene that stands still.
+    """
+
+    camera: Camera
+    legend: str = ""
+    moving: Animation | None = None
+
+
+def save_page(
+    compose: Callable[[viser.ViserServer], Composed],
+    *,
+    title: str,
+    caption: str,
+    dark: bool = False,
+    progress: Progress = silent,
+) -> bytes:
+    """Build a scene and save it as an HTML page.
+
+    Args:
+        compose: Fills the scene of a fresh server.
+        title: Headline, also of the browser's tab.
+        caption: A line below it.
+        dark: Light writing on a dark ground.
+        progress: Called once a picture of what moves; may raise Cancelled.
+    """
+    server, _ = open_server("127.0.0.1", 0, limits=Limits(pages=0))
+    try:
+        server.scene.set_up_direction("+z")
+        server.scene.configure_environment_map(None)
+        composed = compose(server)
+        set_start(server, composed.camera)
+        serializer = server.get_scene_serializer()
+        if composed.moving is not None:
+            passed, total = 0.0, composed.moving.seconds + 2 * composed.moving.rest
+            for seconds in frames(composed.moving):
+                serializer.insert_sleep(seconds)
+                passed += seconds
+                progress(0.9 * min(passed / total, 1.0))
+        page = serializer.as_html(dark_mode=dark)
+    finally:
+        # viser prints when a server stops; that is of no interest here.
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+    return with_title(page, title, caption, composed.legend, dark=dark).encode("utf-8")
+
+
+def with_title(page: str, title: str, caption: str, legend: str, *, dark: bool) -> str:
+    """Add a headline and a legend to a page that viser wrote.
+
+    Raises:
+        ValueError: If the page is not what viser writes.
+    """
+    color, ground = DARK if dark else LIGHT
+    card = fill_page_file(
+        "page_title.html",
+        COLOR=color,
+        GROUND=ground,
+        TITLE=escape(title),
+        CAPTION=escape(caption),
+        LEGEND=legend,
+    )
+    body = page.index("<body")
+    inside = page.index(">", body) + 1
+    page = page[:inside] + card + page[inside:]
+    start, end = page.index("<title>"), page.index("</title>")
+    return f"{page[:start]}<title>{escape(title)}{page[end:]}"

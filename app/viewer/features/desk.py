@@ -1,0 +1,383 @@
+"""The features of the viewer and their desk: what a feature may ask, and what it is told.
+
+A feature is a tab or a tool. It knows its session by one object, the desk. It reads the present
+state there and asks for changes there; the desk tells all features of whatever happens. What one
+feature does for another is a call: the session hands it over as one of the narrow protocols
+below. So no feature needs to know another.
+"""
+
+import threading
+from collections.abc import Callable, Mapping
+from typing import Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
+
+import viser
+
+from app.viewer.server.host import Host
+from app.viewer.server.permissions import (
+    READ_ALL,
+    Permissions,
+)
+from app.viewer.session.decisions import (
+    Decisions,
+    Pair,
+    in_order,
+)
+from app.viewer.session.methods import (
+    METHODS,
+    MethodName,
+)
+from app.viewer.session.runner import (
+    Capacity,
+    Worker,
+)
+from app.viewer.session.session_file import (
+    Opened,
+    SavedSession,
+)
+from app.viewer.session.state import (
+    Camera,
+    Probe,
+    ViewOptions,
+    ViewState,
+    same_pair,
+    with_fitted,
+    with_match,
+    with_method,
+    with_options,
+    with_pair,
+    with_params,
+    with_probe,
+)
+from app.viewer.widgets.bridge import Bridge
+from app.viewer.widgets.canvas import Canvases
+from app.viewer.widgets.numbers import Numbers
+from gpgrad_core.detection import (
+    PairResult,
+    PipelineParams,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.types import Dataset, GradientMap, LoopClosure
+
+Subject: TypeAlias = Literal["pair", "world"]
+"""What the scene shows."""
+Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
+"""What the page is for."""
+
+
+class Feature:
+    """Everything that may reach a feature; each overrides what concerns it.
+
+    All of it must be quick: what takes longer than a few milliseconds belongs to a `Runner` of
+    the feature's own.
+    """
+
+    # What happens.
+
+    def follow(self, state: ViewState) -> None:
+        """Take the new state of the session; called at every change of anything."""
+
+    def opened(self, opened: Opened) -> None:
+        """Take what was opened; `follow` was called with its first state before."""
+
+    def show(self, state: ViewState, result: PairResult) -> None:
+        """Take what the pipeline found for a state, after the scene has shown it."""
+
+    def alone(self, state: ViewState, gradient_map: GradientMap) -> None:
+        """Take the map of the one submap there is, after the scene has shown it: there is no pair.
+
+        It comes in place of `show`.
+        """
+
+    def moved(self, by_hand: bool) -> None:
+        """Take whether the query of the pair lies where a hand has put it, and is not judged."""
+
+    def comparing(self, fraction: float | None, message: str) -> None:
+        """Take how far the comparison of all pairs is; None once it ended, with the reason."""
+
+    def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
+        """Take all pairs of a dataset, as the present thresholds judge them."""
+
+    def rested(self, params: PipelineParams) -> None:
+        """Take at which parameters a hand has let go of what it moved."""
+
+    def outdated(self) -> None:
+        """Take that what is seen is not what is set: it failed, or was cancelled."""
+
+    def turned(self, subject: Subject) -> None:
+        """Take that the scene shows the pair, or the world, from now on."""
+
+    def checked(self, dataset: Dataset, outcomes: Mapping[Pair, str]) -> None:
+        """Take what the truth says of the verdicts of the thresholds; `judged` follows."""
+
+    def decided(self, decisions: Decisions) -> None:
+        """Take what a person has decided about pairs, after each change of it."""
+
+    def resized(self) -> None:
+        """Take that the panels were put away, or back: the canvases become others soon."""
+
+    # How it ends.
+
+    workers: tuple[Worker, ...] = ()
+    """Whatever works for the feature in threads of its own."""
+
+    def wait_idle(self, timeout: float) -> bool:
+        """Wait until nothing runs; says whether that came true within the timeout [s]."""
+        return all(worker.wait_idle(timeout) for worker in self.workers)
+
+    def close(self) -> None:
+        """Stop whatever runs."""
+        for worker in self.workers:
+            worker.close()
+
+
+F = TypeVar("F", bound=Feature)
+
+
+# What one feature does for others: the session hands it to those that ask for it.
+
+Frame: TypeAlias = Callable[[viser.ClientHandle | None], None]
+"""Brings the camera of a page to all that is shown; None means those of all pages."""
+Restore: TypeAlias = Callable[[SavedSession], None]
+"""Opens what a saved session had open, with all that it had set."""
+
+
+@runtime_checkable
+class Cameras(Protocol):
+    """Moves the cameras of the pages."""
+
+    def frame(self, page: viser.ClientHandle | None) -> None:
+        """Bring the camera of a page to all that is shown; None means those of all pages."""
+        ...
+
+    def look(self, page: viser.ClientHandle, camera: Camera) -> None:
+        """Show a page what is shown from where a link has the camera."""
+        ...
+
+    def keep_cameras(self) -> None:
+        """Leave the cameras where they are when what is shown changes next."""
+        ...
+
+
+@runtime_checkable
+class Comparison(Protocol):
+    """Registers all pairs with the present parameters."""
+
+    def compare_pairs(self) -> None:
+        """Begin to register them; returns at once."""
+        ...
+
+    def stop_comparing(self) -> None:
+        """Stop registering them."""
+        ...
+
+
+@runtime_checkable
+class ModeSwitch(Protocol):
+    """Changes what the page is for, and so what the scene shows."""
+
+    def go(self, mode: Mode) -> None:
+        """Go to a mode."""
+        ...
+
+    def tune(self, query_id: str, database_id: str) -> None:
+        """Show a pair in the mode in which it is tuned."""
+        ...
+
+    def turn_to(self, subject: Subject) -> None:
+        """Show the pair or the world."""
+        ...
+
+    def set_full_screen(self, full_screen: bool) -> None:
+        """Put the panels away, or back."""
+        ...
+
+
+class Desk:
+    """The present state of a session, the requests of its features, and who is told of them.
+
+    Attributes:
+        host: Whose GUI and scene the session fills.
+        bridge: Hears the HTML of the session.
+        canvases: What is known of the pages' canvases.
+        numbers: Takes what is typed into number boxes.
+        moving: Whether the present parameters are on their way, under a hand.
+        memo: Results of the pipeline, shared by all sessions.
+        capacity: What a worker must hold while it computes, shared by all sessions.
+        permissions: What may be read and written.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        state: ViewState,
+        memo: Memo,
+        capacity: Capacity,
+        permissions: Permissions = READ_ALL,
+    ) -> None:
+        """Begin at a state, without features."""
+        self.host = host
+        self.bridge = Bridge(host)
+        self.canvases = Canvases(host, self.bridge)
+        self.numbers = Numbers(host, self.bridge)
+        self.memo = memo
+        self.capacity = capacity
+        self.permissions = permissions
+        self.moving = False
+        self._state = state
+        self._decisions: list[Decisions] = [Decisions()]
+        self._features: list[Feature] = []
+        self._lock = threading.Lock()
+
+    @property
+    def state(self) -> ViewState:
+        """The session as it is now."""
+        return self._state
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """All that have joined, in that order."""
+        return tuple(self._features)
+
+    def join(self, feature: F) -> F:
+        """Tell a feature of everything from now on; returns it."""
+        self._features.append(feature)
+        return feature
+
+    # Changes of the state.
+
+    def change(
+        self,
+        *,
+        pair: tuple[str | None, str | None] | None = None,
+        method: MethodName | None = None,
+        params: PipelineParams | None = None,
+        options: ViewOptions | None = None,
+        match: int | None = None,
+        probe: Probe | Literal["as it is"] | None = "as it is",
+        only_from: ViewState | None = None,
+        moving: bool = False,
+    ) -> None:
+        """Change the state, and tell all features; without arguments it is only told again.
+
+        Args:
+            pair: (query, database) to show; of these, None stays as it is.
+            method: To run from now on.
+            params: Of that method, as a person gives them: None is automatic.
+            options: Of the view.
+            match: Number of the association to point at, from 1; 0 for none.
+            probe: Place whose values are read; None for none.
+            only_from: Nothing is changed if the state is another than this one by now; None
+                changes it in any case.
+            moving: Whether a hand is still on what changes them; `Feature.rested` follows.
+
+        Raises:
+            InputError: If the dataset has no such submap.
+        """
+        with self._lock:
+            state = self._state
+            if only_from is not None and only_from is not state:
+                return
+            if pair is not None:
+                state = with_pair(state, query_id=pair[0], database_id=pair[1])
+            if method is not None:
+                state = with_method(state, method)
+            if params is not None:
+                state = with_params(state, params)
+            if options is not None:
+                state = with_options(state, options)
+            if match is not None:
+                state = with_match(state, match)
+            if probe != "as it is":
+                state = with_probe(state, probe)
+            self.moving = moving
+            self._set(state)
+
+    def settle(self, state: ViewState, used: PipelineParams) -> None:
+        """Take the numbers that a fit gives for a state's automatic parameters.
+
+        Nothing is changed if other parameters, another method or another dataset are there by now;
+        or another pair, if the numbers are those of the query.
+        """
+        with self._lock:
+            now = self._state
+            fits_each = METHODS[now.method].fits_each
+            alike = same_pair(now, state) if fits_each else now.dataset is state.dataset
+            if alike and (now.method, now.asked) == (state.method, state.asked):
+                self._set(with_fitted(now, used))
+
+    def choose(self, query_id: str, database_id: str) -> None:
+        """Change to a pair that a page has chosen.
+
+        The page may still show another dataset than the one that was opened just now. Then the pair
+        stays as it is, and the features are told so.
+        """
+        try:
+            self.change(pair=(query_id, database_id))
+        except InputError:
+            self.change()
+
+    def open(self, opened: Opened) -> None:
+        """Go to another dataset."""
+        with self._lock:
+            saved = opened.saved
+            self._decisions = [Decisions() if saved is None else saved.decisions]
+            self._set(opened.begin(self._state.options))
+        for feature in self._features:
+            feature.opened(opened)
+        self.tell(lambda feature: feature.decided(self.decisions))
+
+    # What a person decided about pairs.
+
+    @property
+    def decisions(self) -> Decisions:
+        """All decisions of the session as they are now."""
+        return self._decisions[-1]
+
+    @property
+    def can_take_back(self) -> bool:
+        """Whether there is a decision to take back."""
+        return len(self._decisions) > 1
+
+    @property
+    def shown_pair(self) -> Pair:
+        """The pair that is shown, the later submap first, as decisions name it."""
+        state = self._state
+        return in_order(state.dataset, state.query_id, state.database_id)
+
+    def decide(self, change: Callable[[Decisions], Decisions], *, step: bool = True) -> None:
+        """Change the decisions, and tell all features.
+
+        Args:
+            change: Makes the new decisions of the present ones.
+            step: Whether it can be taken back by itself; else it belongs to the step before.
+        """
+        with self._lock:
+            after = change(self._decisions[-1])
+            if step:
+                self._decisions.append(after)
+            else:
+                self._decisions[-1] = after
+        self.tell(lambda feature: feature.decided(after))
+
+    def take_back(self) -> None:
+        """Take the last decision back."""
+        with self._lock:
+            if len(self._decisions) > 1:
+                self._decisions.pop()
+        self.tell(lambda feature: feature.decided(self.decisions))
+
+    def _set(self, state: ViewState) -> None:
+        """Make a state the present one; the lock is held, so that all see the same order."""
+        self._state = state
+        for feature in self._features:
+            feature.follow(state)
+
+    def tell(self, news: Callable[[Feature], None]) -> None:
+        """Tell every feature, in the order in which they joined.
+
+        Args:
+            news: Calls one method of the feature that it is given, one under "What happens".
+        """
+        for feature in self._features:
+            news(feature)

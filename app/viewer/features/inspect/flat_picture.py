@@ -1,0 +1,332 @@
+"""The pair as a flat picture: gradient images, keypoints and associations, drawn by OpenCV.
+
+It is drawn from the same state and result as the scene. Side by side, the query's image stands
+above the database's; registered, both lie on each other in the database's frame.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from app.viewer.scene.associations import (
+    inlier_color,
+    keypoint_colors,
+    shown_matches,
+)
+from app.viewer.scene.colors import (
+    CHOSEN,
+    DATABASE,
+    OUTLIER,
+    QUERY,
+    Rgb,
+    colorize,
+)
+from app.viewer.scene.comparison import (
+    compare,
+    pixel_motion,
+    resample,
+)
+from app.viewer.scene.layers import (
+    Scale,
+    shared_scale,
+)
+from app.viewer.scene.placement import z_offset_of
+from app.viewer.session.state import (
+    COMPARED,
+    ViewState,
+)
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.detection import PairResult
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import GradientMap, Grid
+
+Image: TypeAlias = UInt8[NDArray[np.uint8], "rows columns 3"]
+Table: TypeAlias = UInt8[NDArray[np.uint8], "256 3"]
+
+WIDTH = 520
+"""Of the picture [pixels]: twice the panel's, for when it is opened by itself."""
+GAP = 8
+HALF = 128
+"""Shades of trusted ground in a table of colours; as many follow for masked ground."""
+MASKED: Rgb = (58, 44, 98)
+NOTHING: Rgb = (38, 38, 42)
+SUBPIXEL_BITS = 4
+FAINT, CLEAR = 0.35, 0.75
+"""How opaque lines are: beside one that is pointed at, and where there is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Sheet:
+    """A part of the picture with ground on it.
+
+    Attributes:
+        grid: Its pixels in the frame that it is drawn in; row 0 is the lowest there, as in maps.
+        left: Column of the picture where it begins.
+        top: Row of the picture where it begins.
+    """
+
+    grid: Grid
+    left: int = 0
+    top: int = 0
+
+    def place(self, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+        """Turn positions [m] into fractional (column, row) of the picture, whose row 0 is up."""
+        pixels = self.grid.to_pixel(positions)
+        return np.column_stack(
+            [self.left + pixels[:, 0], self.top + self.grid.shape[0] - 1 - pixels[:, 1]]
+        )
+
+    @property
+    def cells(self) -> tuple[slice, slice]:
+        """Rows and columns of the picture that it takes."""
+        rows, columns = self.grid.shape
+        return slice(self.top, self.top + rows), slice(self.left, self.left + columns)
+
+
+def draw_pane(state: ViewState, result: PairResult) -> Image:
+    """Draw the picture as the state asks: in its layout, with its lines and the association."""
+    motion = result.registration.T_database_query
+    registered = state.options.layout == "registered" and motion is not None
+    if registered and motion is not None:
+        sheet = _common_sheet(result, motion)
+        image = _registered_ground(state, result, motion, sheet)[::-1].copy()
+        sheets = sheet, sheet
+        query_xy = motion.apply(result.query_features.positions)
+        start, end = motion.apply(result.matches.query_xy), result.matches.database_xy
+    else:
+        sheets, image = _stacked_ground(state, result)
+        query_xy = result.query_features.positions
+        start, end = result.matches.query_xy, result.matches.database_xy
+    database_xy = result.database_features.positions
+    _draw_lines(image, state, result, sheets[0].place(start), sheets[1].place(end))
+    if state.options.keypoints:
+        for sheet, positions, of_query in (
+            (sheets[0], query_xy, True),
+            (sheets[1], database_xy, False),
+        ):
+            places = sheet.place(positions)
+            kept = _left_by_swipe(state, places, registered=registered, of_query=of_query)
+            colors = keypoint_colors(result, of_query=of_query)
+            _draw_dots(image, places[kept], colors[kept])
+    if 1 <= state.match <= len(result.matches):
+        _draw_chosen(image, result, state.match - 1, sheets, start, end)
+    return image
+
+
+# The ground.
+
+
+def _sheet_of(grid: Grid, *, top: int = 0) -> _Sheet:
+    """Make a sheet as wide as the picture for a map."""
+    rows, columns = grid.shape
+    width, height = (grid.resolution * max(count - 1, 1) for count in (columns, rows))
+    resolution = width / (WIDTH - 1)
+    return _Sheet(Grid(grid.origin, resolution, (int(height / resolution) + 1, WIDTH)), 0, top)
+
+
+def _common_sheet(result: PairResult, motion: SE2) -> _Sheet:
+    """Make a sheet in the database's frame that holds both maps."""
+    corners = np.concatenate(
+        [motion.apply(_corners(result.query_map.grid)), _corners(result.database_map.grid)]
+    )
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    resolution = float(high[0] - low[0]) / (WIDTH - 1)
+    rows = int((high[1] - low[1]) / resolution) + 1
+    return _Sheet(Grid((float(low[0]), float(low[1])), resolution, (rows, WIDTH)))
+
+
+def _corners(grid: Grid) -> Float[Array, "4 2"]:
+    x0, x1, y0, y1 = grid.x[0], grid.x[-1], grid.y[0], grid.y[-1]
+    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+
+
+def _stacked_ground(state: ViewState, result: PairResult) -> tuple[tuple[_Sheet, _Sheet], Image]:
+    """Draw the query's image above the database's, each within its submap's colour."""
+    above = _sheet_of(result.query_map.grid)
+    below = _sheet_of(result.database_map.grid, top=above.grid.shape[0] + GAP)
+    image = np.full((below.top + below.grid.shape[0], WIDTH, 3), NOTHING, dtype=np.uint8)
+    scale = _gradient_scale(state, result)
+    for sheet, gradient_map, color in (
+        (above, result.query_map, QUERY),
+        (below, result.database_map, DATABASE),
+    ):
+        ground = _ground(state, gradient_map, scale, _greys())
+        image[sheet.cells] = ground.onto(sheet.grid, SE2(), NOTHING)[::-1]
+        rows, columns = sheet.grid.shape
+        last = columns - 1, sheet.top + rows - 1
+        cv2.rectangle(image, (0, sheet.top), last, color, 3)
+    return (above, below), image
+
+
+def _registered_ground(state: ViewState, result: PairResult, motion: SE2, sheet: _Sheet) -> Image:
+    """Draw both maps in one frame as the comparison asks; row 0 is the lowest y."""
+    options, grid = state.options, sheet.grid
+    if options.layer in COMPARED:
+        return _compared_ground(state, result, motion, grid)
+    scale = _gradient_scale(state, result)
+    both = options.compare in ("both", "blink")
+    beyond = (0, 0, 0) if both else NOTHING
+    query, database = (
+        _ground(state, gradient_map, scale, _tints(color) if both else _greys()).onto(
+            grid, T_map_sheet, beyond
+        )
+        for gradient_map, T_map_sheet, color in (
+            (result.query_map, motion.inverse(), QUERY),
+            (result.database_map, SE2(), DATABASE),
+        )
+    )
+    match options.compare:
+        case "query":
+            return query
+        case "database":
+            return database
+        case "swipe":
+            column = int(options.swipe * (WIDTH - 1))
+            query[:, column:] = database[:, column:]
+            query[:, max(column - 1, 0) : column + 1] = 255
+            return query
+        case "both" | "blink":
+            # The two colours add up to grey where both maps are alike.
+            return np.maximum(cv2.add(query, database), np.array(NOTHING, np.uint8))
+
+
+def _compared_ground(state: ViewState, result: PairResult, motion: SE2, grid: Grid) -> Image:
+    ratio = state.params.features.max_std_ratio
+    maps = result.query_map, result.database_map
+    layer, z_offset = state.options.layer, z_offset_of(result.registration, maps, ratio)
+    fields = compare(layer, maps, motion, z_offset, ratio)
+    scale = shared_scale(maps, layer, state.options.color_map, ratio, (0.0, 0.0), fields)
+    seen = resample(fields[1], result.database_map.grid, grid, SE2())
+    image = np.full((*grid.shape, 3), NOTHING, dtype=np.uint8)
+    finite = np.isfinite(seen)
+    image[finite] = colorize(seen[finite], scale.low, scale.high, scale.color_map)
+    return image
+
+
+@dataclass(frozen=True, eq=False)
+class _Ground:
+    """A map's gradient in colours, cell by cell."""
+
+    grid: Grid
+    image: Image
+
+    def onto(self, grid: Grid, T_map_sheet: SE2, beyond: Rgb) -> Image:
+        """Lay it onto a sheet; beyond the map it has one colour."""
+        rows, columns = grid.shape
+        laid = cv2.warpAffine(
+            self.image,
+            pixel_motion(T_map_sheet, grid, self.grid),
+            (columns, rows),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=beyond,
+        )
+        return np.asarray(laid, dtype=np.uint8)
+
+
+def _ground(state: ViewState, gradient_map: GradientMap, scale: Scale, table: Table) -> _Ground:
+    """Colour a map's gradient: by the table's first half, and by its second what is masked.
+
+    A map far finer than the picture is thinned first.
+    """
+    grid = gradient_map.grid
+    step = max(1, grid.shape[1] // WIDTH)
+    thin = slice(None, None, step), slice(None, None, step)
+    values = gradient_map.gradient[thin]
+    span = max(scale.high - scale.low, 1e-12)
+    index = ((values - scale.low) * (HALF / span)).clip(0, HALF - 1).astype(np.uint8)
+    index[~gradient_map.trusted(state.params.features.max_std_ratio)[thin]] += HALF
+    return _Ground(Grid(grid.origin, grid.resolution * step, values.shape), table[index])
+
+
+@cache
+def _greys() -> Table:
+    """Give steep ground light greys, and masked ground a violet."""
+    ramp = np.linspace(30, 240, HALF)[:, None].repeat(3, axis=1)
+    return np.concatenate([ramp, ramp / 6 + MASKED]).astype(np.uint8)
+
+
+@cache
+def _tints(color: Rgb) -> Table:
+    """Give steep ground light tints of a colour, and masked ground black."""
+    ramp = np.linspace(0.12, 1.0, HALF)[:, None] * np.array(color)
+    return np.concatenate([ramp, np.zeros_like(ramp)]).astype(np.uint8)
+
+
+def _gradient_scale(state: ViewState, result: PairResult) -> Scale:
+    ratio = state.params.features.max_std_ratio
+    maps = result.query_map, result.database_map
+    return shared_scale(maps, "gradient", "grey", ratio, (0.0, 0.0))
+
+
+# What lies on it.
+
+
+def _draw_lines(
+    image: Image,
+    state: ViewState,
+    result: PairResult,
+    start: Float[Array, "m 2"],
+    end: Float[Array, "m 2"],
+) -> None:
+    options, over = state.options, image.copy()
+    for wanted, inliers, color in (
+        (options.outlier_lines, False, OUTLIER),
+        (options.inlier_lines, True, inlier_color(result)),
+    ):
+        chosen = shown_matches(result, inliers=inliers, everything=options.all_lines)
+        if wanted and chosen.any():
+            lines = _fixed(np.stack([start[chosen], end[chosen]], axis=1))
+            cv2.polylines(over, list(lines), False, color, 1, cv2.LINE_AA, SUBPIXEL_BITS)
+    opacity = FAINT if state.match else CLEAR
+    cv2.addWeighted(over, opacity, image, 1.0 - opacity, 0.0, dst=image)
+
+
+def _left_by_swipe(
+    state: ViewState, places: Float[Array, "k 2"], *, registered: bool, of_query: bool
+) -> Bool[NDArray[np.bool_], "k"]:
+    """Say which keypoints lie on the side of the swipe that shows their map."""
+    if not registered or state.options.compare != "swipe":
+        return np.ones(len(places), dtype=bool)
+    right = places[:, 0] > state.options.swipe * (WIDTH - 1)
+    return ~right if of_query else right
+
+
+def _draw_dots(
+    image: Image, places: Float[Array, "k 2"], colors: UInt8[NDArray[np.uint8], "k 3"]
+) -> None:
+    for (x, y), color in zip(_fixed(places).tolist(), colors.tolist(), strict=True):
+        cv2.circle(image, (x, y), 2 << SUBPIXEL_BITS, color, -1, cv2.LINE_AA, SUBPIXEL_BITS)
+
+
+def _draw_chosen(
+    image: Image,
+    result: PairResult,
+    index: int,
+    sheets: tuple[_Sheet, _Sheet],
+    start: Float[Array, "m 2"],
+    end: Float[Array, "m 2"],
+) -> None:
+    """Draw one association boldly: its line, and round each end what its keypoint describes."""
+    ends = sheets[0].place(start[index : index + 1])[0], sheets[1].place(end[index : index + 1])[0]
+    line = _fixed(np.stack(ends))
+    for color, thickness in (((0, 0, 0), 5), (CHOSEN, 2)):
+        cv2.polylines(image, [line], False, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
+    pair = result.matches.pairs[index]
+    for sheet, place, features, keypoint in zip(
+        sheets, line, (result.query_features, result.database_features), pair, strict=True
+    ):
+        radius = features.scales[keypoint] / 2 / sheet.grid.resolution
+        fixed_radius = int(max(radius, 6.0) * (1 << SUBPIXEL_BITS))
+        for color, thickness in (((0, 0, 0), 4), (CHOSEN, 2)):
+            center = int(place[0]), int(place[1])
+            cv2.circle(image, center, fixed_radius, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
+
+
+def _fixed(places: Float[Array, "*n 2"]) -> Int[NDArray[np.int32], "*n 2"]:
+    """Turn pixels into the fixed-point numbers that OpenCV draws between pixels with."""
+    return np.rint(places * (1 << SUBPIXEL_BITS)).astype(np.int32)

@@ -1,0 +1,293 @@
+"""The tab Inspect: the values of a place, a ruler, and the associations with their flat picture."""
+
+from collections.abc import Callable
+from html import escape
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from app.viewer.charts import Axis, grid_line, points_of, round_marks, text, upright_text
+from app.viewer.scene.colors import (
+    DATABASE,
+    QUERY,
+    Rgb,
+    css,
+)
+from app.viewer.scene.readout import significant_digits
+from app.viewer.scene.ruler import (
+    Heights,
+    Ruler,
+)
+from app.viewer.server.host import Host
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.actions import on_choice, on_option
+from app.viewer.widgets.bridge import run_when_shown
+from app.viewer.widgets.html import BAD, BUSY, FAINT, paragraph, table
+from app.viewer.widgets.numbers import Numbers
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.params.bounds import Bounds
+
+HOW_TO_READ = "Hold Shift and click a surface to read its values."
+HOW_TO_MEASURE = "Hold Shift and click two places. The profile shows the heights between them."
+SECOND = "Hold Shift and click the second place."
+NO_MOTION = "The two places lie on different submaps, and no motion was found that joins these."
+NO_MATCH = "Choose an association by its number, or with the keys N and P. Both pictures show it."
+WIDTH, HEIGHT = 288, 170
+LEFT, RIGHT, TOP, BOTTOM = 44, 6, 8, 32
+"""Margins of the profile [pixels]."""
+PREVIOUS, NEXT, NONE = "previous", "next", "none"
+JPEG_QUALITY = 85
+NO_PICTURE = np.zeros((2, 2, 3), dtype=np.uint8)
+"""Stands in, unseen, until the first is drawn."""
+SEEN = "flat-picture-seen"
+"""What a page says when the flat picture comes into view, or goes."""
+MATCHES = Bounds(0, 1_000_000, 1)
+"""Numbers of associations; there are fewer, and one that there is not is none."""
+
+
+class ReadingPanel:
+    """A card of the values of a place, and a button that clears it."""
+
+    def __init__(self, host: Host) -> None:
+        """Make the widgets in the current container."""
+        self.card = host.gui.add_html("")
+        self.clear_button = host.gui.add_button(
+            "Clear the reading", hint="Removes the mark from the surface."
+        )
+        self.clear()
+
+    def show(self, title: str, rows: tuple[tuple[str, str], ...], *, trusted: bool) -> None:
+        """Show whose surface it is and its values there; the mask may reject the place."""
+        warning = (
+            ""
+            if trusted
+            else f'<div style="color:{BUSY};font-size:.8em">The variance mask rejects this place: '
+            "there are no points near.</div>"
+        )
+        self.card.content = (
+            f'<div data-testid="reading" style="padding:.1em .75em .3em">'
+            f'<div style="font-size:.85em;font-weight:600">{escape(title)}</div>'
+            f"{warning}{table(rows)}</div>"
+        )
+        self.clear_button.visible = True
+
+    def nothing_there(self) -> None:
+        """Say that a click met no surface."""
+        self.clear()
+        self.card.content = paragraph(f"There is no surface. {HOW_TO_READ}", f"color:{BUSY}")
+
+    def clear(self) -> None:
+        """Show how a place is read."""
+        self.card.content = paragraph(HOW_TO_READ, FAINT)
+        self.clear_button.visible = False
+
+
+class RulerPanel:
+    """The ruler: its switch, the figures of a line, and the profile of heights along it."""
+
+    def __init__(self, host: Host) -> None:
+        """Make the widgets in the current container."""
+        self.switch = host.gui.add_checkbox(
+            "Ruler",
+            initial_value=False,
+            hint="While it is on, Shift and click measures between two places instead of reading "
+            "one.",
+        )
+        self._card = host.gui.add_html("")
+        self.clear_button = host.gui.add_button(
+            "Clear the ruler", visible=False, hint="Removes the line from the surfaces."
+        )
+
+    def wait_for(self, *, end: int | None) -> None:
+        """Say which end comes next, 0 or 1; None says nothing, for the ruler is off."""
+        said = "" if end is None else paragraph(SECOND if end else HOW_TO_MEASURE, FAINT)
+        self._card.content = said
+        self.clear_button.visible = bool(end)
+
+    def show(self, ruler: Ruler | None) -> None:
+        """Show a line; None says that its ends cannot be joined."""
+        self.clear_button.visible = True
+        if ruler is None:
+            self._card.content = paragraph(NO_MOTION, f"color:{BUSY}")
+            return
+        self._card.content = (
+            f'<div data-testid="ruler" style="padding:.1em .75em .3em">'
+            f"{table(ruler_rows(ruler))}{profile_svg(ruler)}</div>"
+        )
+
+
+def ruler_rows(ruler: Ruler) -> tuple[tuple[str, str], ...]:
+    """Write the figures of a line as names and values."""
+    rows = [("distance", f"{ruler.length:.3f} m, in the plane")]
+    if not np.isfinite(ruler.rise):
+        return (*rows, ("height difference", "unknown: one end is masked"))
+    digits = significant_digits(ruler.rise_std)
+    rows.append(("height difference", f"{ruler.rise:+z.{digits}f} ± {ruler.rise_std:.{digits}f} m"))
+    if np.isfinite(ruler.slope):
+        rows.append(("slope", f"{ruler.slope:+z.1f}°"))
+    return tuple(rows)
+
+
+def profile_svg(ruler: Ruler) -> str:
+    """Draw the heights of both submaps along the line, each with a band of two deviations."""
+    lines: list[tuple[str, Rgb, Heights]] = [
+        (name, color, heights)
+        for name, color, heights in (
+            ("query", QUERY, ruler.query),
+            ("database", DATABASE, ruler.database),
+        )
+        if heights is not None and heights.is_known
+    ]
+    if not lines or ruler.length <= 0:
+        return paragraph("No ground is known along the line.", FAINT)
+    low = min(float(np.nanmin(heights.elevation - 2 * heights.std)) for _, _, heights in lines)
+    high = max(float(np.nanmax(heights.elevation + 2 * heights.std)) for _, _, heights in lines)
+    room = 0.05 * max(high - low, 1e-3)
+    across = Axis(0.0, ruler.length, LEFT, WIDTH - RIGHT)
+    upward = Axis(low - room, high + room, HEIGHT - BOTTOM, TOP)
+    x = across.places(ruler.along)
+    drawn: list[str] = []
+    for _, color, heights in lines:
+        up, line, down = (
+            np.column_stack([x, upward.places(heights.elevation + deviations * heights.std)])
+            for deviations in (2, 0, -2)
+        )
+        for run in _runs(np.isfinite(heights.elevation)):
+            band = np.concatenate([up[run], down[run][::-1]])
+            drawn.append(
+                f'<polygon points="{points_of(band.tolist())}" fill="{css(color)}" opacity=".28"/>'
+                f'<polyline points="{points_of(line[run].tolist())}" fill="none" '
+                f'stroke="{css(color)}" stroke-width="1.6"/>'
+            )
+    words = ", ".join(
+        f"{name} {'known' if np.isfinite(heights.elevation).all() else 'known in part'}"
+        for name, _, heights in lines
+    )
+    legend = "".join(
+        f'<span style="display:inline-block;width:1em;height:.25em;background:{css(color)};'
+        f'margin:0 .35em .2em 0"></span>{name}&emsp;'
+        for name, color, _ in lines
+    )
+    return (
+        f'<svg data-testid="profile" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
+        f'aria-label="Heights along the line: {words}" fill="currentColor" '
+        f'style="width:100%;font-size:10.5px;display:block;margin-top:.4em">'
+        f"{_axes(across, upward)}{''.join(drawn)}</svg>"
+        f'<div style="font-size:.8em">{legend}'
+        f'<span style="opacity:.8">bands: ± 2 standard deviations</span></div>'
+    )
+
+
+def _axes(across: Axis, upward: Axis) -> str:
+    """Draw the frame, the marks with their numbers, and what they mean."""
+    right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
+    drawn = [grid_line(f"M{LEFT},{TOP}V{bottom}H{right}", 0.6)]
+    for value in round_marks(across.low, across.high):
+        drawn.append(grid_line(f"M{across(value):.1f},{bottom}v4", 0.6))
+        drawn.append(text(across(value), bottom + 14, f"{value:g}", "middle"))
+    for value in round_marks(upward.low, upward.high):
+        drawn.append(grid_line(f"M{LEFT},{upward(value):.1f}H{right}", 0.15))
+        drawn.append(text(LEFT - 4, upward(value) + 3.5, f"{value:g}", "end"))
+    drawn.append(text((LEFT + right) / 2, HEIGHT - 4, "distance [m]", "middle"))
+    drawn.append(upright_text(9, (TOP + bottom) / 2, "height [m]"))
+    return "".join(drawn)
+
+
+def _runs(finite: Bool[NDArray[np.bool_], "n"]) -> list[slice]:
+    """Find the stretches without a gap."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], finite.astype(int), [0]])))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+Key: TypeAlias = tuple[tuple[str, str], ...]
+"""Lines of a legend: a colour, and what has it."""
+
+
+class MatchesPanel:
+    """Number box, steps, figures and picture; callbacks must be quick."""
+
+    def __init__(
+        self,
+        host: Host,
+        on_match: Callable[[int], None],
+        on_step: Callable[[int], None],
+        numbers: Numbers,
+    ) -> None:
+        """Make the widgets in the current container.
+
+        They report the number asked for, 0 for none, and a step, 1 for the next, -1 for the
+        previous.
+        """
+        gui = host.gui
+        self._number = gui.add_number(
+            "Association",
+            0,
+            min=0,
+            step=1,
+            hint="Number of an association, from 1; 0 chooses none.",
+        )
+        steps = gui.add_button_group(
+            "Step association",
+            (PREVIOUS, NEXT, NONE),
+            hint="Steps through the associations of the kinds that have lines (keys P and N).",
+        )
+        self.figures = gui.add_html(paragraph(NO_MATCH, FAINT))
+        self.title = gui.add_html("")
+        watch = run_when_shown(fill_page_file("flat_picture.js", SEEN=SEEN))
+        gui.add_html(f'<div data-testid="flat-picture" style="height:1px"></div>{watch}')
+        self.image = gui.add_image(
+            NO_PICTURE, format="jpeg", jpeg_quality=JPEG_QUALITY, visible=False
+        )
+        self.key = gui.add_html("")
+
+        on_choice(self._number, lambda number: on_match(int(number)))
+        numbers.add(self._number, MATCHES, lambda number: on_match(int(number)))
+        on_option(
+            steps,
+            lambda label: on_match(0) if label == NONE else on_step(1 if label == NEXT else -1),
+        )
+
+    def show_match(self, number: int, title: str, rows: tuple[tuple[str, str], ...]) -> None:
+        """Show the figures of an association; without rows, that none is pointed at."""
+        self._number.value = number if rows else 0
+        self.figures.content = (
+            f'<div data-testid="match" style="padding:.1em .75em .3em">'
+            f'<div style="font-size:.85em;font-weight:600">{escape(title)}</div>{table(rows)}</div>'
+            if rows
+            else paragraph(NO_MATCH, FAINT)
+        )
+
+    def show_picture(
+        self, image: UInt8[NDArray[np.uint8], "rows columns 3"], title: str, key: Key
+    ) -> None:
+        """Show the flat picture, its title and its legend."""
+        self.image.image = image
+        self.image.visible = True
+        self.title.content = paragraph(title, FAINT)
+        self.key.content = key_html(key)
+
+    def show_nothing(self, why: str) -> None:
+        """Show neither an association nor a picture, because there is no pair."""
+        self.show_match(0, "", ())
+        self.image.visible = False
+        self.title.content = paragraph(why, FAINT)
+        self.key.content = ""
+
+    def failed(self, message: str) -> None:
+        """Say why there is no new picture; the last one stays."""
+        self.title.content = paragraph(message, f"color:{BAD}")
+
+
+def key_html(key: Key) -> str:
+    """Write a legend: a patch of colour and words, line by line."""
+    lines = "".join(
+        f'<div style="white-space:nowrap"><span style="display:inline-block;width:.8em;'
+        f"height:.8em;border-radius:.15em;margin-right:.45em;vertical-align:-.05em;"
+        f'background:{escape(color)}"></span>{escape(words)}</div>'
+        for color, words in key
+    )
+    return (
+        f'<div data-testid="pane-key" style="padding:.1em .75em .4em;font-size:.8em;'
+        f'line-height:1.5">{lines}</div>'
+    )

@@ -1,0 +1,292 @@
+"""Keeps the addresses of the pages, and shows what an address asks for."""
+
+import threading
+import weakref
+from pathlib import Path
+
+import viser
+from msgspec import Struct
+
+from app.viewer.features.desk import (
+    Cameras,
+    Desk,
+    Feature,
+    ModeSwitch,
+    Restore,
+    Subject,
+)
+from app.viewer.features.links.address import (
+    LONGEST,
+    Link,
+    address_of,
+    read_address,
+)
+from app.viewer.scene.cameras import view_of
+from app.viewer.server.host import (
+    Host,
+    pages,
+)
+from app.viewer.session.runner import Pacer
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import ViewState
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.bridge import run_when_shown
+from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import paragraph
+from gpgrad_core.errors import InputError
+from gpgrad_core.simulation.demo import demo_path
+
+BETWEEN = 0.4
+"""Pause between two changes of an address [s]; browsers refuse very many."""
+
+
+NO_LINK = (
+    "This dataset has no link, because it was uploaded or has no path on the server. Save the "
+    "session instead."
+)
+
+
+def add_script(host: Host) -> None:
+    """Put the script of the addresses into the current container, which must not be a tab."""
+    host.gui.add_html(run_when_shown(fill_page_file("links.js", MOST_LETTERS=LONGEST + 1)))
+
+
+def link_html(*, has_link: bool) -> str:
+    """Write the box with a page's own link, as each has a camera, and the button that copies it."""
+    if not has_link:
+        return paragraph(NO_LINK, "opacity:.8")
+    intro = paragraph(
+        "The address of this page follows what is shown: dataset, pair, parameters, layers and "
+        "camera. Whoever opens it on this viewer sees the same."
+    )
+    fill = run_when_shown(
+        "window.gpgradLink&&(this.parentNode.querySelector('input').value=gpgradLink.link())"
+    )
+    return intro + fill_page_file("link.html", FILL=fill)
+
+
+def tell(page: viser.ClientHandle, title: str, body: str) -> None:
+    """Say something about a link to the page that it concerns."""
+    page.add_notification(title, body, auto_close_seconds=12.0, with_close_button=True)
+
+
+class Address(Struct):
+    """What a page has behind ``#``.
+
+    Attributes:
+        text: The part of the address.
+        again: Whether the server was gone meanwhile.
+    """
+
+    text: str
+    again: bool = False
+
+
+class Copied(Struct):
+    """Whether a page could copy its link."""
+
+    copied: bool
+
+
+class Links(Feature):
+    """Writes what is shown into the addresses of the pages, and reads that of a page that comes."""
+
+    def __init__(
+        self,
+        desk: Desk,
+        commands: Commands,
+        modes: ModeSwitch,
+        cameras: Cameras,
+        restore: Restore,
+    ) -> None:
+        """Make the panel in the current container.
+
+        Args:
+            desk: Of the session.
+            commands: Gets one that copies the link.
+            modes: Go to the one that a link was made in.
+            cameras: Are brought to where a link has them.
+            restore: Opens what a link has open.
+        """
+        self._desk = desk
+        self._modes = modes
+        self._cameras = cameras
+        self._restore = restore
+        self._body = desk.host.gui.add_html(link_html(has_link=True))
+        self._subject: Subject = "pair"
+        self._pending: Link | None = None  # whose dataset is being loaded
+        self._arrived: weakref.WeakKeyDictionary[viser.ClientHandle, str] = (
+            weakref.WeakKeyDictionary()
+        )
+        self._lock = threading.Lock()
+        self._pacer: Pacer[viser.ClientHandle] = Pacer(self._publish, BETWEEN, "addresses")
+        self.workers = (self._pacer,)
+        desk.bridge.hear_as("arrived", Address, self._arrive)
+        desk.bridge.hear_as("asked", Address, self._take)
+        desk.bridge.hear_as("link copied", Copied, _say_copied)
+        commands.add_for_page(
+            "Session", "Copy link", lambda page: desk.bridge.call(page, "copy", {})
+        )
+
+    def follow(self, state: ViewState) -> None:
+        """Take what is shown now."""
+        content = link_html(has_link=bool(self._address(state)))
+        if self._body.content != content:
+            self._body.content = content
+        self._ask_all()
+
+    def turned(self, subject: Subject) -> None:
+        """Take that the scene shows the pair or the world."""
+        self._subject = subject
+        self._ask_all()
+
+    def opened(self, opened: Opened) -> None:
+        """Show the rest of what a link asks for, once its dataset is there."""
+        with self._lock:
+            pending, self._pending = self._pending, None
+        if pending is not None and opened.saved is pending.saved and pending.subject == "world":
+            self._modes.go("Explore")
+
+    def _ask_all(self) -> None:
+        for page in pages(self._desk.host).values():
+            if page in self._arrived:
+                self._pacer.ask(page)
+
+    def _address(self, state: ViewState, page: viser.ClientHandle | None = None) -> str:
+        """Write the address for a page; without one, as no camera was moved."""
+        uploads = self._desk.permissions.uploads
+        if uploads is not None and Path(state.source).is_relative_to(uploads):
+            return ""
+        camera = None
+        if page is not None and self._subject == "pair":
+            camera = view_of(page) if self._desk.canvases.is_by_hand(page) else None
+        return address_of(state, self._subject, camera)
+
+    def _publish(self, page: viser.ClientHandle) -> None:
+        if page not in pages(self._desk.host).values():
+            return
+        text = self._address(self._desk.state, page)
+        if self._arrived.get(page) != text:
+            self._arrived[page] = text
+            self._desk.bridge.call(page, "address", text)
+
+    # A page that comes.
+
+    def _arrive(self, page: viser.ClientHandle, address: Address) -> None:
+        if page in self._arrived:
+            return
+        self._arrived[page] = ""
+        if address.text:
+            self._open(page, address.text, again=address.again)
+
+        @page.camera.on_update
+        async def _(camera: viser.CameraHandle) -> None:
+            del camera
+            self._pacer.ask(page)
+
+        self._pacer.ask(page)
+
+    def _take(self, page: viser.ClientHandle, address: Address) -> None:
+        """Show what a page asks for that is there already: by a pasted link, back or forward."""
+        if page in self._arrived:
+            self._arrived[page] = address.text  # so that what is shown is written over it
+            self._open(page, address.text)
+            self._pacer.ask(page)
+
+    def _open(self, page: viser.ClientHandle, text: str, *, again: bool = False) -> None:
+        """Show what an address asks for, unless others would lose what they look at.
+
+        Args:
+            page: That has come.
+            text: Of its address.
+            again: Whether the server was gone meanwhile. It may have been started again with
+                another dataset, which stays open.
+        """
+        state = self._desk.state
+        try:
+            link = read_address(text, state.options)
+        except InputError as error:
+            tell(page, "The link cannot be opened", str(error))
+            return
+        if len(pages(self._desk.host)) > 1:
+            if not _asks_for(link, state):
+                tell(
+                    page,
+                    "You have joined a session",
+                    "Others have this viewer open, and all pages show the same. What your link "
+                    "asks for is not shown. Open it again when the others have left.",
+                )
+            elif link.subject == self._subject == "pair" and link.saved.camera is not None:
+                self._cameras.look(page, link.saved.camera)
+            return
+        if _has_open(link, state):
+            self._change(page, link)
+            return
+        if again:
+            tell(
+                page,
+                "The server shows another dataset now",
+                f"Before, this page showed {link.saved.dataset or 'the demo'}. Open it in the tab "
+                "Data.",
+            )
+            return
+        # By the same way as a saved session: what may not be opened there may not be here.
+        with self._lock:
+            self._pending = link
+        where = "the demo" if link.saved.dataset is None else str(link.saved.dataset)
+        tell(
+            page,
+            "Opening the dataset of the link",
+            f"Loading {where}. If it does not appear, the tab Data says why.",
+        )
+        self._restore(link.saved)
+
+    def _change(self, page: viser.ClientHandle, link: Link) -> None:
+        saved = link.saved
+        try:
+            pair = saved.query_id, saved.database_id
+            self._desk.change(
+                pair=pair, method=saved.method, params=saved.params, options=saved.options
+            )
+        except InputError as error:
+            tell(page, "The link cannot be opened", str(error))
+            return
+        if link.subject == "world":
+            self._modes.go("Explore")
+            return
+        if self._subject == "world":
+            self._modes.go("Tune")
+        if saved.camera is not None:
+            self._cameras.look(page, saved.camera)
+        elif self._desk.canvases.is_by_hand(page):
+            self._cameras.frame(page)
+
+
+def _has_open(link: Link, state: ViewState) -> bool:
+    """Say whether the dataset of a link is the one that is open."""
+    wanted = link.saved.dataset or demo_path()
+    if not state.source:
+        return False
+    try:
+        return wanted.expanduser().resolve() == Path(state.source).resolve()
+    except (OSError, RuntimeError):  # links in a circle
+        return False
+
+
+def _asks_for(link: Link, state: ViewState) -> bool:
+    """Say whether a link asks for what is shown already, camera aside."""
+    saved = link.saved
+    return (
+        _has_open(link, state)
+        and (saved.query_id, saved.database_id)
+        == (state.query_id, state.database_id if state.is_pair else None)
+        and (saved.method, saved.params) == (state.method, state.asked)
+        and saved.options == state.options
+    )
+
+
+def _say_copied(page: viser.ClientHandle, said: Copied) -> None:
+    if said.copied:
+        tell(page, "Link copied", "Whoever opens it on this viewer sees what you see.")
+    else:
+        tell(page, "The link was not copied", "Copy it from the tab Save.")

@@ -1,0 +1,455 @@
+"""The scene of a pair: two submaps, what joins them, and what is pointed at."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+from jaxtyping import Float
+
+from app.viewer.features.pair.ground import (
+    ROLES,
+    Comparison,
+    Ground,
+    shown_roles,
+)
+from app.viewer.features.pair.nodes import (
+    Annotations,
+    AssociationNodes,
+    Blinker,
+    Painted,
+    RulerNodes,
+    painted,
+)
+from app.viewer.scene.cameras import (
+    DOWN,
+    set_start,
+    set_view,
+)
+from app.viewer.scene.colors import (
+    DATABASE,
+    QUERY,
+)
+from app.viewer.scene.layers import Scale
+from app.viewer.scene.nodes import SubmapNode
+from app.viewer.scene.picking import Ray
+from app.viewer.scene.placement import (
+    UNKNOWN_CANVAS,
+    Canvas,
+    Extent,
+    Placement,
+    frame_camera,
+    glide,
+    place,
+    z_offset_of,
+)
+from app.viewer.scene.readout import other_place
+from app.viewer.scene.ruler import Ruler
+from app.viewer.scene.surfels import (
+    make_surfels,
+    stride_for,
+)
+from app.viewer.server.host import (
+    Host,
+    pages,
+)
+from app.viewer.session.state import (
+    COMPARED,
+    FROM_ABOVE,
+    Camera,
+    Layout,
+    Probe,
+    ViewState,
+    as_drawn,
+    same_pair,
+)
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.detection import PairResult
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import GradientMap, Registration, Submap
+
+PAIR = "/pair"
+"""Above all nodes of the pair, so that they come and go together."""
+MAX_SURFELS = 200_000
+"""Of one surface; a finer map is drawn at every second cell, or third, …"""
+MAX_CLOUD_POINTS = 200_000
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the picture shows, for the read-outs.
+
+    Attributes:
+        scale: Of the layer's colours; None while no surface is shown.
+        registered: Whether the query was laid onto the database.
+        num_surfels: Cells drawn.
+        num_points: Points of the clouds drawn.
+        ground: The maps as they are drawn.
+    """
+
+    scale: Scale | None
+    registered: bool
+    num_surfels: int
+    num_points: int
+    ground: Ground
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Where the submaps stand."""
+
+    boxes: tuple[Extent, Extent]  # of (query, database)
+    at_query: Placement
+    at_database: Placement
+
+    @property
+    def corners(self) -> Float[NDArray[np.float64], "k 3"]:
+        """Corners of both outlines in the scene [m]."""
+        query, database = self.boxes
+        return np.concatenate(
+            [self.at_query.apply(query.corners), self.at_database.apply(database.corners)]
+        )
+
+    def swipe_at(self, share: float) -> float:
+        """Turn a share of the width of both outlines into a place along the scene's x [m]."""
+        low, high = self.corners[:, 0].min(), self.corners[:, 0].max()
+        return float(low + share * (high - low))
+
+
+class PairScene:
+    """The two submaps, and what joins them.
+
+    Attributes:
+        tall: Whether side by side means one behind the other, as fills a tall canvas.
+    """
+
+    def __init__(self, host: Host, *, standalone: bool = True) -> None:
+        """Make the nodes; nothing is shown until `show`.
+
+        Args:
+            host: Whose scene it fills.
+            standalone: Whether verdict and scale are part of the scene, because nothing is written
+                over it.
+        """
+        self.tall = False
+        self._host = host
+        self._standalone = standalone
+        scene = host.scene
+        scene.set_up_direction("+z")
+        # Lit surfaces are not used, and an environment map would tint what is.
+        scene.configure_environment_map(None)
+        self._root = scene.add_frame(PAIR, show_axes=False)
+        self._query = SubmapNode(host, PAIR, "query", QUERY, "left")
+        self._database = SubmapNode(host, PAIR, "database", DATABASE, "right")
+        self._annotations = Annotations(host, PAIR)
+        self._associations = AssociationNodes(host, PAIR, (self._query, self._database))
+        self._ruler = RulerNodes(host, PAIR)
+        self._blinker = Blinker(host, (self._query, self._database))
+        # The registration last found, and the state whose pair it is of.
+        self._registered: tuple[ViewState, Registration] | None = None
+        self._lock = threading.Lock()  # two workers draw: the pair's, and the one that plays
+        self._last: PairResult | None = None
+        self._ground: Ground | None = None
+        self._comparison: Comparison | None = None
+
+    @property
+    def visible(self) -> bool:
+        """Whether the pair is visible; hidden, it is drawn all the same."""
+        return self._root.visible
+
+    @visible.setter
+    def visible(self, visible: bool) -> None:
+        self._root.visible = visible
+
+    def show(self, state: ViewState, result: PairResult) -> Shown:
+        """Show a pair as the state asks; one consistent change in the browser."""
+        registration = result.registration
+        self._registered = state, registration
+        maps = result.query_map, result.database_map
+        self._blink(state, registration)
+        with self._lock, self._host.atomic():
+            self._last = result
+            shown, layout = self._show_submaps(state, maps, registration)
+            self._associations.show_keypoints(shown.ground, result)
+            self._associations.show_lines(state, result, layout.at_query, layout.at_database)
+            if self._standalone:
+                self._annotations.show_verdict(result, layout.corners)
+            self._associations.show_marks(state, result, layout.at_query, layout.at_database)
+        self._host.flush()
+        return shown
+
+    def preview(self, state: ViewState, maps: tuple[GradientMap, GradientMap]) -> Shown:
+        """Show the surfaces of (query, database) before it is known how they register.
+
+        The motion last found for the pair goes on; so do its keypoints and lines, for a moment.
+        Of another pair they go out of sight.
+        """
+        registration = self._known_registration(state)
+        self._blink(state, registration)
+        with self._lock, self._host.atomic():
+            self._last = None
+            shown, _ = self._show_submaps(state, maps, registration)
+            if registration is None:
+                self._associations.hide()
+                self._annotations.hide_verdict()
+        self._host.flush()
+        return shown
+
+    def show_alone(self, state: ViewState, gradient_map: GradientMap) -> Shown:
+        """Show the one submap there is; of a pair shown before, nothing is left."""
+        self._blinker.run(on=False)
+        with self._lock, self._host.atomic():
+            self._last = None
+            shown, layout = self._show_submaps(state, (gradient_map, gradient_map), None)
+            self._associations.show_alone(state, gradient_map, layout.at_query)
+            self._annotations.hide_verdict()
+        self._host.flush()
+        return shown
+
+    def gliding(self, state: ViewState, result: PairResult) -> Callable[[float], None] | None:
+        """Give what moves the query from beside the database to where it registers.
+
+        It takes the share of the way in [0, 1], and does nothing once another picture has been
+        shown. Where there is no motion it is None.
+        """
+        motion = result.registration.T_database_query
+        if motion is None:
+            return None
+        boxes = Extent.of(state.query), Extent.of(state.database)
+        maps = result.query_map, result.database_map
+        dz = z_offset_of(result.registration, maps, state.params.features.max_std_ratio)
+
+        place_pair = self.placing(state, result)
+        tall = self.tall
+        return lambda share: place_pair(*glide(*boxes, motion, dz, share, tall=tall))
+
+    def placing(
+        self, state: ViewState, result: PairResult
+    ) -> Callable[[Placement, Placement], None]:
+        """Give what puts query and database anywhere, without drawing them anew.
+
+        It does nothing once another picture than that of the result has been shown.
+        """
+
+        def put(at_query: Placement, at_database: Placement) -> None:
+            with self._lock:
+                if self._last is not result:
+                    return
+                with self._host.atomic():
+                    self._query.move(at_query)
+                    self._database.move(at_database)
+                    self._associations.show_lines(state, result, at_query, at_database)
+                    self._associations.show_marks(state, result, at_query, at_database)
+            self._host.flush()
+
+        return put
+
+    def knows_motion(self, state: ViewState) -> bool:
+        """Say whether the pair of a state is the one last shown with its registration.
+
+        One submap alone needs none.
+        """
+        return not state.is_pair or self._known_registration(state) is not None
+
+    def _known_registration(self, state: ViewState) -> Registration | None:
+        if self._registered is None:
+            return None
+        shown, registration = self._registered
+        return registration if same_pair(shown, state) else None
+
+    def _motion(self, state: ViewState) -> SE2 | None:
+        registration = self._known_registration(state)
+        return None if registration is None else registration.T_database_query
+
+    def pick(self, ray: Ray) -> Probe | None:
+        """Find the place of a surface that a line of sight meets first, if it meets one."""
+        return None if self._ground is None or not self.visible else self._ground.pick(ray)
+
+    def spots(self, probe: Probe) -> tuple[Float[NDArray[np.float64], "3"], ...]:
+        """Give where a place is seen in the scene [m], and the same place of the other submap.
+
+        The other is left out without a motion, and where the other submap saw no ground.
+        """
+        with self._lock:
+            ground = self._ground
+            motion = None if ground is None else self._motion(ground.state)
+        if ground is None:
+            return ()
+        spots = [ground.spot(probe)]
+        if motion is not None:
+            of_query = probe.role == "query"
+            x, y = other_place(motion, probe.x, probe.y, of_query=of_query)
+            spots.append(ground.spot(Probe("database" if of_query else "query", x, y)))
+        return tuple(spot for spot in spots if spot is not None)
+
+    def show_ruler(self, ruler: Ruler | None) -> None:
+        """Show a measured line where the submaps stand; None shows none."""
+        with self._lock, self._host.atomic():
+            if self._ground is not None:
+                self._ruler.show(ruler, self._ground)
+        self._host.flush()
+
+    def _blink(self, state: ViewState, registration: Registration | None) -> None:
+        registered = _is_registered(state, registration)
+        self._blinker.run(on=registered and state.options.compare == "blink")
+
+    def close(self) -> None:
+        """Stop blinking."""
+        self._blinker.close()
+
+    def _show_submaps(
+        self,
+        state: ViewState,
+        maps: tuple[GradientMap, GradientMap],
+        registration: Registration | None,
+    ) -> tuple[Shown, "_Layout"]:
+        state = as_drawn(state)
+        options, ratio = state.options, state.params.features.max_std_ratio
+        registered = _is_registered(state, registration)
+        motion, comparison, dz = None, None, 0.0
+        if registration is not None:
+            motion, compared = registration.T_database_query, options.layer in COMPARED
+            if registered or compared:
+                dz = z_offset_of(registration, maps, ratio)
+            if compared:
+                comparison = self._comparison = Comparison.between(
+                    options.layer, maps, registration, dz, ratio, self._comparison
+                )
+        boxes = Extent.of(state.query), Extent.of(state.database)
+        layout = _Layout(boxes, *self._place(state, boxes, options.layout, motion, dz))
+        lift = dz if registered and options.layer == "elevation" else 0.0
+        swipe_at = layout.swipe_at(options.swipe) if options.compare == "swipe" else None
+        ground = self._ground = Ground.of(
+            state,
+            maps,
+            (layout.at_query, layout.at_database),
+            (lift, 0.0),
+            comparison,
+            swipe_at if registered else None,
+        )
+        nodes = (self._query, self._database)
+        if not state.is_pair:
+            self._database.visible = False
+            nodes = nodes[:1]
+        for index, node in enumerate(nodes):
+            submap, placement = (state.query, state.database)[index], ground.placements[index]
+            node.move(placement)
+            node.name(submap, boxes[index], ROLES[index] if state.is_pair else "submap")
+            if not self._blinker.on:
+                node.visible = not registered or ROLES[index] in shown_roles(state)
+            self._show_cloud(node, submap, state)
+            self._show_surface(node, ground, index)
+        if self._standalone:
+            self._annotations.show_bar(boxes[1], layout.at_database)
+        self._annotations.show_swipe(ground.swipe_at, layout.corners)
+        shown = Shown(
+            ground.scale if options.surfaces else None,
+            registered,
+            sum(node.surface.num_points for node in nodes) if options.surfaces else 0,
+            sum(node.cloud.num_points for node in nodes) if options.clouds else 0,
+            ground,
+        )
+        return shown, layout
+
+    def camera(
+        self,
+        state: ViewState,
+        canvas: Canvas = UNKNOWN_CANVAS,
+        forward: Float[NDArray[np.float64], "3"] | None = None,
+        *,
+        layout: Layout | None = None,
+    ) -> Camera:
+        """Give the view in which both submaps fill a canvas.
+
+        Args:
+            state: Whose pair, and whose layout.
+            canvas: Of the page.
+            forward: Direction of sight; None chooses what fills the canvas, and suits the layout.
+            layout: Instead of the state's.
+        """
+        boxes = Extent.of(state.query), Extent.of(state.database)
+        layout = layout or state.options.layout
+        placed = self._place(state, boxes, layout, self._motion(state))
+        if forward is None and layout == FROM_ABOVE:
+            forward = DOWN
+        return frame_camera(tuple(zip(boxes, placed, strict=True)), canvas, forward=forward)
+
+    def _place(
+        self,
+        state: ViewState,
+        boxes: tuple[Extent, Extent],
+        layout: Layout,
+        motion: SE2 | None,
+        dz: float = 0.0,
+    ) -> tuple[Placement, Placement]:
+        """Place (query, database) in the scene; one submap alone stands in its middle."""
+        if not state.is_pair:
+            layout, motion = "registered", SE2()
+        return place(*boxes, layout, motion, dz, tall=self.tall)
+
+    def camera_above(self, state: ViewState, canvas: Canvas = UNKNOWN_CANVAS) -> Camera:
+        """Give the view from above of what is shown, y up as on a map."""
+        return self.camera(state, canvas, DOWN)
+
+    def start_camera(self, camera: Camera) -> None:
+        """Set the view that new pages, and "reset view", begin with."""
+        if isinstance(self._host, viser.ClientHandle):
+            self.move_cameras(camera)  # the page is open already
+            return
+        set_start(self._host, camera)
+
+    def move_cameras(self, camera: Camera) -> None:
+        """Bring every open page to a view."""
+        for page in pages(self._host).values():
+            set_view(page, camera)
+
+    def _show_surface(self, node: SubmapNode, ground: Ground, index: int) -> None:
+        options = ground.state.options
+        if not options.surfaces:
+            node.surface.hide()
+            return
+        ratio = ground.state.params.features.max_std_ratio
+        gradient_map, placement = ground.maps[index], ground.placements[index]
+        offset, comparison = ground.lifts[index], ground.comparison
+
+        def make() -> Painted:
+            surfels = make_surfels(
+                gradient_map,
+                ground.scale,
+                layer=options.layer,
+                max_std_ratio=ratio,
+                untrusted=options.untrusted,
+                hillshaded=options.hillshade,
+                yaw=placement.yaw,
+                offset=offset,
+                stride=stride_for(gradient_map.grid.num_cells, MAX_SURFELS),
+                values=None if comparison is None else comparison.fields[index],
+                seen=ground.seen(index),
+            )
+            return surfels.positions, surfels.colors, surfels.size
+
+        look = options.layer, ratio, options.untrusted, options.hillshade
+        swiped = None if ground.swipe_at is None else (ground.swipe_at, placement)
+        node.surface.show(
+            (gradient_map, ground.scale, *look, placement.yaw, offset, comparison, swiped), make
+        )
+
+    def _show_cloud(self, node: SubmapNode, submap: Submap, state: ViewState) -> None:
+        options = state.options
+        if not options.clouds:
+            node.cloud.hide()
+            return
+
+        def make() -> Painted:
+            stride = int(np.ceil(len(submap.points) / MAX_CLOUD_POINTS))
+            points = submap.points[::stride].astype(np.float32)
+            return points, painted(node.color, len(points)), options.point_size
+
+        node.cloud.show((submap, options.point_size), make)
+
+
+def _is_registered(state: ViewState, registration: Registration | None) -> bool:
+    """Say whether the query is to be laid onto the database, and can be."""
+    has_motion = registration is not None and registration.T_database_query is not None
+    return has_motion and state.options.layout == "registered"

@@ -1,0 +1,149 @@
+"""Status of the pair's picture: what is computed, how far it is, and what took how long."""
+
+import threading
+import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+
+from app.viewer.features.pair.timing import TimedMemo
+from app.viewer.server.host import Host
+from app.viewer.widgets.bridge import Bridge
+from app.viewer.widgets.status import StatusLine
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress
+
+NOTICED = 0.15
+"""A picture that is shown sooner needs no word before it: each word costs the page time [s]."""
+LATE = 0.3
+"""What no longer fits the picture may stand so long [s]: to write it anew costs the page time."""
+LONG = 1.0
+"""What takes longer has a bar and can be cancelled [s]."""
+
+
+class PictureStatus:
+    """Watches one computation after the other, and writes the status line."""
+
+    def __init__(
+        self,
+        host: Host,
+        bridge: Bridge,
+        memo: Memo,
+        on_cancel: Callable[[], None],
+        on_late: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Make the line in the current container.
+
+        Args:
+            host: Whose GUI it joins.
+            bridge: Hears its button.
+            memo: What remembers the results of the pipeline.
+            on_cancel: Called when what is being computed is no longer wanted.
+            on_late: Called once after a preview, if the last finished picture has not been true for
+                some time.
+        """
+        self._on_late, self._late_due = on_late, False
+        self.line = StatusLine(host, bridge, on_cancel)
+        self._shared_memo = memo
+        self._memo = TimedMemo(memo)
+        self._began = time.monotonic()
+        self._fraction = 0.0
+        self._word_due = False
+        self._outdated_at: float | None = None  # since when the last finished picture is none
+        self._patience = threading.Timer(LONG, self._be_patient)
+
+    @property
+    def memo(self) -> Memo:
+        """The memo to compute with, which counts what takes how long."""
+        return self._memo
+
+    def begin(self) -> None:
+        """Watch a new computation."""
+        self._began = time.monotonic()
+        self._late_due = False
+        if self._outdated_at is None:
+            self._outdated_at = self._began
+        self._fraction = 0.0
+        self._memo = TimedMemo(self._shared_memo)
+        self._word_due = True
+        self._patience.cancel()
+        self._patience = threading.Timer(LONG, self._be_patient)
+        self._patience.daemon = True
+        self._patience.start()
+
+    def reported(self, progress: Progress) -> Progress:
+        """Show what goes on, and how far it is, as soon as there is time to read it."""
+
+        def report(fraction: float) -> None:
+            progress(fraction)
+            self._fraction = fraction
+            taken = time.monotonic() - self._began
+            if taken > NOTICED:
+                self._say_computing()
+            if taken > LONG:
+                self.line.progress(fraction)
+            self._tell_if_late()
+
+        return report
+
+    @contextmanager
+    def drawing(self) -> Generator[None]:
+        """Count the time within as drawing."""
+        start = time.perf_counter()
+        yield
+        self._memo.add("drawing", time.perf_counter() - start)
+
+    def preview(self, seconds: float, *, coarse: bool) -> None:
+        """Say that surfaces are shown, and that the rest is being made."""
+        self._word_due = False
+        self.line.preview(seconds, coarse=coarse)
+        self._late_due = True
+        self._tell_if_late()
+
+    def finished(self, seconds: float, details: str, *, newer_waits: bool) -> None:
+        """Say that the picture is shown.
+
+        Args:
+            seconds: From the beginning of the computation.
+            details: Counts of what is drawn.
+            newer_waits: Whether it is superseded already.
+        """
+        self._outdated_at = None
+        self._word_due = False
+        if newer_waits:
+            self.line.stale(seconds)
+        else:
+            self.line.up_to_date(seconds, details, self._memo.seconds)
+
+    def cancelled(self) -> None:
+        """Say that a user has cancelled the computation."""
+        self._outdated_at = None
+        self._word_due = False
+        self.line.cancelled()
+
+    def failed(self, message: str) -> None:
+        """Say what went wrong."""
+        self._outdated_at = None
+        self._word_due = False
+        self.line.error(message)
+
+    def close(self) -> None:
+        """Stop waiting."""
+        self._patience.cancel()
+
+    def _say_computing(self) -> None:
+        if self._word_due:
+            self._word_due = False
+            self.line.computing()
+
+    def _tell_if_late(self) -> None:
+        # The last finished picture may be older than this computation: in a drag, one supersedes
+        # the other.
+        since = self._outdated_at
+        if self._late_due and since is not None and time.monotonic() - since > LATE:
+            self._late_due = False
+            self._on_late()
+
+    def _be_patient(self) -> None:
+        """Show how to cancel it, even if it reports nothing for a while."""
+        self._say_computing()
+        self.line.progress(self._fraction)

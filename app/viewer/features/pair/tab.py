@@ -1,0 +1,378 @@
+"""The pair: wires the choice of two submaps to the pipeline, and its result to the picture."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import viser
+
+from app.viewer.features.desk import (
+    Desk,
+    Feature,
+    Frame,
+)
+from app.viewer.features.pair.ground import HistogramPainter
+from app.viewer.features.pair.panel import (
+    DatasetSummary,
+    PairPanel,
+    ViewPanel,
+)
+from app.viewer.features.pair.scene import (
+    PairScene,
+    Shown,
+)
+from app.viewer.features.pair.status import PictureStatus
+from app.viewer.features.pair.verdict import VerdictCard
+from app.viewer.features.work import message_of
+from app.viewer.scene.cameras import set_view
+from app.viewer.server.host import set_theme
+from app.viewer.session.decisions import Decisions
+from app.viewer.session.methods import (
+    METHODS,
+    map_params,
+    register_pair,
+)
+from app.viewer.session.runner import Runner
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import (
+    COMPARED,
+    FROM_ABOVE,
+    LAYER_NAMES,
+    LAYERS,
+    Role,
+    ViewOptions,
+    ViewState,
+    registered,
+    same_surfaces,
+)
+from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.look import PageTitle
+from gpgrad_core.detection import (
+    PairResult,
+    infer_map,
+)
+from gpgrad_core.detection.coarse import (
+    infer_quick_map,
+    infer_quick_maps,
+)
+from gpgrad_core.run.progress import Cancelled, Progress
+from gpgrad_core.types import GradientMap
+
+
+@dataclass(frozen=True, eq=False)
+class PairPicture:
+    """What the worker has shown.
+
+    Attributes:
+        shown: What is to be seen.
+        result: What was found; None in a preview, which has nothing but surfaces, and without a
+            pair.
+        alone: The map of the one submap there is, if there is no pair.
+        coarse: Whether the surfaces are not yet the full ones.
+    """
+
+    shown: Shown
+    result: PairResult | None = None
+    alone: GradientMap | None = None
+    coarse: bool = False
+
+
+class PairTab(Feature):
+    """Shows the pair of the session: one worker turns the newest state into a picture."""
+
+    def __init__(self, desk: Desk, opened: Opened, view: viser.GuiTabHandle, frame: Frame) -> None:
+        """Make verdict and status in the current container, and the options in the view's tab."""
+        self._desk = desk
+        host, state = desk.host, desk.state
+        self.scene = PairScene(host, standalone=False)
+        self._histogram = HistogramPainter()
+        self._title = PageTitle(host)
+        self._verdict = VerdictCard(host)
+        self._status = PictureStatus(
+            host, desk.bridge, desk.memo, self._cancel, self._mark_outdated
+        )
+        with view:
+            self._summary = DatasetSummary(host)
+            self._summary.show(state.dataset)
+            self._choice = PairPanel(host, state, desk.choose)
+            self._view = ViewPanel(
+                host,
+                state.options,
+                lambda options: desk.change(options=options),
+                lambda: frame(None),
+                desk.numbers,
+            )
+        self._dark = False
+        self._painted: ViewState | None = None  # whose full surfaces are to be seen
+        self._preview_shown: PairPicture | None = None  # while the rest of it is being made
+        self._start_camera(opened)
+        self._runner: Runner[ViewState, PairPicture] = Runner(
+            self._compute,
+            self._on_result,
+            self._on_error,
+            on_start=lambda _: self._status.begin(),
+            on_cancel=lambda _: self._outdate(self._status.cancelled),
+            preview=self._preview,
+            slots=desk.capacity.pictures,
+            name="pair",
+        )
+        self.workers = (self._runner,)
+
+    def follow(self, state: ViewState) -> None:
+        """Compute and draw the new state, and show it in the widgets."""
+        self._runner.submit(state)
+        if state.options.dark != self._dark:
+            self._dark = state.options.dark
+            set_theme(self._desk.host, dark=self._dark)
+        if state.options != self._view.options:
+            self._view.set(state.options)
+        self._choice.show(state)
+        self._title.show(state.names, state.dataset.name)
+
+    def opened(self, opened: Opened) -> None:
+        """Tell what is open, and bring the cameras to it."""
+        self._summary.show(opened.dataset)
+        self._start_camera(opened)
+        saved = None if opened.saved is None else opened.saved.camera
+        if saved is not None and self.scene.visible:
+            self.scene.move_cameras(saved)
+
+    def moved(self, by_hand: bool) -> None:
+        """Say that what is seen has not been judged."""
+        self._verdict.set_moved(by_hand)
+
+    def decided(self, decisions: Decisions) -> None:
+        """Say what was decided about the pair."""
+        self._verdict.decide(decisions)
+
+    def close(self) -> None:
+        """Stop working; what was shown stays until its page goes."""
+        super().close()
+        self._status.close()
+        self.scene.close()
+
+    def step(self, role: Role, step: int) -> None:
+        """Go to the next (1) or the previous (-1) submap as query or database."""
+        self._choice.step(role, step)
+
+    def refuse(self, message: str) -> None:
+        """Say why a value was not taken."""
+        self._status.line.refused(message)
+
+    def _cancel(self) -> None:
+        self._runner.cancel()
+
+    # What the worker does.
+
+    def _preview(self, state: ViewState, progress: Progress) -> PairPicture | None:
+        """Show the surfaces, coarse if need be: what is found on them takes longer."""
+        if self._painted is not None and same_surfaces(self._painted, state):
+            return None
+        if state.options.layout == "registered" and not self.scene.knows_motion(state):
+            return None  # it would jump as soon as the motion is known
+        memo, told = self._status.memo, self._status.reported(progress)
+        # Until they are fitted, the numbers of before stand in.
+        params = [
+            map_params(submap, state.given, memo, told, state.method).map
+            if state.settled
+            else state.params.map
+            for submap in (state.query, state.database)
+        ]
+        if not state.is_pair:
+            alone = infer_quick_map(state.query, params[0], memo, told)
+            maps = alone, alone
+        elif params[0] == params[1]:
+            maps = infer_quick_maps(*state.pair, params[0], memo, self._desk.capacity.helper, told)
+        else:
+            query, database = (
+                infer_quick_map(submap, numbers, memo, told)
+                for submap, numbers in zip(state.pair, params, strict=True)
+            )
+            maps = query, database
+        coarse = any(made.grid.resolution != state.params.map.resolution for made in maps)
+        self._painted = None if coarse else state
+        return PairPicture(self.scene.preview(state, maps), coarse=coarse)
+
+    def _compute(self, state: ViewState, progress: Progress) -> PairPicture:
+        told = self._status.reported(progress)
+        if not state.settled:
+            submaps, memo = state.dataset.submaps, self._desk.memo
+            settle = METHODS[state.method].settle
+            self._desk.settle(state, settle(submaps, state.query, state.asked, memo, told))
+            raise Cancelled  # the state with the fitted numbers waits by now, or a newer one
+        if not state.is_pair:
+            params = map_params(state.query, state.given, self._status.memo, told, state.method)
+            alone = infer_map(state.query, params, self._status.memo, told)
+            self._painted = state
+            with self._status.drawing():
+                return PairPicture(self.scene.show_alone(state, alone), alone=alone)
+        result = register_pair(
+            *state.pair,
+            state.given,
+            self._status.memo,
+            told,
+            helper=self._desk.capacity.helper,
+            method=state.method,
+        )
+        self._painted = state
+        with self._status.drawing():
+            shown = self.scene.show(state, result)
+        return PairPicture(shown, result)
+
+    def _on_result(self, state: ViewState, picture: PairPicture, seconds: float) -> None:
+        shown, result, alone = picture.shown, picture.result, picture.alone
+        if result is None and alone is None:
+            self._preview_shown = picture
+            self._status.preview(seconds, coarse=picture.coarse)
+        else:
+            self._preview_shown = None
+            self._show_legend(shown)
+            if result is None:
+                self._verdict.show_alone(state)
+            else:
+                self._verdict.show(state, result)
+            newer_waits = self._runner.newer_waits
+            self._status.finished(seconds, details(shown, state), newer_waits=newer_waits)
+            if result is not None:
+                self._desk.tell(lambda feature: feature.show(state, result))
+            elif alone is not None:
+                self._desk.tell(lambda feature: feature.alone(state, alone))
+        self._desk.host.flush()
+
+    def _mark_outdated(self) -> None:
+        """Fade the verdict, and show the legend of the preview: the rest takes a while."""
+        preview = self._preview_shown
+        if preview is not None:
+            self._show_legend(preview.shown)
+            if preview.coarse:
+                self._verdict.outdate()
+            self._desk.host.flush()
+
+    def _show_legend(self, shown: Shown) -> None:
+        self._desk.canvases.scales["pair"] = shown.scale
+        if shown.scale is None:
+            self._view.show_legend(None)
+        else:
+            self._view.show_legend(shown.scale, *self._histogram.draw(shown.ground))
+
+    def _on_error(self, state: ViewState, error: Exception) -> None:
+        del state
+        self._outdate(lambda: self._status.failed(message_of(error)))
+
+    def _outdate(self, tell: Callable[[], None]) -> None:
+        """Say that what is seen is not what is set: on the card, in the scene, and why."""
+        self._mark_outdated()
+        self._verdict.outdate("out of date")
+        self._desk.tell(lambda feature: feature.outdated())
+        tell()
+        self._desk.host.flush()
+
+    def _start_camera(self, opened: Opened) -> None:
+        """Set the view that pages begin with, before they say how large their canvas is."""
+        saved = None if opened.saved is None else opened.saved.camera
+        self.scene.start_camera(saved or self.scene.camera(self._desk.state))
+
+
+def details(shown: Shown, state: ViewState) -> str:
+    """Count what is drawn."""
+    parts: list[str] = []
+    if shown.num_surfels:
+        parts.append(f"{shown.num_surfels:,} cells")
+    if shown.num_points:
+        parts.append(f"{shown.num_points:,} points")
+    if not state.is_pair:
+        if state.options.layer in COMPARED:
+            parts.append("this layer compares two submaps, and there is one")
+    elif state.options.layout == "registered" and not shown.registered:
+        parts.append("no motion found: shown side by side")
+    return " · ".join(parts) or "everything is hidden"
+
+
+SWITCHES = (
+    ("Inlier lines", "I", "inlier_lines"),
+    ("Outlier lines", "O", "outlier_lines"),
+    ("All lines, or forty of each kind", "G", "all_lines"),
+    ("Keypoints", "K", "keypoints"),
+    ("Point clouds", "C", "clouds"),
+    ("Surfaces", None, "surfaces"),
+    ("Hillshade", None, "hillshade"),
+)
+"""Options that a key shows or hides."""
+STEPS: tuple[tuple[Role, int, str, str | None], ...] = (
+    ("query", 1, "J", None),
+    ("query", -1, "J", "shift"),
+    ("database", 1, "M", None),
+    ("database", -1, "M", "shift"),
+)
+"""Keys that step through the submaps in a role."""
+
+
+def add_shortcuts(
+    commands: Commands,
+    desk: Desk,
+    pair: PairTab,
+    frame: Frame,
+    step_match: Callable[[int], None],
+) -> None:
+    """Add the commands to the palette: keys for what people do often.
+
+    Args:
+        commands: The palette.
+        desk: Of the session.
+        pair: Whose submaps are stepped through.
+        frame: Brings cameras to all that is shown.
+        step_match: Points at the next (1) or the previous (-1) association.
+    """
+
+    def show(**changes: object) -> None:
+        desk.change(options=changed(desk.state.options, **changes))
+
+    def choose(group: str, label: str, key: str | None, **changes: object) -> None:
+        commands.add(group, label, lambda: show(**changes), key=key)
+
+    def compare(label: str, key: str | None, **changes: object) -> None:
+        choose("Compare", label, key, layout="registered", **changes)
+
+    def other_layout() -> None:
+        is_registered = desk.state.options.layout == "registered"
+        show(layout="side by side" if is_registered else "registered")
+
+    def both() -> None:
+        options = registered(desk.state.options)
+        # Out of what compares them too: it shows neither of the two.
+        layer = "elevation" if options.layer in COMPARED else options.layer
+        desk.change(options=changed(options, layer=layer))
+
+    def from_above(page: viser.ClientHandle) -> None:
+        set_view(page, pair.scene.camera_above(desk.state, desk.canvases.of(page)))
+
+    def switch(name: str) -> None:
+        show(**{name: not getattr(desk.state.options, name)})
+
+    commands.add_for_page("View", "All of it in view", frame, key="R")
+    commands.add_for_page("View", "View from above", from_above, key="T")
+    commands.add("View", "Side by side or registered", other_layout, key="L")
+    choose("View", "Gradient of both from above", None, layout=FROM_ABOVE)
+    compare("Blink: one after the other", "B", compare="blink")
+    compare("Swipe: left and right of a line", "V", compare="swipe")
+    compare("Height difference of the registered maps", "Y", compare="both", layer="difference")
+    compare("Agreement of the registered maps", None, compare="both", layer="agreement")
+    commands.add("Compare", "Both at once", both, key="Z")
+    commands.add("Association", "Next association", partial(step_match, 1), key="N")
+    commands.add("Association", "Previous association", partial(step_match, -1), key="P")
+    no_choice = partial(desk.change, match=0, probe=None)
+    commands.add("Association", "Choose no association and no place", no_choice, key="U")
+    for role, step, key, modifier in STEPS:
+        label = f"{'Next' if step > 0 else 'Previous'} {role}"
+        commands.add("Pair", label, partial(pair.step, role, step), key=key, modifier=modifier)
+    for label, key, name in SWITCHES:
+        commands.add("Show or hide", label, partial(switch, name), key=key)
+    for number, layer in enumerate(LAYERS, start=1):
+        choose("Layer", LAYER_NAMES[layer].capitalize(), str(number), layer=layer)
+
+
+def changed(options: ViewOptions, **changes: object) -> ViewOptions:
+    """Copy options with some of them changed; a layer also switches the surfaces on."""
+    if "layer" in changes:
+        changes = {"surfaces": True} | changes
+    return replace(options, **changes)

@@ -1,0 +1,114 @@
+"""A button that sets the terrain's parameters to the values that explain the points best."""
+
+import threading
+from dataclasses import replace
+from html import escape
+
+from app.viewer.features.desk import (
+    Desk,
+    Feature,
+)
+from app.viewer.features.work import Work
+from app.viewer.session.methods import METHODS
+from app.viewer.session.state import ViewState
+from app.viewer.widgets.actions import on_press
+from app.viewer.widgets.html import box, table
+from app.viewer.widgets.look import make_solid
+from app.viewer.widgets.work_bar import WorkBar
+from gpgrad_core.mapping.fitting import (
+    FitResult,
+    fit_parameters,
+    fitted_names,
+)
+from gpgrad_core.mapping.gradient_map import (
+    MapParams,
+    TerrainParams,
+)
+from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.run.progress import Progress
+
+
+class FitTool(Feature):
+    """Fits the terrain's parameters to the two submaps that are shown."""
+
+    def __init__(self, desk: Desk) -> None:
+        """Make the button in the current container."""
+        self._desk = desk
+        self._lock = threading.Lock()
+        self._state = desk.state
+        self._button = desk.host.gui.add_button(
+            "Fit to these submaps",
+            hint="Sets length-scale, noise and signal to the values that explain the points of "
+            "both submaps best, by maximum marginal likelihood.",
+        )
+        make_solid(desk.host, self._button)
+        self.work_bar = WorkBar(desk.host, "Cancel fit", "fit", starts=(self._button,))
+        on_press(self._button, lambda: self._fitter.start(self._state))
+        self._fitter: Work[ViewState, FitResult] = Work(
+            self.work_bar,
+            lambda _: "Fitting",
+            _fit,
+            self._on_result,
+            slots=desk.capacity.long,
+            name="fit",
+        )
+        self.workers = (self._fitter,)
+
+    def follow(self, state: ViewState) -> None:
+        """Follow the session; a fit to submaps that are no longer shown is stopped."""
+        with self._lock:
+            before, self._state = self._state, state
+        self._button.visible = not METHODS[state.method].fits_each
+        if not _same_submaps(before, state) or before.method != state.method:
+            self._fitter.cancel()
+            self.work_bar.idle()
+
+    def _on_result(self, state: ViewState, result: FitResult, seconds: float) -> None:
+        if not _same_submaps(state, self._state) or state.method != self._state.method:
+            return  # others are shown since the very last moment
+        start = state.params.map.terrain
+        fitted = {name: _value(result.params, name) for name in fitted_names(start)}
+        submaps = " and ".join(result.submap_ids)
+        headline = f"Fitted to {result.num_points:,} points of {submaps} in {seconds:.1f} s:"
+        rows = table(_rows(start, fitted, result))
+        self.work_bar.show(box("fit", f"{escape(headline)}{rows}", "font-size:.8em"))
+        params = self._desk.state.asked
+        self._desk.change(params=replace(params, map=with_fitted(params.map, fitted)))
+        self._desk.host.flush()
+
+
+def _fit(state: ViewState, progress: Progress) -> FitResult:
+    # One submap alone counts once.
+    submaps = tuple({submap.id: submap for submap in (state.query, state.database)}.values())
+    return fit_parameters(submaps, state.params.map.terrain, progress=progress)
+
+
+def with_fitted(params: MapParams, fitted: dict[str, float]) -> MapParams:
+    """Replace parameters of the map by fitted values."""
+    return replace(params, **fitted)
+
+
+def _same_submaps(first: ViewState, second: ViewState) -> bool:
+    return first.dataset is second.dataset and (
+        {first.query_id, first.database_id} == {second.query_id, second.database_id}
+    )
+
+
+def _value(params: TerrainParams, name: str) -> float:
+    """Round a fitted value to the digits that its slider shows."""
+    bounds = bounds_of(TerrainParams)[name]
+    value = bounds.round(float(getattr(params, name)))
+    return min(max(value, bounds.low), bounds.high)
+
+
+def _rows(
+    start: TerrainParams, fitted: dict[str, float], result: FitResult
+) -> tuple[tuple[str, str], ...]:
+    rows: list[tuple[str, str]] = []
+    for name, value in fitted.items():
+        before = getattr(start, name)
+        unit = bounds_of(TerrainParams)[name].unit
+        old = "automatic" if before is None else f"{before:g}"
+        rows.append((name.replace("_", " "), f"{old} → {value:g} {unit}".rstrip()))
+    likelihood = f"{result.log_likelihood_before:.3f} → {result.log_likelihood_after:.3f}"
+    return (*rows, ("log likelihood per point", likelihood))

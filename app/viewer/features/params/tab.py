@@ -1,0 +1,145 @@
+"""The parameters: wires the sliders, and the tools beside them, to the session."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+
+from app.viewer.features.desk import (
+    Desk,
+    Feature,
+)
+from app.viewer.features.params.fit import FitTool
+from app.viewer.features.params.panel import ParamsPanel
+from app.viewer.features.params.presets import PresetsTool
+from app.viewer.features.params.sensitivity import SensitivityTool
+from app.viewer.features.params.undo import (
+    SnapshotsTool,
+    UndoTool,
+)
+from app.viewer.session.methods import (
+    METHOD_NAMES,
+    METHODS,
+    MethodName,
+)
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import ViewState
+from app.viewer.widgets.actions import on_choice, on_press
+from app.viewer.widgets.commands import Commands
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.errors import InputError
+
+SWEPT = (
+    "map.length_scale",
+    "map.noise_std",
+    "features.max_std_ratio",
+    "registration.inlier_radius",
+)
+"""Those of the main parameters that change the score; the others are thresholds of it."""
+MAIN_PARAMETERS = {
+    "map.length_scale": "Length-scale",
+    "map.noise_std": "Noise",
+    "features.max_std_ratio": "Variance mask",
+    "registration.inlier_radius": "Inlier radius",
+    "closure.min_inliers": "Minimum inliers",
+    "closure.min_score": "Minimum score",
+}
+"""The parameters that stand above the folded folder, and what people call them."""
+LIMITS = {"closure.max_dissimilarity": "Maximum h"}
+"""Those that stand there too, but have no number until a person sets one."""
+BOXES = {"closure.max_dissimilarity": "no limit on h"}
+"""What the boxes above these sliders say."""
+OF_EACH = {
+    path: f"{name}: each submap's own fit"
+    for path, name in (
+        ("map.length_scale", "length-scale"),
+        ("map.noise_std", "noise"),
+        ("map.signal_std", "signal"),
+    )
+}
+"""What the box for "automatic" says where a method fits these to every submap."""
+
+
+class ParamsTab(Feature):
+    """Sliders that change the session's parameters, and that follow where others change them."""
+
+    def __init__(
+        self,
+        desk: Desk,
+        default: PipelineParams,
+        commands: Commands,
+        on_error: Callable[[str], None],
+    ) -> None:
+        """Make the widgets in the current container; the default is what the reset goes to."""
+        self._desk = desk
+        self._default = default
+        self._shown: MethodName = desk.state.method
+        self._method = desk.host.gui.add_dropdown(
+            "Method",
+            METHOD_NAMES,
+            initial_value=desk.state.method,
+            hint=" ".join(f"{name}: {method.summary}" for name, method in METHODS.items())
+            + " Each method keeps its own parameters.",
+        )
+        on_choice(self._method, lambda name: desk.change(method=name))
+        self._panel: ParamsPanel[PipelineParams] = ParamsPanel(
+            desk.host,
+            desk.state.asked,
+            self._change,
+            main=MAIN_PARAMETERS | LIMITS,
+            on_error=on_error,
+            on_move=lambda params: self._change(params, moving=True),
+            numbers=desk.numbers,
+            used=desk.state.params,
+            boxes=BOXES,
+        )
+        desk.numbers.refuse, desk.numbers.rested = on_error, self._rest
+        self._panel.set_default(default)
+        desk.join(FitTool(desk))
+        desk.join(UndoTool(desk, commands))
+        reset = desk.host.gui.add_button(
+            "Reset parameters", hint="Goes back to the parameters that this dataset started with."
+        )
+        on_press(reset, lambda: desk.change(params=self._panel.reset()))
+        desk.join(SnapshotsTool(desk, commands))
+        desk.join(SensitivityTool(desk, commands, {path: MAIN_PARAMETERS[path] for path in SWEPT}))
+        desk.join(PresetsTool(desk))
+        self._show_method(desk.state.method)
+
+    def follow(self, state: ViewState) -> None:
+        """Move the sliders to parameters that came from elsewhere, or from a fit."""
+        if (state.asked, state.params) != (self._panel.value, self._panel.used):
+            self._panel.set(state.asked, state.params)
+        if state.method != self._shown:
+            self._show_method(state.method)
+
+    def _show_method(self, name: MethodName) -> None:
+        """Show what the method can use, and reset to what it begins with."""
+        self._shown, method = name, METHODS[name]
+        self._method.value = name
+        self._panel.set_default(method.adapt(self._default))
+        self._panel.hide(method.unused)
+        self._panel.name_automatic(OF_EACH if method.fits_each else {})
+
+    def _rest(self, widget: str, value: float | None) -> None:
+        """Tell where a slider was let go."""
+        params = self._desk.state.asked
+        with suppress(InputError):  # what no slider of ours says
+            if value is not None:
+                params = self._panel.with_moved(params, widget, value)
+            self._desk.tell(lambda feature: feature.rested(params))
+
+    def opened(self, opened: Opened) -> None:
+        """Reset to what the new dataset prefers."""
+        self._default = opened.params
+        self._panel.set_default(METHODS[self._shown].adapt(opened.params))
+
+    def _change(self, asked: PipelineParams, *, moving: bool = False) -> None:
+        """Take what a person has set; the noise is no longer automatic if a part of it is set."""
+        before, terrain = self._desk.state, asked.map
+        if terrain.noise_std is None and (terrain.noise_growth, terrain.noise_factor) != (
+            before.asked.map.noise_growth,
+            before.asked.map.noise_factor,
+        ):
+            noise_std = before.params.map.noise_std
+            asked = replace(asked, map=replace(terrain, noise_std=noise_std))
+        self._desk.change(params=asked, moving=moving)

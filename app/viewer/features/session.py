@@ -1,0 +1,159 @@
+"""One session: builds the features, and puts them into their panels.
+
+A widget's callback only asks the desk for a change; the desk tells the features, whose workers
+draw what is new. A session is shown on a server, to all of whose pages alike, or on one page; it
+never asks which.
+"""
+
+import viser
+
+from app.viewer.features.all_pairs.tab import AllPairsTab
+from app.viewer.features.best_pair.search import BestPair
+from app.viewer.features.canvas.cursor import Cursor
+from app.viewer.features.canvas.framing import Framing
+from app.viewer.features.data.tab import DataTab
+from app.viewer.features.demo.tab import DemoTab
+from app.viewer.features.desk import (
+    Desk,
+    Mode,
+)
+from app.viewer.features.inspect.tab import InspectTab
+from app.viewer.features.links.links import (
+    Links,
+    add_script,
+)
+from app.viewer.features.modes.tab import Modes
+from app.viewer.features.nudge.tab import NudgeTab
+from app.viewer.features.pair.tab import (
+    PairTab,
+    add_shortcuts,
+)
+from app.viewer.features.params.tab import ParamsTab
+from app.viewer.features.pose_graph.tab import PoseGraphTab
+from app.viewer.features.save.tab import (
+    Exports,
+    ReportTool,
+    SaveTab,
+)
+from app.viewer.features.triage.tab import TriageTab
+from app.viewer.features.world import WorldTab
+from app.viewer.server.host import (
+    PANEL_WIDTH,
+    Host,
+)
+from app.viewer.server.permissions import (
+    READ_ALL,
+    Permissions,
+)
+from app.viewer.session.runner import Capacity
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import (
+    ViewOptions,
+    ViewState,
+)
+from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import FAINT, paragraph
+from app.viewer.widgets.look import Look
+from gpgrad_core.run.memo import Memo
+
+
+class Session:
+    """Panels, scene and workers of one session.
+
+    Attributes:
+        desk: What the features know of the session.
+        pair: The feature that shows the pair.
+        inspect: The feature that reads places and associations.
+        data: The feature that opens datasets.
+        world: The feature that shows all submaps.
+        pose_graph: The feature that corrects the map.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        opened: Opened,
+        memo: Memo,
+        capacity: Capacity,
+        permissions: Permissions = READ_ALL,
+    ) -> None:
+        """Build it on a host and start on the first picture; returns at once.
+
+        Args:
+            host: Whose GUI and scene it fills.
+            opened: What to open with; its parameters are what "Reset parameters" goes back to.
+            memo: Shared by all sessions, so that none computes what another has.
+            capacity: Shared by all sessions, so that they do not outnumber the processors.
+            permissions: What may be read and written.
+        """
+        state = opened.begin(ViewOptions())
+        desk = self.desk = Desk(host, state, memo, capacity, permissions)
+        commands = Commands(host)
+        gui = host.gui
+        # The verdict and the parameters are on the right, what is drawn on the left.
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(PANEL_WIDTH)
+        Look(host)
+        modes = desk.join(Modes(desk))
+        tune, explore, demo = gui.add_panel(), gui.add_panel(), gui.add_panel()
+
+        def frame(page: viser.ClientHandle | None) -> None:
+            framing.frame(page)  # which is made of the two that ask for it
+
+        self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View"), frame))
+        scene = self.pair.scene
+        with explore.add_tab("World"):
+            self.world = desk.join(WorldTab(desk, modes, frame))
+        framing = desk.join(Framing(desk, scene, self.world))
+        desk.join(ParamsTab(desk, opened.params, commands, on_error=self.pair.refuse))
+        self._presence = host.gui.add_html("")
+        best_pair = desk.join(BestPair(desk, opened, commands, modes))
+        with tune.add_tab("Inspect"):
+            self.inspect = desk.join(InspectTab(desk, scene.pick, scene.show_ruler))
+        with tune.add_tab("All pairs"):
+            best_pair.add_button()
+            comparison = desk.join(AllPairsTab(desk))
+        with tune.add_tab("Triage"):
+            desk.join(TriageTab(desk, commands, comparison.compare_pairs))
+        with tune.add_tab("Data"):
+            self.data = desk.join(DataTab(desk))
+        with tune.add_tab("Save"):
+            desk.join(SaveTab(desk, self.data.restore))
+            desk.join(ReportTool(desk, commands))
+            desk.join(Exports(desk))
+            desk.join(Links(desk, commands, modes, framing, self.data.restore))
+        with tune.add_tab("Nudge"):
+            desk.join(NudgeTab(desk, scene))
+        with explore.add_tab("Pose graph"):
+            self.pose_graph = desk.join(PoseGraphTab(desk, self.world, comparison, modes))
+        with demo.add_tab("Demo"):
+            desk.join(DemoTab(desk, scene, self.world, modes, framing))
+        panels: dict[Mode, viser.PanelHandle] = {"Explore": explore, "Tune": tune, "Demo": demo}
+        desk.join(Cursor(desk, scene))
+        modes.arrange(scene, self.world, panels, commands)
+        add_shortcuts(commands, desk, self.pair, frame, self.inspect.step)
+        commands.add_buttons()
+        add_script(host)  # a page may be there already: what it says is heard by now
+        desk.change()  # the first picture
+
+    @property
+    def state(self) -> ViewState:
+        """The session as it is now."""
+        return self.desk.state
+
+    def show_presence(self, count: int) -> None:
+        """Say how many pages show this session; nothing while it is one."""
+        words = f"{count} pages share this session: all see and change the same."
+        self._presence.content = (
+            f'<div data-testid="presence">{paragraph(words, FAINT)}</div>' if count > 1 else ""
+        )
+
+    def wait_idle(self, timeout: float = 60.0) -> bool:
+        """Wait until the picture is up to date; says whether that came true in time [s]."""
+        # Twice: what one feature ends with may give another something to do.
+        return all(feature.wait_idle(timeout) for feature in 2 * self.desk.features)
+
+    def close(self) -> None:
+        """Stop working; what was shown stays until its page goes."""
+        for feature in self.desk.features:
+            feature.close()

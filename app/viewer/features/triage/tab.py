@@ -1,0 +1,369 @@
+"""The Triage tab: wires its panel to the decisions of the session, and to what lists and draws."""
+
+import threading
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import msgspec
+import viser
+
+from app.viewer.charts import png_uri
+from app.viewer.features.desk import (
+    Desk,
+    Feature,
+)
+from app.viewer.features.triage.listing import (
+    PASSES,
+    Entry,
+    Filter,
+    list_pairs,
+    next_undecided,
+    thumbnail,
+)
+from app.viewer.features.triage.panel import (
+    NEXT_KEY,
+    ROWS,
+    Listing,
+    TriagePanel,
+)
+from app.viewer.features.work import message_of
+from app.viewer.session.decisions import (
+    DECIDES,
+    Decisions,
+    Pair,
+    in_order,
+    with_note,
+    with_verdict,
+)
+from app.viewer.session.methods import (
+    METHODS,
+    map_params,
+)
+from app.viewer.session.runner import Runner
+from app.viewer.session.state import (
+    NEEDS_TWO,
+    ViewState,
+    same_search,
+)
+from app.viewer.widgets.actions import on_choice, on_option, on_press
+from app.viewer.widgets.bridge import SaidPair, Whole
+from app.viewer.widgets.commands import Commands
+from gpgrad_core.detection.coarse import infer_quick_map
+from gpgrad_core.run.progress import Progress
+from gpgrad_core.types import Dataset, LoopClosure
+
+MOST_PICTURES = 400
+"""That are kept, the newest; each has about ten kilobytes."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Wanted:
+    """What a page of the list depends on."""
+
+    state: ViewState
+    closures: tuple[LoopClosure, ...]
+    outcomes: Mapping[Pair, str]
+    decisions: Decisions
+    narrowed_to: Filter
+    first: int | None  # place of the first row; None goes to the pair shown
+
+
+@dataclass(frozen=True, eq=False)
+class _Listed:
+    entries: tuple[Entry, ...]
+    first: int
+    listing: Listing
+
+
+@dataclass(frozen=True, eq=False)
+class _Painting:
+    """Pairs whose pictures are to be made."""
+
+    state: ViewState
+    entries: tuple[Entry, ...]
+
+
+class SaidKey(msgspec.Struct):
+    """A key that decides the pair shown, or goes to the next one."""
+
+    key: Literal["a", "x", "g"]
+
+
+class SaidPlace(msgspec.Struct):
+    """The place of the first pair of the list that is to be shown."""
+
+    first: Whole
+
+
+class TriageTab(Feature):
+    """Lists the pairs worth a look, and takes what a person decides about the pair shown."""
+
+    def __init__(self, desk: Desk, commands: Commands, compare_pairs: Callable[[], None]) -> None:
+        """Make the panel in the current container; ``compare_pairs`` finds what it lists."""
+        self._desk = desk
+        self._lock = threading.Lock()
+        self._state = desk.state
+        self._closures: tuple[LoopClosure, ...] = ()
+        self._by_pair: Mapping[Pair, LoopClosure] = {}
+        self._outcomes: Mapping[Pair, str] = {}
+        self._first: int | None = None
+        self._noted: Pair | None = None  # whose note the box shows
+        self._typing = False  # a note; the box is not to be written over meanwhile
+        self._entries: tuple[Entry, ...] = ()
+        self._pictures: dict[Hashable, str] = {}
+        self.panel = TriagePanel(desk.host)
+        on_choice(self.panel.narrow, lambda _: self._turn(None))
+        on_option(self.panel.verdicts, lambda label: self.decide(DECIDES[label]))
+        on_press(self.panel.next, self._go_on)
+        on_choice(self.panel.note, self._take_note)
+        on_press(self.panel.find, compare_pairs)
+        self._lister: Runner[_Wanted, _Listed] = Runner(
+            self._list, self._on_listed, self._on_error, name="triage"
+        )
+        self._painter: Runner[_Painting, bool] = Runner(
+            self._paint,
+            self._on_painted,
+            self._on_error,
+            slots=desk.capacity.long,
+            name="thumbnails",
+        )
+        self.workers = (self._lister, self._painter)
+        for name, accepted in (("Accept", True), ("Refuse", False), ("Leave as found", None)):
+            commands.add(
+                "Triage",
+                f"{name}: the pair shown",
+                partial(self.decide, accepted),
+                heard={True: "A", False: "X", None: ""}[accepted],
+            )
+        commands.add("Triage", "Next undecided pair", self._go_on, heard=NEXT_KEY)
+        commands.add("Triage", "Take the last decision back", desk.take_back)
+        desk.bridge.hear_as("triage-key", SaidKey, self._hear_key)
+        desk.bridge.hear_as("triage-open", SaidPair, self._open)
+        desk.bridge.hear_as("triage-page", SaidPlace, self._hear_page)
+
+    # What the session tells.
+
+    def follow(self, state: ViewState) -> None:
+        """Follow the session: another dataset or method, another pair, another threshold."""
+        with self._lock:
+            before, self._state = self._state, state
+            other = not same_search(state, before)
+            if other:
+                self._closures, self._by_pair, self._outcomes = (), {}, {}
+                self._first, self._noted = None, None
+        pair = in_order(state.dataset, state.query_id, state.database_id)
+        if other:
+            self.panel.clear()
+        elif pair != in_order(state.dataset, before.query_id, before.database_id):
+            self.panel.tell("")
+            self._turn(None)
+        self._show_note(pair)
+
+    def checked(self, dataset: Dataset, outcomes: Mapping[Pair, str]) -> None:
+        """Take what the truth says of the verdicts."""
+        with self._lock:
+            if dataset is self._state.dataset:
+                self._outcomes = outcomes
+
+    def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
+        """Take all pairs as the thresholds judge them."""
+        with self._lock:
+            if dataset is not self._state.dataset:
+                return
+            self._closures = closures
+            self._by_pair = {
+                (closure.query_id, closure.database_id): closure for closure in closures
+            }
+        self._submit()
+
+    def decided(self, decisions: Decisions) -> None:
+        """List what was decided."""
+        del decisions
+        if not self._typing:
+            self._noted = None
+            self._show_note(self._desk.shown_pair)
+        self._submit()
+
+    # What a person asks for.
+
+    def decide(self, accepted: bool | None) -> None:
+        """Accept or refuse the pair shown; None leaves it to the thresholds."""
+        pair = self._desk.shown_pair
+        closure = self._by_pair.get(pair)
+        if not self._state.is_pair:
+            self.panel.tell(NEEDS_TWO, bad=True)
+            return
+        if closure is None:
+            self.panel.tell(
+                f"{pair[0]} and {pair[1]} were not compared. Choose a pair of the list.", bad=True
+            )
+            return
+        has_motion = (
+            closure.registration.T_database_query is not None
+            or pair in self._desk.decisions.motions
+        )
+        if accepted and not has_motion:
+            self.panel.tell(
+                "There is no motion to accept. Set one in the tab Nudge first.", bad=True
+            )
+            return
+        self._desk.decide(lambda decisions: with_verdict(decisions, pair, accepted))
+        done = {True: "accepted", False: "refused", None: "left to the thresholds"}[accepted]
+        self.panel.tell(f"{pair[0]} → {pair[1]} is {done}.")
+
+    def _take_note(self, note: str) -> None:
+        if not self._state.is_pair:
+            self.panel.tell(NEEDS_TWO, bad=True)
+            return
+        self._typing = True
+        try:
+            self._desk.decide(partial(with_note, pair=self._desk.shown_pair, note=note), step=False)
+        finally:
+            self._typing = False
+
+    def _go_on(self) -> None:
+        pair = next_undecided(self._entries, self._desk.shown_pair)
+        if pair is None:
+            self.panel.tell("No other pair waits for a decision.")
+        else:
+            self._desk.choose(*pair)
+
+    def _hear_key(self, page: viser.ClientHandle, said: SaidKey) -> None:
+        del page
+        if said.key == "g":
+            self._go_on()
+        else:
+            self.decide(said.key == "a")
+
+    def _open(self, page: viser.ClientHandle, said: SaidPair) -> None:
+        del page
+        self._desk.choose(said.query, said.database)
+
+    def _hear_page(self, page: viser.ClientHandle, said: SaidPlace) -> None:
+        del page
+        if 0 <= said.first <= len(self._by_pair):
+            self._turn(int(said.first))
+
+    def _turn(self, first: int | None) -> None:
+        """Go to another part of the list; None goes to the pair shown."""
+        with self._lock:
+            self._first = first
+        self._submit()
+
+    def _show_note(self, pair: Pair) -> None:
+        """Show the note on a pair, unless it is shown: somebody may be typing it."""
+        if self._noted != pair:
+            self._noted = pair
+            self.panel.note.value = self._desk.decisions.notes.get(pair, "")
+
+    def _submit(self) -> None:
+        with self._lock:
+            if not self._closures:
+                return
+            wanted = _Wanted(
+                self._state,
+                self._closures,
+                self._outcomes,
+                self._desk.decisions,
+                self.panel.narrow.value,
+                self._first,
+            )
+        self._lister.submit(wanted)
+
+    # What the workers do.
+
+    def _list(self, wanted: _Wanted, progress: Progress) -> _Listed:
+        del progress  # it is over in a moment
+        state = wanted.state
+        entries = list_pairs(
+            wanted.closures,
+            wanted.decisions,
+            wanted.outcomes,
+            METHODS[state.method].lowest(state.params),
+        )
+        passes = PASSES[wanted.narrowed_to]
+        listed = tuple(entry for entry in entries if passes(entry))
+        shown = in_order(state.dataset, state.query_id, state.database_id)
+        first = wanted.first
+        if first is None:
+            places = {entry.pair: place for place, entry in enumerate(listed)}
+            first = places.get(shown, 0)
+        first = ROWS * (min(first, max(len(listed) - 1, 0)) // ROWS)
+        page = listed[first : first + ROWS]
+        pictures = {
+            entry.pair: uri
+            for entry in page
+            if (uri := self._pictures.get(_key(state, entry))) is not None
+        }
+        undecided = sum(map(PASSES["undecided"], entries))
+        listing = Listing(
+            page,
+            pictures,
+            first,
+            len(listed),
+            undecided,
+            sum(entry.by_hand is not None for entry in entries),
+            shown,
+        )
+        return _Listed(entries, first, listing)
+
+    def _on_listed(self, wanted: _Wanted, listed: _Listed, seconds: float) -> None:
+        del seconds
+        with self._lock:
+            if not same_search(wanted.state, self._state):
+                return
+            self._entries = listed.entries
+        self.panel.show(listed.listing)
+        self._desk.host.flush()
+        if len(listed.listing.pictures) < len(listed.listing.entries):
+            self._painter.submit(_Painting(wanted.state, listed.listing.entries))
+
+    def _paint(self, painting: _Painting, progress: Progress) -> bool:
+        """Make the next picture that is missing; says whether there was one."""
+        state = painting.state
+        for entry in painting.entries:
+            key = _key(state, entry)
+            if self._pictures.get(key) is None:
+                query, database = (state.dataset.submap(name) for name in entry.pair)
+                memo = self._desk.memo
+                query_map, database_map = (
+                    infer_quick_map(
+                        submap,
+                        map_params(submap, state.given, memo, progress, state.method).map,
+                        memo,
+                        progress,
+                    )
+                    for submap in (query, database)
+                )
+                motion = entry.closure.registration.T_database_query
+                ratio = state.params.features.max_std_ratio
+                picture = thumbnail(query_map, database_map, motion, ratio)
+                if len(self._pictures) >= MOST_PICTURES:
+                    self._pictures.pop(next(iter(self._pictures)))
+                self._pictures[key] = png_uri(picture)
+                return True
+        return False
+
+    def _on_painted(self, painting: _Painting, painted: bool, seconds: float) -> None:
+        del painting, seconds
+        if painted:
+            self._submit()
+
+    def _on_error(self, job: object, error: Exception) -> None:
+        del job
+        self.panel.tell(message_of(error), bad=True)
+
+
+def _key(state: ViewState, entry: Entry) -> Hashable:
+    """Give what the picture of a pair depends on."""
+    query, database = (state.dataset.submap(name) for name in entry.pair)
+    return (
+        query.fingerprint,
+        database.fingerprint,
+        entry.closure.registration.T_database_query,
+        state.method,
+        state.given.map,
+        state.params.features.max_std_ratio,
+    )

@@ -1,9 +1,0 @@
-"""The pair: two submaps as surfaces, what joins them, and the verdict.
-
-Other features may draw on its scene and repeat its verdict, and know nothing else of it.
-"""
-
-from app.viewer.pair.scene import PAIR, PairScene
-from app.viewer.pair.verdict import BY_HAND, headline_of, in_words, rows_of
-
-__all__ = ["BY_HAND", "PAIR", "PairScene", "headline_of", "in_words", "rows_of"]

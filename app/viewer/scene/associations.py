@@ -1,0 +1,224 @@
+"""Keypoints and associations -> points and lines of the scene."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from app.viewer.scene.colors import (
+    INLIER,
+    OUTLIER,
+    REFUSED_INLIER,
+    UNMATCHED,
+    Rgb,
+)
+from app.viewer.scene.placement import Placement
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.detection import PairResult
+from gpgrad_core.types import GradientMap
+
+ARC_PIECES = 12
+MOST_LINES = 40
+"""Of inliers, and of outliers, unless all are asked for."""
+ARC_RISE, CHOSEN_RISE = 0.12, 0.2
+"""Height of an arc over its span: of any, and of the one that is pointed at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Dots:
+    """Marked positions in a submap's frame."""
+
+    points: Float[NDArray[np.float32], "n 3"]  # [m]
+    colors: UInt8[NDArray[np.uint8], "n 3"]
+
+
+def on_surface(
+    gradient_map: GradientMap, positions: Float[Array, "n 2"], lift: float = 0.0
+) -> Float[Array, "n 3"]:
+    """Give positions [m] the height of the nearest cell, plus a lift [m] out of the ground."""
+    grid = gradient_map.grid
+    rows, columns = grid.shape
+    pixels = np.rint(grid.to_pixel(positions)).astype(np.intp)
+    row = np.clip(pixels[:, 1], 0, rows - 1)
+    column = np.clip(pixels[:, 0], 0, columns - 1)
+    return np.column_stack([positions, gradient_map.elevation[row, column] + lift])
+
+
+def match_lines(
+    result: PairResult,
+    query: Placement,
+    database: Placement,
+    *,
+    inliers: bool,
+    lift: float,
+    everything: bool = True,
+) -> Float[NDArray[np.float32], "n 2 3"]:
+    """Join associated keypoints across the scene by arcs, which the ground does not hide.
+
+    Args:
+        result: The pair.
+        query: Where the query stands.
+        database: Where the database stands.
+        inliers: Those that agree with the registration, or else those that do not.
+        lift: Height of their ends above the ground [m].
+        everything: Join all of them, or else those that `shown_matches` chooses.
+
+    Returns:
+        `ARC_PIECES` straight pieces an arc, arc after arc.
+    """
+    chosen = shown_matches(result, inliers=inliers, everything=everything)
+    return _arcs(result, query, database, chosen, lift)
+
+
+def shown_matches(
+    result: PairResult, *, inliers: bool, everything: bool
+) -> Bool[NDArray[np.bool_], "m"]:
+    """Choose the associations of one kind whose lines are drawn.
+
+    Hundreds of lines hide the ground and each other. A few that are spread over it say as much of
+    the motion.
+
+    Args:
+        result: The pair.
+        inliers: Those that agree with the registration, or else those that do not.
+        everything: All of them, or else at most `MOST_LINES`, far from each other in the query.
+    """
+    agree = result.registration.inliers
+    kind = agree if inliers else ~agree
+    if everything:
+        return kind
+    numbers = np.flatnonzero(kind)
+    chosen = np.zeros(len(kind), dtype=bool)
+    chosen[numbers[spread(result.matches.query_xy[numbers], MOST_LINES)]] = True
+    return chosen
+
+
+def spread(positions: Float[Array, "n 2"], most: int) -> Int[NDArray[np.intp], "k"]:
+    """Choose positions that are far from each other: always the one farthest from those chosen.
+
+    Args:
+        positions: To choose from [m].
+        most: How many to choose.
+
+    Returns:
+        Their indices in rising order; of the same positions always the same.
+    """
+    if len(positions) <= most:
+        return np.arange(len(positions))
+    middle = positions.mean(axis=0)
+    chosen = [int(np.argmax(np.linalg.norm(positions - middle, axis=1)))]
+    nearest = np.full(len(positions), np.inf)
+    while len(chosen) < most:
+        distances = np.linalg.norm(positions - positions[chosen[-1]], axis=1)
+        nearest = np.minimum(nearest, distances)
+        chosen.append(int(np.argmax(nearest)))
+    return np.unique(chosen)
+
+
+def match_arc(
+    result: PairResult, query: Placement, database: Placement, index: int, lift: float
+) -> Float[NDArray[np.float32], "n 2 3"]:
+    """Join the keypoints of one association as `match_lines` joins many, above all these."""
+    chosen = np.arange(len(result.matches)) == index
+    return _arcs(result, query, database, chosen, lift, rise=CHOSEN_RISE)
+
+
+def _arcs(
+    result: PairResult,
+    query: Placement,
+    database: Placement,
+    chosen: Bool[NDArray[np.bool_], "m"],
+    lift: float,
+    rise: float = ARC_RISE,
+) -> Float[NDArray[np.float32], "n 2 3"]:
+    matches = result.matches
+    start = query.apply(on_surface(result.query_map, matches.query_xy[chosen], lift))
+    end = database.apply(on_surface(result.database_map, matches.database_xy[chosen], lift))
+    return arcs(start, end, ARC_PIECES, rise)
+
+
+def arcs(
+    start: Float[Array, "n 3"], end: Float[Array, "n 3"], pieces: int, rise: float
+) -> Float[NDArray[np.float32], "k 2 3"]:
+    """Span arches between points, each in the same number of straight pieces.
+
+    Args:
+        start: Where each stands [m].
+        end: Where each comes down [m].
+        pieces: Of one arch.
+        rise: Height of its middle over its feet, as a share of its span.
+    """
+    along = np.linspace(0.0, 1.0, pieces + 1)[None, :, None]
+    points = start[:, None] * (1.0 - along) + end[:, None] * along
+    span = np.linalg.norm((end - start)[:, :2], axis=1)
+    points[..., 2] += (4.0 * rise * span)[:, None] * (along * (1.0 - along))[..., 0]
+    return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3).astype(np.float32)
+
+
+def keypoint_dots(result: PairResult, *, of_query: bool, lift: float) -> Dots:
+    """Mark all keypoints of one map: inlier, outlier, or without an association.
+
+    Args:
+        result: The pair.
+        of_query: The query's, or else the database's.
+        lift: Height above the ground [m].
+    """
+    features = result.query_features if of_query else result.database_features
+    gradient_map = result.query_map if of_query else result.database_map
+    points = on_surface(gradient_map, features.positions, lift).astype(np.float32)
+    return Dots(points, keypoint_colors(result, of_query=of_query))
+
+
+def keypoint_colors(result: PairResult, *, of_query: bool) -> UInt8[NDArray[np.uint8], "k 3"]:
+    """Give the colour of each keypoint of one map: inlier, outlier, or without an association."""
+    features = result.query_features if of_query else result.database_features
+    colors = np.full((len(features), 3), UNMATCHED, dtype=np.uint8)
+    indices = result.matches.pairs[:, 0 if of_query else 1]
+    agree = result.registration.inliers
+    # Inliers last: without the mutual check a keypoint may have several partners.
+    colors[indices[~agree]] = OUTLIER
+    colors[indices[agree]] = inlier_color(result)
+    return colors
+
+
+def inlier_color(result: PairResult) -> Rgb:
+    """Give the colour of inliers: green, or yellow where there are too few to close the loop."""
+    return INLIER if result.closure.accepted else REFUSED_INLIER
+
+
+def residuals(result: PairResult) -> Float[Array, "m"] | None:
+    """Give the residual of each association under the motion found [m]; None without a motion."""
+    motion = result.registration.T_database_query
+    if motion is None:
+        return None
+    missed = motion.apply(result.matches.query_xy) - result.matches.database_xy
+    return np.hypot(missed[:, 0], missed[:, 1])
+
+
+def step_match(result: PairResult, number: int, step: int, *, inliers: bool, outliers: bool) -> int:
+    """Give the number, from 1, of the next association of the wanted kinds, cyclically.
+
+    Where there is none of these kinds, as of inliers where nothing fits, any will do.
+
+    Args:
+        result: The pair.
+        number: Where to start; 0 is before the first.
+        step: 1 for the next, -1 for the previous.
+        inliers: Stop at inliers.
+        outliers: Stop at outliers.
+
+    Returns:
+        0 if there is none.
+    """
+    agree = result.registration.inliers
+    wanted = agree & inliers | ~agree & outliers
+    numbers = np.flatnonzero(wanted if wanted.any() else agree | ~agree) + 1
+    if len(numbers) == 0:
+        return 0
+    beyond = numbers[numbers > number] if step > 0 else numbers[numbers < number][::-1]
+    return int(beyond[0]) if len(beyond) else int(numbers[0 if step > 0 else -1])
+
+
+def outline(corners: Float[Array, "k 3"]) -> Float[NDArray[np.float32], "k 2 3"]:
+    """Close a polygon: each corner joined to the next."""
+    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1).astype(np.float32)

@@ -1,0 +1,156 @@
+"""Colour maps, hillshade and the legend: numbers to the colours that the screen shows."""
+
+from functools import cache
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from app.viewer.charts import png_uri
+from app.viewer.session.state import ColorMap
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.errors import InputError
+
+Colors = UInt8[NDArray[np.uint8], "n 3"]
+Rgb: TypeAlias = tuple[int, int, int]
+
+QUERY = (31, 119, 200)
+DATABASE = (222, 120, 20)
+INLIER = (56, 180, 76)
+REFUSED_INLIER = (226, 165, 30)
+OUTLIER = (214, 69, 65)
+UNMATCHED = (120, 120, 120)
+CHOSEN = (0, 200, 230)
+PROBE = (230, 40, 200)
+BACK = (165, 165, 165)
+UNTRUSTED_GREY = (186, 186, 186)
+
+LIGHT = np.array([-0.5, 0.5, 0.7071067811865476])
+"""Towards the light: from the upper left, as maps are lit, at 45 degrees."""
+AMBIENT = 0.35
+
+_OPENCV_MAPS = {
+    "viridis": cv2.COLORMAP_VIRIDIS,
+    "cividis": cv2.COLORMAP_CIVIDIS,
+    "magma": cv2.COLORMAP_MAGMA,
+    "turbo": cv2.COLORMAP_TURBO,
+}
+# Blue is down, white level, red up; dark ends, so that steep slopes stand out on a white page.
+_BLUE_WHITE_RED = np.array(
+    [(20, 50, 120), (66, 130, 196), (240, 240, 240), (214, 96, 77), (120, 10, 30)]
+)
+
+_ACES_IN = np.array(
+    [[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]]
+)
+_ACES_OUT = np.array(
+    [[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]]
+)
+
+
+@cache
+def lookup_table(name: ColorMap) -> UInt8[NDArray[np.uint8], "256 3"]:
+    """Give the 256 sRGB colours of a colour map, from its low end to its high end.
+
+    Raises:
+        InputError: If there is no colour map of that name.
+    """
+    ramp = np.arange(256, dtype=np.uint8)
+    if name in _OPENCV_MAPS:
+        colors = cv2.applyColorMap(ramp[:, None], _OPENCV_MAPS[name])[:, 0, ::-1]
+    elif name == "grey":
+        colors = np.stack([np.linspace(30, 240, 256).round()] * 3, axis=1)
+    elif name in ("blue-white-red", "red-white-blue"):
+        stops = np.linspace(0, 255, len(_BLUE_WHITE_RED))
+        places = ramp if name == "blue-white-red" else ramp[::-1]
+        colors = np.stack(
+            [np.interp(places, stops, channel).round() for channel in _BLUE_WHITE_RED.T], axis=1
+        )
+    else:
+        raise InputError(f"no colour map is named {name!r}")
+    table = np.ascontiguousarray(colors, dtype=np.uint8)
+    table.flags.writeable = False
+    return table
+
+
+def colorize(
+    values: Float[NDArray[np.floating], "n"], low: float, high: float, name: ColorMap
+) -> Colors:
+    """Colour values by their place between low and high; those beyond take the end colours."""
+    span = max(high - low, 1e-12)
+    places = np.clip((values - low) * (255.0 / span), 0.0, 255.0)
+    return lookup_table(name).take(places.astype(np.uint8), axis=0)
+
+
+def hillshade(
+    slope: Float[NDArray[np.floating], "n 2"], yaw: float = 0.0
+) -> Float[NDArray[np.floating], "n"]:
+    """Say how bright ground of a given slope is, level ground being 1.
+
+    Args:
+        slope: (dz/dx, dz/dy) [m/m] in the submap's frame.
+        yaw: Of the submap's frame in the scene [rad]: the light stays with the scene, so that
+            two submaps laid onto each other are lit alike.
+    """
+    c, s = float(np.cos(yaw)), float(np.sin(yaw))
+    x, y, z = (float(part) for part in LIGHT)
+    light_x, light_y = c * x + s * y, c * y - s * x
+    normal_dot_light = (z - slope[:, 0] * light_x - slope[:, 1] * light_y) / np.sqrt(
+        1.0 + slope[:, 0] ** 2 + slope[:, 1] ** 2
+    )
+    lit = np.clip(normal_dot_light / z, 0.0, 1.4)
+    return AMBIENT + (1.0 - AMBIENT) * lit
+
+
+def shade(colors: Colors, brightness: Float[NDArray[np.floating], "n"]) -> Colors:
+    """Darken or brighten colours."""
+    lit = np.multiply(colors, brightness[:, None], dtype=np.float32)
+    return np.minimum(lit, 255.0, out=lit).astype(np.uint8)
+
+
+def faint(color: Rgb) -> Rgb:
+    """Fade a colour for what steps back, on a light and on a dark page alike."""
+    red, green, blue = (
+        int(0.3 * channel + 0.7 * grey) for channel, grey in zip(color, BACK, strict=True)
+    )
+    return red, green, blue
+
+
+def css(color: Rgb) -> str:
+    """Write a colour for a page.
+
+    >>> css((1, 20, 255))
+    'rgb(1,20,255)'
+    """
+    red, green, blue = color
+    return f"rgb({red},{green},{blue})"
+
+
+def for_lines(color: Rgb) -> Rgb:
+    """Give the colour that a line must be given so that the browser shows the wanted sRGB colour.
+
+    The browser decodes a line's colour to linear light and then tone-maps it like a film (three's
+    ACESFilmicToneMapping), which washes it out; this goes that way backwards. Point clouds
+    are spared the tone mapping and need nothing.
+    """
+    srgb = np.array(color) / 255.0
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    # ACES: three steps, colour mixing, a curve (a v² + b v + c) / (d v² + e v + f) with the
+    # numbers below, and mixing again; each is undone, the curve by its quadratic.
+    toned = np.linalg.solve(_ACES_OUT, linear)
+    a = 1.0 - 0.983729 * toned
+    b = 0.0245786 - 0.4329510 * toned
+    c = -0.000090537 - 0.238081 * toned
+    curve = (-b + np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))) / (2.0 * a)
+    given = np.clip(0.6 * np.linalg.solve(_ACES_IN, curve), 0.0, 1.0)
+    encoded = np.where(given <= 0.0031308, 12.92 * given, 1.055 * given ** (1 / 2.4) - 0.055)
+    red, green, blue = (int(channel) for channel in np.round(255.0 * encoded))
+    return red, green, blue
+
+
+@cache
+def legend_uri(name: ColorMap, *, width: int = 256, height: int = 12) -> str:
+    """Draw a colour map as a bar, as a ``data:`` address of a PNG, low end left."""
+    columns = np.linspace(0, 255, width).round().astype(np.intp)
+    return png_uri(np.broadcast_to(lookup_table(name)[columns], (height, width, 3)))

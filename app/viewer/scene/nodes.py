@@ -1,0 +1,206 @@
+"""The kinds of 3D nodes in the browser, each changed in place and only when something changed.
+
+A node remembers what it was last made from and does nothing when asked for the same again; the
+memo of the pipeline gives the same object for the same key, so comparing costs nothing.
+"""
+
+from collections.abc import Callable
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+import viser
+from jaxtyping import Float
+
+from app.viewer.scene.associations import outline
+from app.viewer.scene.colors import (
+    Rgb,
+    for_lines,
+)
+from app.viewer.scene.placement import (
+    Extent,
+    Placement,
+)
+from app.viewer.server.host import Host
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.types import Submap
+
+LinePoints: TypeAlias = Float[NDArray[np.float32], "n 2 3"]
+
+
+class PointsNode:
+    """One point cloud node, made when first needed and then changed in place."""
+
+    def __init__(self, host: Host, name: str, *, shape: str = "square") -> None:
+        """Prepare the node of that name."""
+        self._host = host
+        self._name = name
+        self._shape: Any = shape
+        self._handle: viser.PointCloudHandle | None = None
+        self._made_from: tuple[object, ...] = ()
+        self.num_points = 0
+
+    def show(
+        self,
+        made_from: tuple[object, ...],
+        make: Callable[[], tuple[Any, Any, float]],
+    ) -> None:
+        """Show what ``make`` returns: positions (n, 3), colours (n, 3) and a size [m].
+
+        Args:
+            made_from: All that the points depend on; equal to last time means nothing to do.
+            make: Called only if something changed.
+        """
+        if made_from == self._made_from and self._handle is not None:
+            self._handle.visible = self.num_points > 0
+            return
+        points, colors, size = make()
+        self._made_from = made_from
+        self.num_points = len(points)
+        if self.num_points == 0:
+            # The client cannot frame a cloud without points; the old ones stay, unseen.
+            self.hide()
+            return
+        if self._handle is None:
+            self._handle = self._host.scene.add_point_cloud(
+                self._name,
+                points,
+                colors,
+                point_size=size,
+                point_shape=self._shape,
+                precision="float32",
+                point_shading="flat",
+            )
+            return
+        self._handle.points = points
+        self._handle.colors = colors
+        self._handle.point_size = size
+        self._handle.visible = True
+
+    def hide(self) -> None:
+        """Hide it."""
+        if self._handle is not None:
+            self._handle.visible = False
+
+
+class LinesNode:
+    """One node of line segments, made when first needed and then changed in place."""
+
+    def __init__(self, host: Host, name: str, color: Rgb, thickness: float) -> None:
+        """Prepare the node of that name, its colour as shown, its thickness in pixels."""
+        self._color = color
+        self._host = host
+        self._name = name
+        self._thickness = thickness
+        self._handle: viser.LineSegmentsHandle | None = None
+        self._made_from: tuple[object, ...] = ()
+        self._num_lines = 0
+
+    def show(self, made_from: tuple[object, ...], make: Callable[[], LinePoints]) -> None:
+        """Show the lines that ``make`` returns [m], unless nothing changed."""
+        if made_from == self._made_from and self._handle is not None:
+            self._handle.visible = self._num_lines > 0
+            return
+        points = make()
+        self._made_from = made_from
+        self._num_lines = len(points)
+        if self._num_lines == 0:
+            self.hide()
+            return
+        if self._handle is None:
+            self._handle = self._host.scene.add_line_segments(
+                self._name,
+                points,
+                for_lines(self._color),
+                thickness=self._thickness,
+                thickness_units="screen",
+            )
+            return
+        self._handle.points = points
+        self._handle.visible = True
+
+    def restyle(self, color: Rgb, thickness: float) -> None:
+        """Change the colour and the thickness [pixels]."""
+        if (color, thickness) == (self._color, self._thickness):
+            return
+        self._color, self._thickness = color, thickness
+        if self._handle is not None:
+            self._handle.colors = np.array(for_lines(color), dtype=np.uint8)
+            self._handle.thickness = thickness
+
+    def hide(self) -> None:
+        """Hide it."""
+        if self._handle is not None:
+            self._handle.visible = False
+
+
+class SubmapNode:
+    """One submap: a frame, and beneath it surface, cloud, keypoints, outline and label.
+
+    Registering moves the frame; what hangs on it follows without being sent again.
+    """
+
+    def __init__(
+        self, host: Host, parent: str, role: str, color: Rgb, outer: Literal["left", "right"]
+    ) -> None:
+        """Make the frame of the query or the database.
+
+        Args:
+            host: Whose scene it joins.
+            parent: Name of the node that it hangs on.
+            role: "query" or "database".
+            color: Of its outline and its points.
+            outer: Which way the other submap is not.
+        """
+        self._outer = outer
+        self._placement = Placement()
+        self._extent: Extent | None = None
+        self.color = color
+        root = f"{parent}/{role}"
+        self._frame = host.scene.add_frame(root, show_axes=False)
+        self.surface = PointsNode(host, f"{root}/surface")
+        self.cloud = PointsNode(host, f"{root}/cloud", shape="circle")
+        self.keypoints = PointsNode(host, f"{root}/keypoints", shape="circle")
+        self.outline = LinesNode(host, f"{root}/outline", color, thickness=2.0)
+        self._label = host.scene.add_label(
+            f"{root}/label", role, anchor="bottom-left" if outer == "left" else "top-right"
+        )
+
+    @property
+    def visible(self) -> bool:
+        """Whether it is seen, with everything below it."""
+        return self._frame.visible
+
+    @visible.setter
+    def visible(self, visible: bool) -> None:
+        self._frame.visible = visible
+
+    def move(self, placement: Placement) -> None:
+        """Place the frame in the scene."""
+        self._frame.position = placement.position
+        self._frame.wxyz = placement.wxyz
+        self._placement = placement
+        self._put_label()
+
+    def name(self, submap: Submap, extent: Extent, role: str) -> None:
+        """Write its role, name and size beside it, and draw its outline."""
+        width, depth, _ = extent.size
+        self._label.text = f"{role} {submap.id} · {width:.1f} m x {depth:.1f} m"
+        self._extent = extent
+        self._put_label()
+        self.outline.show(
+            (submap,),
+            lambda: outline(extent.corners),
+        )
+
+    def _put_label(self) -> None:
+        """Write the name at that corner of the outline which is the outer one as it lies now.
+
+        For a camera that looks along y, this is the far one on the left, or else the near one on
+        the right, so that two names never meet; and it runs inwards, so that no panel cuts it.
+        """
+        if self._extent is None:
+            return
+        corners = self._extent.corners
+        x, y, _ = self._placement.apply(corners).T
+        corner = corners[np.argmax(y - x if self._outer == "left" else x - y)]
+        self._label.position = (float(corner[0]), float(corner[1]), float(corner[2]))

@@ -1,0 +1,199 @@
+"""What a person decided about single closures, over what the thresholds say."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, TypeAlias
+
+from msgspec import Struct
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.records.closures import (
+    LONGEST_NOTE,
+    Decision,
+    closure_of,
+    read_pair,
+    record_of,
+    table_of,
+)
+from gpgrad_core.reading.records import as_record
+from gpgrad_core.types import Dataset, LoopClosure, Registration
+
+Pair: TypeAlias = tuple[str, str]
+"""(query id, database id)."""
+
+ACCEPTED, REFUSED = "accepted", "refused"
+RIGHT, WRONG_MOTION, NO_OVERLAP, MISSED = "right", "wrong motion", "no overlap", "missed"
+"""What becomes of a pair: its verdict, and where the truth is known, whether that is right."""
+
+BY_HAND = {accepted: Decision(accepted).reason for accepted in (True, False)}
+DECIDES: dict[str, bool | None] = {"accept": True, "refuse": False, "as found": None}
+"""By the words for it, what a person makes of a pair; None leaves it to the thresholds."""
+MOST_DECISIONS = 2000
+"""Of a session's file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decisions:
+    """A snapshot; the functions below make a changed copy, so that undoing is going back to one.
+
+    Attributes:
+        verdicts: Accepted or refused, by pair; of others the thresholds decide.
+        motions: Registrations that were set by hand and refined, in place of the found ones.
+        notes: A line of text by pair.
+    """
+
+    verdicts: Mapping[Pair, bool] = field(default_factory=lambda: MappingProxyType({}))
+    motions: Mapping[Pair, Registration] = field(default_factory=lambda: MappingProxyType({}))
+    notes: Mapping[Pair, str] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def trusted(self) -> tuple[Pair, ...]:
+        """Pairs that a person accepted by hand."""
+        return tuple(pair for pair, accepted in self.verdicts.items() if accepted)
+
+    @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """All pairs about which something was decided or noted."""
+        return tuple(dict.fromkeys((*self.verdicts, *self.motions, *self.notes)))
+
+    def of_closures(self) -> dict[Pair, Decision]:
+        """Give what a file of loop closures keeps."""
+        return {
+            pair: Decision(self.verdicts.get(pair), self.notes.get(pair, ""))
+            for pair in self.pairs
+            if pair in self.verdicts or pair in self.notes
+        }
+
+
+def with_verdict(decisions: Decisions, pair: Pair, accepted: bool | None) -> Decisions:
+    """Accept or refuse a pair; None leaves it to the thresholds again."""
+    verdicts = {named: verdict for named, verdict in decisions.verdicts.items() if named != pair}
+    if accepted is not None:
+        verdicts[pair] = accepted
+    return replace(decisions, verdicts=MappingProxyType(verdicts))
+
+
+def with_note(decisions: Decisions, pair: Pair, note: str) -> Decisions:
+    """Note a line of text on a pair; an empty one takes it away.
+
+    What is longer than a line of `LONGEST_NOTE` letters is cut.
+    """
+    line = " ".join("".join(c if c.isprintable() else " " for c in note).split())
+    notes = {named: text for named, text in decisions.notes.items() if named != pair}
+    if line:
+        notes[pair] = line[:LONGEST_NOTE].rstrip()
+    return replace(decisions, notes=MappingProxyType(notes))
+
+
+def with_motion(decisions: Decisions, pair: Pair, registration: Registration) -> Decisions:
+    """Take a registration set by hand, and accept its pair."""
+    motions = MappingProxyType({**decisions.motions, pair: registration})
+    return with_verdict(replace(decisions, motions=motions), pair, True)
+
+
+def decide(closures: Iterable[LoopClosure], decisions: Decisions) -> tuple[LoopClosure, ...]:
+    """Give the closures as decided.
+
+    Args:
+        closures: As the thresholds judge them.
+        decisions: Over them; pairs that were never judged but set by hand are added.
+    """
+    decided: list[LoopClosure] = []
+    for closure in closures:
+        pair = closure.query_id, closure.database_id
+        registration = decisions.motions.get(pair, closure.registration)
+        verdict = decisions.verdicts.get(pair)
+        accepted = closure.accepted if verdict is None else verdict
+        if registration.T_database_query is None:
+            accepted = False  # there is nothing to accept
+        reason = closure.reason if verdict is None else BY_HAND[verdict]
+        decided.append(
+            replace(closure, registration=registration, accepted=accepted, reason=reason)
+        )
+    judged = {(closure.query_id, closure.database_id) for closure in decided}
+    for pair, registration in decisions.motions.items():
+        if pair not in judged:
+            accepted = decisions.verdicts.get(pair, False)
+            decided.append(LoopClosure(*pair, registration, accepted, BY_HAND[accepted]))
+    return tuple(decided)
+
+
+def in_order(dataset: Dataset, first: str, second: str) -> Pair:
+    """Name a pair as it is compared: the later submap is the query."""
+    places = {submap.id: place for place, submap in enumerate(dataset.submaps)}
+    later = places.get(first, 0) >= places.get(second, 0)
+    return (first, second) if later else (second, first)
+
+
+def tables_of(decisions: Decisions) -> list[dict[str, Any]]:
+    """Write decisions as tables of a TOML file; `read_decisions` reads them back."""
+    tables: list[dict[str, Any]] = []
+    for query, database in decisions.pairs:
+        pair = query, database
+        table: dict[str, Any] = {"query": query, "database": database}
+        if pair in decisions.verdicts:
+            table["accepted"] = decisions.verdicts[pair]
+        if pair in decisions.notes:
+            table["note"] = decisions.notes[pair]
+        if pair in decisions.motions:
+            closure = LoopClosure(query, database, decisions.motions[pair], True, "")
+            motion = table_of(record_of(closure))
+            table["motion"] = _without_null(motion)
+        tables.append(table)
+    return tables
+
+
+class _Table(Struct):
+    """A decision in a session's file; `tables_of` writes it."""
+
+    query: str
+    database: str
+    accepted: bool | None = None
+    note: str = ""
+    motion: dict[str, object] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the note as that of any decision."""
+        Decision(self.accepted, self.note)
+
+
+class _Tables(Struct):
+    decisions: list[_Table]
+
+
+def read_decisions(tables: object, where: str) -> Decisions:
+    """Read decisions from the tables of a file.
+
+    Args:
+        tables: What the file has under the key ``decisions``.
+        where: The file, for the beginning of the error message.
+
+    Raises:
+        InputError: If there are too many, or one of them says what it cannot.
+    """
+    rows = as_record({"decisions": tables}, _Tables, where).decisions
+    if len(rows) > MOST_DECISIONS:
+        raise InputError(
+            f"{where}: there are {len(rows):,} decisions; {MOST_DECISIONS:,} is the most"
+        )
+    decisions = Decisions()
+    for k, row in enumerate(rows):
+        place, pair = f"{where}, decisions[{k}]", (row.query, row.database)
+        if row.query == row.database:
+            raise InputError(f"{place}: 'database' must be another submap than the query")
+        if row.motion is not None:
+            values = {**row.motion, "query": row.query, "database": row.database}
+            closure = closure_of(read_pair(values, f"{place}, motion"))
+            decisions = with_motion(decisions, pair, closure.registration)
+        decisions = with_note(with_verdict(decisions, pair, row.accepted), pair, row.note)
+    return decisions
+
+
+def _without_null(table: dict[str, Any]) -> dict[str, Any]:
+    """Leave out what is null, which TOML cannot write."""
+    return {
+        key: _without_null(value) if isinstance(value, dict) else value
+        for key, value in table.items()
+        if value is not None
+    }

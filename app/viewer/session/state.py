@@ -1,0 +1,495 @@
+"""The session: one immutable snapshot of what is open, what is set and what is shown."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal, TypeAlias, get_args
+
+import numpy as np
+from typing_extensions import Doc
+
+from app.viewer.session.methods import (
+    METHODS,
+    MethodName,
+)
+from gpgrad_core.detection import (
+    PipelineParams,
+    is_resolved,
+    numbers_stay,
+    with_numbers_of,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset, Submap
+
+Layer: TypeAlias = Literal[
+    "elevation", "std", "gradient", "slope_x", "slope_y", "mask", "difference", "agreement"
+]
+ColorMap: TypeAlias = Literal[
+    "automatic",
+    "viridis",
+    "cividis",
+    "magma",
+    "turbo",
+    "grey",
+    "blue-white-red",
+    "red-white-blue",
+]
+Layout: TypeAlias = Literal["side by side", "registered", "gradient from above"]
+Untrusted: TypeAlias = Literal["hidden", "grey", "shown"]
+Compare: TypeAlias = Literal["both", "query", "database", "swipe", "blink"]
+Role: TypeAlias = Literal["query", "database"]
+
+LAYERS: tuple[Layer, ...] = get_args(Layer)
+COLOR_MAPS: tuple[ColorMap, ...] = get_args(ColorMap)
+LAYOUTS: tuple[Layout, ...] = get_args(Layout)
+COMPARED: tuple[Layer, ...] = ("difference", "agreement")
+"""Layers that show both maps against each other, under the registration."""
+FROM_ABOVE: Layout = "gradient from above"
+"""Side by side like two maps, whatever the layer."""
+NEEDS_TWO = "A loop closure needs two submaps. Add a cloud, or open another dataset, in Data."
+"""What is said where one submap is all there is."""
+
+
+LAYER_NAMES: dict[str, str] = {
+    "elevation": "elevation",
+    "std": "standard deviation",
+    "gradient": "gradient",
+    "slope_x": "dz/dx",
+    "slope_y": "dz/dy",
+    "mask": "mask",
+    "difference": "height difference",
+    "agreement": "agreement",
+}
+"""What people call the layers."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A view of the scene, z up."""
+
+    position: tuple[float, float, float]
+    look_at: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Widget:
+    """How a field of options is offered, where its name and its type do not say that.
+
+    Attributes:
+        label: Of the widget; empty takes the field's name.
+        names: What people call its choices; a choice without another name keeps its own.
+        needs: By the names of other fields, the values that it has a meaning with.
+        folded: Whether it lies in the folded folder of what is rarely needed.
+        offered: Whether it has a widget in the panel of its dataclass.
+    """
+
+    label: str = ""
+    names: Mapping[str, str] = field(default_factory=dict[str, str])
+    needs: Mapping[str, object] = field(default_factory=dict[str, object])
+    folded: bool = False
+    offered: bool = True
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """What is drawn and how; none of it changes what is computed.
+
+    Each field is a widget of the tab View, in this order.
+    """
+
+    layout: Annotated[
+        Layout,
+        Doc(
+            "Each submap by itself, or the query laid onto the database as the registration says, "
+            "or the gradient of each from above: there the cursor shows the same place in both."
+        ),
+    ] = "side by side"
+    compare: Annotated[
+        Compare,
+        Doc(
+            "How to compare registered submaps: both at once, one alone, the query left and the "
+            "database right of a line, or one after the other."
+        ),
+        Widget(
+            names={"query": "query only", "database": "database only"},
+            needs={"layout": "registered"},
+        ),
+    ] = "both"
+    swipe: Annotated[
+        float,
+        Bounds(0.0, 1.0, 0.01),
+        Doc("Position of the line: the query is left of it, the database right."),
+        Widget(needs={"layout": "registered", "compare": "swipe"}),
+    ] = 0.5
+    layer: Annotated[
+        Layer,
+        Doc(
+            "What the colours show. The height difference is query minus database after "
+            "registration. Agreement is blue where the heights speak for one terrain, and red "
+            "where they speak against it. Both are grey where only one of them saw the ground."
+        ),
+        Widget(names=LAYER_NAMES),
+    ] = "elevation"
+    color_map: Annotated[
+        ColorMap,
+        Doc("Colour map of the layer. Automatic chooses one that suits it."),
+        Widget("Colours"),
+    ] = "automatic"
+    surfaces: Annotated[bool, Doc("Gaussian-process surfaces, inferred from the points.")] = True
+    clouds: Annotated[
+        bool,
+        Doc("The measured points of the query (blue) and of the database (orange)."),
+        Widget("Point clouds"),
+    ] = False
+    keypoints: Annotated[
+        bool,
+        Doc(
+            "Inliers are green (yellow if the pair is refused), outliers are red, and keypoints "
+            "without an association are grey."
+        ),
+    ] = True
+    inlier_lines: Annotated[bool, Doc("Associations that agree with the registration (green).")] = (
+        True
+    )
+    outlier_lines: Annotated[bool, Doc("Associations that do not agree with it (red).")] = False
+    all_lines: Annotated[
+        bool,
+        Doc(
+            "Draws a line for every association. Otherwise at most forty of each kind are drawn, "
+            "spread over the ground."
+        ),
+    ] = False
+    untrusted: Annotated[
+        Untrusted,
+        Doc("What to do with cells that the variance mask rejects."),
+        Widget("Masked cells", folded=True),
+    ] = "hidden"
+    hillshade: Annotated[
+        bool,
+        Doc(
+            "Lights the elevation from the upper left. Without it the colours are exactly those "
+            "of the legend."
+        ),
+        Widget(folded=True),
+    ] = True
+    point_size: Annotated[
+        float,
+        Bounds(0.005, 0.2, 0.005, "m"),
+        Doc("Size of a point of the point clouds."),
+        Widget(folded=True),
+    ] = 0.03
+    dark: Annotated[bool, Doc("Light text on a dark page."), Widget(folded=True)] = False
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A place on a surface whose values are read."""
+
+    role: Role  # whose surface it is
+    x: float  # [m], in that submap's frame
+    y: float
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """The parameters of a method while another one runs; see `ViewState`."""
+
+    asked: PipelineParams
+    params: PipelineParams
+    settled: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ViewState:
+    """Everything a picture is made from; the functions below make a changed copy.
+
+    Attributes:
+        dataset: The open dataset.
+        query_id: Submap that is registered.
+        database_id: Submap that it is registered to. It is another one, unless the dataset has no
+            other: then there is no pair, and the one submap is shown alone.
+        params: Of the pipeline, with numbers for what is automatic.
+        asked: The same as they were given: what is automatic is None.
+        settled: Whether the numbers of ``params`` are those that the dataset gives ``asked``; else
+            a fit is due, and they stand in for its result.
+        method: Name of the method that runs with them.
+        others: Those of the other methods, which have their own.
+        options: Of the view.
+        source: Path that the dataset was read from; empty if it was made otherwise.
+        match: Number of the association that is pointed at, from 1; 0 for none.
+        probe: The place whose values are read.
+    """
+
+    dataset: Dataset
+    query_id: str
+    database_id: str
+    params: PipelineParams = field(
+        default_factory=lambda: with_numbers_of(PipelineParams(), PipelineParams())
+    )
+    asked: PipelineParams = field(default_factory=PipelineParams)
+    settled: bool = False
+    method: MethodName = "gradient"
+    others: Mapping[MethodName, Tuning] = field(default_factory=dict[MethodName, Tuning])
+    options: ViewOptions = field(default_factory=ViewOptions)
+    source: str = ""
+    match: int = 0
+    probe: Probe | None = None
+
+    def __post_init__(self) -> None:
+        """Check that a pair is made of two submaps."""
+        check_pair(self.dataset, self.query_id, self.database_id)
+
+    @property
+    def given(self) -> PipelineParams:
+        """What the method runs with; None is what it fits to each submap by itself."""
+        return self.asked if METHODS[self.method].fits_each else self.params
+
+    @property
+    def is_pair(self) -> bool:
+        """Whether there is a pair, and not one submap alone."""
+        return self.query_id != self.database_id
+
+    @property
+    def query(self) -> Submap:
+        """The query submap."""
+        return self.dataset.submap(self.query_id)
+
+    @property
+    def database(self) -> Submap:
+        """The database submap."""
+        return self.dataset.submap(self.database_id)
+
+    @property
+    def names(self) -> str:
+        """The pair in short, or the one submap there is."""
+        return f"{self.query_id} → {self.database_id}" if self.is_pair else self.query_id
+
+    @property
+    def pair(self) -> tuple[Submap, Submap]:
+        """The query and the database submap.
+
+        Raises:
+            InputError: If there is one submap alone.
+        """
+        if not self.is_pair:
+            raise InputError(NEEDS_TWO)
+        return self.query, self.database
+
+
+def check_pair(dataset: Dataset, query_id: str | None, database_id: str | None) -> None:
+    """Check that a pair is made of two submaps; the one submap of a dataset may stand alone.
+
+    Raises:
+        InputError: If it names one twice.
+    """
+    if query_id is not None and query_id == database_id and len(dataset.submaps) > 1:
+        raise InputError(f"{query_id} beside itself is no pair; name two different submaps")
+
+
+def open_dataset(
+    dataset: Dataset,
+    params: PipelineParams,
+    options: ViewOptions | None = None,
+    source: str = "",
+    used: PipelineParams | None = None,
+) -> ViewState:
+    """Start on a dataset, at the pair most worth looking at.
+
+    Args:
+        dataset: The dataset.
+        params: As they are given.
+        options: Of the view.
+        source: Path of the dataset.
+        used: What `resolve_parameters` made of the parameters, if it was asked already.
+    """
+    state = ViewState(
+        dataset, *promising_pair(dataset), options=options or ViewOptions(), source=source
+    )
+    guess = state.params
+    others = {
+        name: Tuning(asked, with_numbers_of(asked, guess), settled=False)
+        for name, method in METHODS.items()
+        for asked in [method.adapt(params)]
+    }
+    state = replace(with_params(state, params), others=others)
+    return state if used is None else with_fitted(state, used)
+
+
+def with_pair(
+    state: ViewState, *, query_id: str | None = None, database_id: str | None = None
+) -> ViewState:
+    """Choose the query, the database submap, or both; nothing is pointed at then.
+
+    If the one that is named had the other role, the two change places.
+
+    Raises:
+        InputError: If the dataset has no such submap, or both names are the same.
+    """
+    if query_id is None:
+        query_id = state.database_id if database_id == state.query_id else state.query_id
+    elif database_id is None and query_id == state.database_id:
+        database_id = state.query_id
+    database_id = state.database_id if database_id is None else database_id
+    chosen = replace(state, query_id=query_id, database_id=database_id)
+    _ = chosen.query, chosen.database
+    if same_pair(chosen, state):
+        return chosen
+    settled = state.settled and not METHODS[state.method].fits_each
+    return replace(chosen, match=0, probe=None, settled=settled)
+
+
+def with_method(state: ViewState, name: MethodName) -> ViewState:
+    """Choose the method; the parameters of the present one are kept until it is chosen again."""
+    if name == state.method:
+        return state
+    here = Tuning(state.asked, state.params, state.settled)
+    there = state.others[name]
+    return replace(
+        state,
+        method=name,
+        asked=there.asked,
+        params=there.params,
+        # Another query may be there since.
+        settled=there.settled and not METHODS[name].fits_each,
+        others={**state.others, state.method: here},
+        match=0,
+    )
+
+
+def with_params(state: ViewState, params: PipelineParams) -> ViewState:
+    """Set the pipeline's parameters as a person, a file or a link gives them.
+
+    What is automatic keeps its number, until a fit gives another (`with_fitted`).
+    """
+    if is_resolved(params):
+        return replace(state, params=params, asked=params, settled=True)
+    return replace(
+        state,
+        params=with_numbers_of(params, state.params),
+        asked=params,
+        settled=state.settled and numbers_stay(state.asked, params),
+    )
+
+
+def with_fitted(state: ViewState, used: PipelineParams) -> ViewState:
+    """Take what `resolve_parameters` made of the parameters that were asked for."""
+    return replace(state, params=used, settled=True)
+
+
+def was_fitted(before: ViewState, after: ViewState) -> bool:
+    """Say whether a fit has made one state into the other, rather than a person."""
+    return (
+        after.settled
+        and not before.settled
+        and (after.method, after.asked) == (before.method, before.asked)
+    )
+
+
+def with_options(state: ViewState, options: ViewOptions) -> ViewState:
+    """Set what is drawn."""
+    return replace(state, options=options)
+
+
+def registered(options: ViewOptions) -> ViewOptions:
+    """Show both submaps, the query laid onto the database."""
+    return replace(options, layout="registered", compare="both")
+
+
+def as_drawn(state: ViewState) -> ViewState:
+    """Give the state with the options that its layout implies."""
+    if state.options.layout != FROM_ABOVE:
+        return state
+    return with_options(
+        state, replace(state.options, layer="gradient", surfaces=True, clouds=False)
+    )
+
+
+def with_match(state: ViewState, number: int) -> ViewState:
+    """Point at an association by its number from 1, or with 0 at none."""
+    return replace(state, match=number)
+
+
+def with_probe(state: ViewState, probe: Probe | None) -> ViewState:
+    """Read the values of a place, or of none."""
+    return replace(state, probe=probe)
+
+
+def same_pair(first: ViewState, second: ViewState) -> bool:
+    """Say whether two snapshots show the same query and database."""
+    return first.dataset is second.dataset and (
+        (first.query_id, first.database_id) == (second.query_id, second.database_id)
+    )
+
+
+def same_search(first: ViewState, second: ViewState) -> bool:
+    """Say whether two snapshots look for loop closures in the same dataset by the same method."""
+    return first.dataset is second.dataset and first.method == second.method
+
+
+def same_surfaces(first: ViewState, second: ViewState) -> bool:
+    """Say whether two snapshots show the same surfaces alike."""
+    return (
+        same_pair(first, second)
+        and first.method == second.method
+        and first.params.map == second.params.map
+        and first.params.features.max_std_ratio == second.params.features.max_std_ratio
+        and first.options == second.options
+    )
+
+
+def neighbour(dataset: Dataset, submap_id: str, step: int, *, skip: str | None = None) -> str:
+    """Name the submap ``step`` places further; after the last comes the first.
+
+    Args:
+        dataset: Whose order counts.
+        submap_id: Where to start.
+        step: 1 for the next, -1 for the previous.
+        skip: A submap to pass over, so that a pair is not made of one submap twice.
+    """
+    ids = [submap.id for submap in dataset.submaps]
+    place = ids.index(submap_id)
+    for _ in ids:
+        place = (place + step) % len(ids)
+        if ids[place] != skip:
+            return ids[place]
+    return submap_id
+
+
+def promising_pair(dataset: Dataset) -> tuple[str, str]:
+    """Choose the first (query, database): a revisit, as far as odometry tells.
+
+    What the dataset prefers comes first. Else, of the submaps that are not neighbours along the
+    way, take the two that odometry (or else the truth) has closest together. Without poses, take
+    the last and the first.
+    """
+    submaps = dataset.submaps
+    ids = [submap.id for submap in submaps]
+    preferred = dataset.preferred.get("query"), dataset.preferred.get("database")
+    if preferred[0] in ids and preferred[1] in ids:
+        return str(preferred[0]), str(preferred[1])
+    last, first = len(submaps) - 1, 0
+    best = np.inf
+    positions = np.full((len(submaps), 2), np.nan)
+    for row, submap in enumerate(submaps):
+        pose = believed_pose(submap)
+        if pose is not None:
+            positions[row] = pose.translation[:2]
+    for query in range(2, len(submaps)):
+        # As far as infinity from what has no pose.
+        distances = np.linalg.norm(positions[: query - 1] - positions[query], axis=1)
+        distances = np.where(np.isnan(distances), np.inf, distances)
+        nearest = int(distances.argmin())
+        if distances[nearest] < best:
+            best, last, first = distances[nearest], query, nearest
+    return submaps[last].id, submaps[first].id
+
+
+def believed_pose(submap: Submap) -> Pose | None:
+    """Give a submap's pose by odometry, or else the true one; None if neither is known."""
+    return submap.pose_odometry or submap.pose_true

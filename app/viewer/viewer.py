@@ -1,0 +1,371 @@
+"""The server: gives each page that comes a session."""
+
+import contextlib
+import io
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import viser
+
+from app.viewer.server.admission import Admission
+from app.viewer.server.guard import (
+    Told,
+    open_server,
+)
+from app.viewer.server.host import (
+    PANEL_WIDTH,
+    set_theme,
+)
+from app.viewer.server.limits import Limits
+from app.viewer.server.memory import (
+    MEMO_SHARE,
+    MemoryKeeper,
+    default_budget,
+)
+from app.viewer.server.permissions import (
+    READ_ALL,
+    Permissions,
+)
+from app.viewer.session.runner import Capacity
+from gpgrad_core.detection import (
+    PipelineParams,
+    resolve_parameters,
+)
+from gpgrad_core.params.files import preferred_parameters
+from gpgrad_core.run.folders import TemporaryFolder
+from gpgrad_core.run.helper import start_helper
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Cancelled, Progress
+from gpgrad_core.run.store import Store
+from gpgrad_core.run.threads import single_threaded_libraries
+from gpgrad_core.types import Dataset
+
+# A page is served before these are loaded, which takes a second.
+if TYPE_CHECKING:
+    from app.viewer.features.session import Session
+    from app.viewer.session.session_file import (
+        Opened,
+        SavedSession,
+    )
+
+EVERYWHERE = ("0.0.0.0", "::")
+"""Hosts that stand for all addresses of the machine."""
+
+Sharing: TypeAlias = Literal["shared", "separate"]
+Stage: TypeAlias = Callable[[str], Progress]
+"""Given words for what is done next; gives back where to report how far it is."""
+Opening: TypeAlias = "Callable[[Memo, Stage], Opened]"
+"""Opens a dataset. The memo keeps its fits; progress may raise Cancelled."""
+
+REPORT_EVERY = 0.01
+"""The progress is shown anew once it has grown by this share of the whole."""
+LONGEST_OPENING = 10.0
+"""An opening that is told to stop is waited for at most so long [s]."""
+
+
+class WaitingPage:
+    """Stands in the panel of every page until there is a session to show."""
+
+    def __init__(self, server: viser.ViserServer, title: str) -> None:
+        """Show it.
+
+        Args:
+            server: Whose pages show it.
+            title: Names what is being opened.
+        """
+        gui = server.gui
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(PANEL_WIDTH)
+        self._server = server
+        self._title = gui.add_html(
+            f'<h2 style="margin:10px 12px 2px;font-size:1.05em">Opening {escape(title)}</h2>'
+        )
+        self._words = gui.add_html(_line("Starting"))
+        self._bar = gui.add_progress_bar(0.0, animated=True)
+
+    def stage(self, words: str) -> Progress:
+        """Say what is done next; returns where to report how far it is."""
+        shown = 0.0
+        self._words.content = _line(words)
+        self._bar.value = 0.0
+
+        def report(fraction: float) -> None:
+            nonlocal shown
+            if fraction - shown >= REPORT_EVERY:
+                shown = fraction
+                self._bar.value = 100 * min(fraction, 1.0)
+
+        return report
+
+    def remove(self) -> None:
+        """Make room for the session."""
+        for handle in (self._title, self._words, self._bar):
+            handle.remove()
+        self._server.flush()
+
+
+def _line(words: str) -> str:
+    return (
+        f'<div data-testid="opening" role="status" style="padding:2px 12px;font-size:.9em">'
+        f"{escape(words)} …</div>"
+    )
+
+
+class Viewer:
+    """Serves one session to all pages, which then show the same, or one to each."""
+
+    def __init__(
+        self,
+        dataset: "Dataset | Opening",
+        params: PipelineParams | None = None,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        *,
+        source: str = "",
+        saved: "SavedSession | None" = None,
+        sessions: Sharing = "shared",
+        permissions: Permissions = READ_ALL,
+        admission: Admission | None = None,
+        limits: Limits | None = None,
+        store: Store | None = None,
+        memory: int | None = None,
+        on_full: Callable[[str], None] | None = None,
+    ) -> None:
+        """Start serving; returns at once.
+
+        Args:
+            dataset: What to open with. Something that opens one is called in a thread of its own,
+                and pages show how far it is; what it raises is raised by `run_forever`.
+            params: What to start with and to reset to; None takes what the dataset prefers. What is
+                automatic is fitted to the dataset.
+            host: Address to listen on. If other machines can reach it, everybody must bring the
+                token that `link` ends with.
+            port: Port to listen on; if it is taken, the next free one. 0 takes any.
+            source: Path of the dataset, for the box in which it can be changed, and for the pages
+                that wait for it.
+            saved: What to begin with in place of that.
+            sessions: "shared": all pages see and change the same. "separate": each page has a
+                session of its own, which ends with it; what one has computed serves all.
+            permissions: What pages may have read and written; uploads get a folder that ends with
+                the viewer.
+            admission: Who may come in; None lets in the viewer's own pages only, with a token where
+                other machines can reach the host.
+            limits: How much pages may ask.
+            store: Keeps the fits of datasets for later runs.
+            memory: Budget for this process and its helper together [bytes]; None takes a share of
+                the machine's.
+            on_full: Told once, in a sentence, when the budget cannot be kept.
+
+        Raises:
+            InputError: If the dataset prefers parameters that there are not.
+        """
+        budget = default_budget() if memory is None else memory
+        self._memo = Memo(round(MEMO_SHARE * budget), store)
+        opened = None
+        if not callable(dataset):
+            from app.viewer.session.session_file import Opened  # noqa: PLC0415
+
+            asked = preferred_parameters(dataset, PipelineParams()) if params is None else params
+            used = resolve_parameters(dataset.submaps, asked, self._memo)
+            opened = Opened(dataset, asked, source, saved, used)
+        self._opened = opened
+        self._server, self._door = open_server(
+            host, port, admission, max_upload=permissions.max_upload, limits=limits
+        )
+        set_theme(self._server, dark=False)
+        page = WaitingPage(self._server, Path(source).name) if opened is None else None
+        self._quiet = contextlib.ExitStack()
+        self._uploads = TemporaryFolder("gpgrad-uploads-")
+        self._permissions = replace(permissions, uploads=Path(self._uploads.name))
+        self._capacity = Capacity(helper=start_helper())
+        self._memory = MemoryKeeper(budget, self._memo, self._capacity.helper, on_full)
+        self._lock = threading.Lock()
+        self._num_leaving = 0
+        self._left = threading.Condition(self._lock)
+        self._closed = threading.Event()
+        self._is_shared = sessions == "shared"
+        self._shared: Session | None = None
+        self._separate: dict[int, Session] = {}
+        self._ready = threading.Event()
+        self._failure: BaseException | None = None
+        self._opener: threading.Thread | None = None
+        self._door.told = Told(self._say_refused, self._say_upload_refused)
+        if callable(dataset) and page is not None:
+            self._opener = threading.Thread(
+                target=self._open, args=(dataset, page), name="opening", daemon=True
+            )
+            self._opener.start()
+        else:
+            self._be_quiet()
+            self._begin()
+        self._server.on_client_connect(self._enter)
+        self._server.on_client_disconnect(self._leave)
+
+    @property
+    def url(self) -> str:
+        """Address of the page, without the token."""
+        host = self._server.get_host()
+        shown = "localhost" if host in EVERYWHERE else f"[{host}]" if ":" in host else host
+        return f"http://{shown}:{self._server.get_port()}"
+
+    @property
+    def link(self) -> str:
+        """Address that lets in whoever has it: with the token, if one is asked for."""
+        token = self._door.gate.token
+        return self.url if token is None else f"{self.url}/?token={token}"
+
+    @property
+    def memory(self) -> int:
+        """The budget for this process and its helper together [bytes]."""
+        return self._memory.budget
+
+    @property
+    def sessions(self) -> "tuple[Session, ...]":
+        """The shared session; else those of the pages that are open, the oldest first."""
+        if self._shared is not None:
+            return (self._shared,)
+        with self._lock:
+            return tuple(self._separate.values())
+
+    def run_forever(self) -> None:
+        """Serve until `close` or Ctrl-C (KeyboardInterrupt).
+
+        Raises:
+            BaseException: What was raised while the dataset was being opened.
+        """
+        while not self._closed.wait(0.5 if self._ready.is_set() else 0.05):
+            if self._failure is not None:
+                raise self._failure
+
+    def wait_idle(self, timeout: float = 60.0) -> bool:
+        """Wait until all pictures are up to date; says whether that came true in time [s]."""
+        return self._ready.wait(timeout) and all(
+            session.wait_idle(timeout) for session in self.sessions
+        )
+
+    def close(self) -> None:
+        """Stop working and serving."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        if self._opener is not None:
+            self._opener.join(LONGEST_OPENING)
+        for session in self.sessions:
+            session.close()
+        with self._left:  # those whose pages have just gone must have ended too
+            self._left.wait_for(lambda: not self._num_leaving)
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
+        self._memory.close()
+        if self._capacity.helper is not None:
+            self._capacity.helper.close()
+        self._uploads.cleanup()
+        self._quiet.close()
+
+    def _open(self, opening: Opening, page: WaitingPage) -> None:
+        """Open the dataset, and begin; pages come and go meanwhile."""
+
+        def stage(words: str) -> Progress:
+            report = page.stage(words)
+
+            def progress(fraction: float) -> None:
+                if self._closed.is_set():
+                    raise Cancelled
+                report(fraction)
+
+            return progress
+
+        try:
+            self._be_quiet()
+            self._opened = opening(self._memo, stage)
+            stage("Preparing the picture")(0.0)
+            self._begin(page)
+        except Cancelled:
+            pass
+        except BaseException as error:
+            self._failure = error
+
+    def _be_quiet(self) -> None:
+        """Let libraries work in one thread each, for as long as it serves.
+
+        A BLAS that has worked in several threads lets them spin for many milliseconds more, on the
+        processor that the helper needs.
+        """
+        self._quiet.enter_context(single_threaded_libraries())
+
+    def _begin(self, page: WaitingPage | None = None) -> None:
+        """Make the session of all pages, or those of the pages that are there."""
+        from app.viewer.features.session import Session  # noqa: PLC0415
+
+        assert self._opened is not None
+        if page is not None:
+            page.remove()
+        if self._is_shared:
+            self._shared = Session(
+                self._server, self._opened, self._memo, self._capacity, self._permissions
+            )
+        self._ready.set()
+        for client in self._server.get_clients().values():
+            self._enter(client)
+
+    # Called from the server's pool of threads, so in any order.
+
+    def _enter(self, client: viser.ClientHandle) -> None:
+        if self._shared is not None:
+            self._count()
+        elif self._ready.is_set() and not self._is_shared:
+            self._begin_separate(client)
+
+    def _begin_separate(self, client: viser.ClientHandle) -> None:
+        from app.viewer.features.session import Session  # noqa: PLC0415
+
+        assert self._opened is not None
+        with self._lock:
+            if client.client_id in self._separate:
+                return
+            if self._closed.is_set() or client.client_id not in self._server.get_clients():
+                return  # it left before its turn came
+            self._separate[client.client_id] = Session(
+                client, self._opened, self._memo, self._capacity, self._permissions
+            )
+
+    def _leave(self, client: viser.ClientHandle) -> None:
+        if self._is_shared:
+            self._count()
+            return
+        with self._lock:
+            session = self._separate.pop(client.client_id, None)
+            if session is None:
+                return
+            self._num_leaving += 1
+        try:
+            session.close()
+        finally:
+            with self._left:
+                self._num_leaving -= 1
+                self._left.notify_all()
+
+    def _session_of(self, page: int) -> "Session | None":
+        """Give the session that a page shows, if it has one yet."""
+        with self._lock:
+            return self._shared or self._separate.get(page)
+
+    def _say_refused(self, page: int, text: str) -> None:
+        session = self._session_of(page)
+        if session is not None:
+            session.pair.refuse(text)
+
+    def _say_upload_refused(self, page: int, text: str) -> None:
+        session = self._session_of(page)
+        if session is not None:
+            session.data.refuse(text)
+
+    def _count(self) -> None:
+        with self._lock:  # so that the last to count is the last to tell
+            if self._shared is None or self._closed.is_set():
+                return  # there is nobody to tell
+            self._shared.show_presence(len(self._server.get_clients()))

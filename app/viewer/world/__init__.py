@@ -1,9 +1,0 @@
-"""World: all submaps where they lie, with trajectories and loop closures.
-
-Other features may show loops and corrections in it, and look at its scene.
-"""
-
-from app.viewer.world.scene import SCORE_MAP, Loop, World, WorldScene
-from app.viewer.world.tab import Correction, WorldTab, relaxation
-
-__all__ = ["SCORE_MAP", "Correction", "Loop", "World", "WorldScene", "WorldTab", "relaxation"]

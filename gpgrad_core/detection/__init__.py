@@ -1,0 +1,64 @@
+"""The order of the stages: one map, one pair, or the pairs of a dataset.
+
+Only this folder knows the order. What a changed parameter does not affect is not computed again.
+"""
+
+from gpgrad_core.detection.automatic import (
+    describe_choice,
+    fit_submap,
+    given_hyperparameters,
+    is_resolved,
+    numbers_stay,
+    resolve_parameters,
+    with_numbers_of,
+)
+from gpgrad_core.detection.dataset import (
+    DetectionResult,
+    ExtractedSubmap,
+    MapDetector,
+    PairResult,
+    check_affordable,
+    check_searchable,
+    detect_loop_closures,
+    extract_kept,
+    infer_features,
+    infer_gradient_map,
+    infer_map,
+    infer_slope_variance,
+    judge_pair,
+    register_pair,
+)
+from gpgrad_core.detection.params import PipelineParams
+from gpgrad_core.detection.stored import (
+    StoredDetector,
+    store_for_run,
+    with_store,
+)
+
+__all__ = [
+    "DetectionResult",
+    "ExtractedSubmap",
+    "MapDetector",
+    "PairResult",
+    "PipelineParams",
+    "StoredDetector",
+    "check_affordable",
+    "check_searchable",
+    "describe_choice",
+    "detect_loop_closures",
+    "extract_kept",
+    "fit_submap",
+    "given_hyperparameters",
+    "infer_features",
+    "infer_gradient_map",
+    "infer_map",
+    "infer_slope_variance",
+    "is_resolved",
+    "judge_pair",
+    "numbers_stay",
+    "register_pair",
+    "resolve_parameters",
+    "store_for_run",
+    "with_numbers_of",
+    "with_store",
+]

@@ -1,0 +1,271 @@
+"""Chooses automatic parameters: those that are None are fitted to the dataset, or to a submap."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gpgrad_core.detection.params import PipelineParams
+from gpgrad_core.mapping.fitting import (
+    MOST_POINTS,
+    FitResult,
+    Hyperparameter,
+    fit_parameters,
+    fitted_names,
+    representative,
+)
+from gpgrad_core.mapping.gradient_map import (
+    MapParams,
+    TerrainParams,
+    few_of,
+    kept_points,
+    ordinary_noise,
+    signal_std_of,
+)
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.registration import RegistrationParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.scale import FEWEST_ACROSS, finest_of_kernel, resolved_scale
+from gpgrad_core.types import Submap
+
+SUBMAP_PATCH_POINTS = 400
+"""Number of points of a patch if every submap gets its own fit. 16 such patches hold each of 5,000
+points once or twice. A fit takes half the time of one with patches of 500 points; on `sthelens` the
+length-scales differ from that one's by 3 %, the noise by 2 %."""
+SUBMAP_TOLERANCE = 1e-4
+"""Gain, as in `fitting.TOLERANCE`, at which the fit of a single submap stops."""
+DIGITS = 4
+"""Number of significant digits of the chosen values: enough for any use, and easy to type."""
+
+
+def is_resolved(params: PipelineParams) -> bool:
+    """Tell whether no parameter is automatic."""
+    follows = params.map.scale, params.registration.inlier_radius
+    return params.map.has_numbers and None not in follows
+
+
+def resolve_parameters(
+    submaps: Sequence[Submap],
+    params: PipelineParams | None = None,
+    memo: Memo | None = None,
+    progress: Progress = silent,
+) -> PipelineParams:
+    """Choose the automatic parameters of a dataset, which takes a few seconds.
+
+    Length-scale, noise and signal maximise the marginal likelihood of the points
+    (`fit_parameters`). Given values stay, and the others are fitted with them. If length-scale and
+    noise are given, a signal of None stays None, which means the points' own. The scale of
+    comparison depends on the points alone: it comes from a fit of all parameters, whatever is
+    given.
+
+    Args:
+        submaps: The submaps of the dataset. Those that `fitting.representative` chooses are
+            enough; with them alone the result is the same.
+        params: The parameters; None makes all of them automatic.
+        memo: Keeps the fits, so that a second call for the same submaps costs nothing; with a store
+            this also holds for later runs.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        The parameters with numbers for ``map.length_scale``, ``map.noise_std`` and ``map.scale``,
+        and for the inlier radius, which follows from the scale.
+
+    Raises:
+        InputError: If there is no submap, or if the noise model is ``file`` and a cloud gives no
+            noise.
+    """
+    params = params or PipelineParams()
+    if is_resolved(params):
+        return params
+    memo, asked = memo or Memo(), params.map
+    free = TerrainParams(noise_model=asked.noise_model, max_points=asked.max_points)
+    if asked.noise_model != "constant":
+        free = replace(free, noise_growth=asked.noise_growth, noise_factor=asked.noise_factor)
+    given, some = (
+        given_hyperparameters(asked),
+        tuple(submaps[k] for k in representative(len(submaps))),
+    )
+    map_params = asked
+    if not given or asked.scale is None:
+        fitted = memo.lasting(_fitted, some, free, (), progress=part(progress, 0.0, 0.6))
+        if asked.scale is None:
+            map_params = replace(map_params, scale=_of_map(_scale(submaps, fitted), "scale"))
+        if not given:
+            map_params = _with(map_params, fitted, given)
+    if given and not asked.has_numbers:
+        fitted = memo.lasting(
+            _fitted, some, asked.guessed.terrain, given, progress=part(progress, 0.6, 1.0)
+        )
+        map_params = _with(map_params, fitted, given)
+    progress(1.0)
+    radius = params.registration.radius(map_params.scale)
+    if params.registration.inlier_radius is None:
+        radius = _rounded(radius, bounds_of(RegistrationParams)["inlier_radius"])
+    registration = replace(params.registration, inlier_radius=radius)
+    return replace(params, map=map_params, registration=registration)
+
+
+def with_numbers_of(asked: PipelineParams, used: PipelineParams) -> PipelineParams:
+    """Put numbers in for what is automatic, for as long as nothing is fitted to it.
+
+    Args:
+        asked: The parameters, automatic in part.
+        used: Where the numbers come from: parameters that were used before. Where these have none
+            either, length-scale and noise are a first guess.
+    """
+    names = ("length_scale", "noise_std", "signal_std", "scale")
+    if asked.map.has_numbers:
+        names = ("scale",)  # then a signal of None is the points' own
+    changes: dict[str, float] = {}
+    for name in names:
+        value = getattr(used.map, name)
+        if getattr(asked.map, name) is None and value is not None:
+            changes[name] = value
+    if asked.map.noise_std is None and asked.map.noise_model == used.map.noise_model:
+        changes |= {name: getattr(used.map, name) for name in ("noise_growth", "noise_factor")}
+    registration = asked.registration
+    if registration.inlier_radius is None:
+        registration = replace(registration, inlier_radius=used.registration.inlier_radius)
+    return replace(asked, map=replace(asked.map, **changes).guessed, registration=registration)
+
+
+def numbers_stay(before: PipelineParams, after: PipelineParams) -> bool:
+    """Tell whether the automatic ones of ``after`` have the numbers fitted for ``before``."""
+    grid = MapParams().resolution
+    same_fit = replace(before.map, resolution=grid, scale=None) == replace(
+        after.map, resolution=grid, scale=None
+    )
+    scales = before.map.scale, after.map.scale
+    radii = before.registration.inlier_radius, after.registration.inlier_radius
+    # The radius follows from the scale, and nothing from the radius.
+    scale_stays = scales[0] is None or scales[1] is not None
+    radius_stays = radii[1] is not None or (radii[0] is None and scales[0] == scales[1])
+    return same_fit and scale_stays and radius_stays
+
+
+def fit_submap(
+    submap: Submap,
+    start: TerrainParams,
+    fixed: tuple[Hyperparameter, ...] = (),
+    seed: int = 0,
+    progress: Progress = silent,
+) -> FitResult:
+    """Fit the hyperparameters to a single submap, as the paper does for each (Sec. VI-B).
+
+    Args:
+        submap: Its points.
+        start: Where the search starts; a signal of None starts at the points' own.
+        fixed: Hyperparameters that stay as they are in the start.
+        seed: Seed of the random choice of points.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        The fit, with a number for the signal too. The numbers have a few digits, so that a file
+        can give them exactly.
+
+    Raises:
+        InputError: If the noise model is ``file`` and the cloud gives no noise.
+    """
+    result = fit_parameters(
+        [submap],
+        start,
+        fixed=fixed,
+        seed=seed,
+        patch_points=SUBMAP_PATCH_POINTS,
+        tolerance=SUBMAP_TOLERANCE,
+        progress=progress,
+    )
+    fitted = result.params
+    signal_std = signal_std_of(kept_points(submap, fitted.max_points), fitted)
+    fitted, bounds = replace(fitted, signal_std=signal_std), bounds_of(TerrainParams)
+    rounded = {name: _rounded(getattr(fitted, name), bounds[name]) for name in fitted_names(fitted)}
+    return replace(result, params=replace(fitted, **rounded))
+
+
+def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
+    """Describe the chosen parameters in one line; the line is empty if none was chosen.
+
+    Args:
+        asked: The parameters before `resolve_parameters`.
+        used: The parameters after it.
+    """
+    named = (
+        ("length-scale", "length_scale", " m"),
+        ("noise", "noise_std", " m"),
+        ("noise factor", "noise_factor", ""),
+        ("signal", "signal_std", " m"),
+        ("scale of comparison", "scale", " m"),
+    )
+    chosen = [
+        f"{name} {getattr(used.map, field):.3g}{unit}"
+        for name, field, unit in named
+        if getattr(used.map, field) != getattr(asked.map, field)
+    ]
+    if used.registration.inlier_radius != asked.registration.inlier_radius:
+        chosen.append(f"inlier radius {used.registration.inlier_radius:.3g} m")
+    return f"fitted: {', '.join(chosen)}" if chosen else ""
+
+
+def given_hyperparameters(asked: MapParams) -> tuple[Hyperparameter, ...]:
+    """List the hyperparameters that a fit must not change."""
+    given: list[Hyperparameter] = []
+    if asked.length_scale is not None:
+        given.append("length_scale")
+    if asked.signal_std is not None:
+        given.append("signal_std")
+    if asked.noise_std is not None:
+        given.append("noise")
+    return tuple(given)
+
+
+def _fitted(
+    submaps: tuple[Submap, ...],
+    start: TerrainParams,
+    fixed: tuple[Hyperparameter, ...],
+    progress: Progress = silent,
+) -> TerrainParams:
+    """Fit the parameters, in a form that a memo can keep."""
+    return fit_parameters(submaps, start, fixed=fixed, progress=progress).params
+
+
+def _with(
+    map_params: MapParams, fitted: TerrainParams, given: tuple[Hyperparameter, ...]
+) -> MapParams:
+    """Insert the fitted values for those that were not given."""
+    changes: dict[str, float] = {}
+    for name in ("length_scale", "signal_std"):
+        value = getattr(fitted, name)
+        if name not in given and value is not None:
+            changes[name] = _of_map(value, name)
+    if "noise" not in given:
+        for name in ("noise_std", "noise_growth", "noise_factor"):
+            changes[name] = _of_map(getattr(fitted, name), name)
+    return replace(map_params, **changes)
+
+
+def _of_map(value: float, name: str) -> float:
+    """Round a parameter of the map to a few digits, within its bounds."""
+    return _rounded(value, bounds_of(MapParams)[name])
+
+
+def _rounded(value: float, bounds: Bounds) -> float:
+    """Round to a few digits, within the bounds."""
+    return min(max(float(f"{value:.{DIGITS}g}"), bounds.low), bounds.high)
+
+
+def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
+    """Compute the scale of comparison from a fit of all parameters [m]: the submaps' median."""
+    scales: list[float] = []
+    for submap in (submaps[k] for k in representative(len(submaps))):
+        width, height = np.ptp(submap.points[:, :2], axis=0).tolist()
+        some, total = few_of(submap, MOST_POINTS), len(submap.points)
+        area, noise = width * height, ordinary_noise(some, some, fitted)
+        count = total if fitted.max_points is None else min(total, fitted.max_points)
+        density = float(np.mean(noise**2)) * area / count
+        signal_std, length_scale = fitted.signal_std or 0.0, fitted.length_scale
+        resolved = resolved_scale(density, signal_std / length_scale, area)
+        finest = finest_of_kernel(density, signal_std, length_scale)
+        scales.append(min(max(resolved, finest), float(np.sqrt(area)) / FEWEST_ACROSS))
+    return float(np.median(scales))

@@ -1,0 +1,559 @@
+"""Runs the stages: for one submap, for a pair, and for the pairs of a dataset."""
+
+import hashlib
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Generic, TypeAlias, TypeVar
+
+from jaxtyping import Float
+
+from gpgrad_core.detection.all_pairs import (
+    KeepingDetector,
+    Pair,
+    SearchableDetector,
+    StagedDetector,
+    TunedDetector,
+    compare_all,
+)
+from gpgrad_core.detection.automatic import (
+    is_resolved,
+    resolve_parameters,
+)
+from gpgrad_core.detection.images import (
+    extract_images,
+    judge_by_images,
+    some_of,
+)
+from gpgrad_core.detection.params import PipelineParams
+from gpgrad_core.detection.shortlist import (
+    Candidate,
+    Candidates,
+    Shortlist,
+    check_candidates,
+    num_wanted,
+)
+from gpgrad_core.detection.stages import (
+    DETECT,
+    FIT,
+    MATCH,
+    PREPARE,
+    REGISTER,
+    SAMPLE,
+    SEARCH,
+    SELECT,
+    Stage,
+    Stages,
+)
+from gpgrad_core.detection.verdict import (
+    classify,
+    with_images,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.features import check_detector
+from gpgrad_core.gp.likelihood import Hyperparameters
+from gpgrad_core.mapping.fitting import representative
+from gpgrad_core.mapping.gradient_map import (
+    MapParams,
+    fit_terrain,
+    map_grid,
+    sample_map,
+)
+from gpgrad_core.registration import Prepared
+from gpgrad_core.run.helper import Helper, beside
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.types import (
+    Array,
+    Dataset,
+    Features,
+    GradientMap,
+    LoopClosure,
+    LoopDetector,
+    Matches,
+    Registration,
+    Submap,
+    SubmapSource,
+)
+
+E = TypeVar("E")
+M = TypeVar("M")
+
+FIT_SHARE = 0.1
+"""Share of the progress that fitting the parameters takes up."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairResult:
+    """The results of all stages for one pair of submaps.
+
+    Attributes:
+        query_map: Gradient map of the query.
+        database_map: Gradient map of the database.
+        query_features: Keypoints of the query's map.
+        database_features: Keypoints of the database's map.
+        matches: Associations between the keypoints.
+        registration: The registration of the query to the database.
+        closure: The verdict.
+    """
+
+    query_map: GradientMap
+    database_map: GradientMap
+    query_features: Features
+    database_features: Features
+    matches: Matches
+    registration: Registration
+    closure: LoopClosure
+
+
+@dataclass(frozen=True, eq=False)
+class DetectionResult:
+    """The compared pairs of a dataset, each with its verdict.
+
+    Attributes:
+        closures: Every unordered pair that was compared once; the database submap is the earlier
+            one. Empty if they were handed over one by one.
+        seconds: Time of each stage [s]: maps, features, pairs and total; fit, if parameters were
+            fitted; and shortlist, if pairs were chosen.
+        params: The parameters that the pipeline used, with numbers for all automatic ones; None
+            if another detector ran.
+        shortlists: By the id of each query that was not compared with all earlier submaps: the
+            ones it was compared with and why, the best first.
+        hyperparameters: Those of each submap by its id, if the detector fits them to every submap.
+    """
+
+    closures: tuple[LoopClosure, ...]
+    seconds: dict[str, float]
+    params: PipelineParams | None = None
+    shortlists: Mapping[str, tuple[Candidate, ...]] = field(
+        default_factory=dict[str, tuple[Candidate, ...]]
+    )
+    hyperparameters: Mapping[str, Hyperparameters] = field(
+        default_factory=dict[str, Hyperparameters]
+    )
+
+
+def infer_gradient_map(
+    submap: Submap, params: MapParams | None = None, progress: Progress = silent
+) -> GradientMap:
+    """Infer elevation, variance and slopes over the submap's bounding box, Eqs. (2)-(5).
+
+    Args:
+        submap: Gravity-aligned points [m].
+        params: Parameters of the GP and the grid; None takes the defaults. If length-scale or noise
+            are automatic, all that is automatic is fitted to this submap, as `resolve_parameters`
+            does.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        The gradient map, with elevations in metres and slopes in m/m.
+
+    Raises:
+        InputError: If the grid or the GP would be too large, or if the GP cannot be solved.
+    """
+    params = params or MapParams()
+    map_grid(submap, params.resolution)  # refuse a cloud that is too wide before the long work
+    params, progress = _with_numbers(submap, params, progress)
+    posterior = fit_terrain(submap, params.terrain, progress=progress)
+    return sample_map(submap, posterior, params.resolution, params.scale)
+
+
+def infer_slope_variance(
+    submap: Submap, params: MapParams | None = None, progress: Progress = silent
+) -> Float[Array, "rows columns 2"]:
+    """Infer the variance of the slopes of `infer_gradient_map`.
+
+    The paper does not have it. Eq. (3) is differentiated as Eqs. (4) and (5) differentiate Eq. (2),
+    with D the diagonal matrix of the points' noise variances:
+
+        var(∂z/∂x) = ∂²k/∂x∂x' - ∂K(x, X)/∂x [K(X, X) + D]⁻¹ ∂K(X, x')/∂x'
+
+    Args:
+        submap: Gravity-aligned points [m].
+        params: Parameters of the GP and the grid, as in `infer_gradient_map`.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        Posterior variance of the slope along x and along y (rows, columns, 2) [m²/m²].
+
+    Raises:
+        InputError: If the grid or the GP would be too large, or if the GP cannot be solved.
+    """
+    params = params or MapParams()
+    grid = map_grid(submap, params.resolution)
+    params, progress = _with_numbers(submap, params, progress)
+    return fit_terrain(submap, params.terrain, progress=progress).sample_slope_variance(grid)
+
+
+def _with_numbers(
+    submap: Submap, params: MapParams, progress: Progress
+) -> tuple[MapParams, Progress]:
+    """Fit what is automatic to one submap; also gives the progress of what is left to do."""
+    if params.has_numbers:
+        return params, progress
+    asked = PipelineParams(map=params)
+    fitted = resolve_parameters([submap], asked, progress=part(progress, 0.0, 0.5))
+    return fitted.map, part(progress, 0.5, 1.0)
+
+
+def infer_map(
+    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> GradientMap:
+    """Make a submap's gradient map; the memo keeps the fitted GP and the map separately."""
+    map_grid(submap, params.map.resolution)  # refuses a cloud that is too wide, before the fit
+    return Stages(params, memo).run(SAMPLE, submap, progress=progress)
+
+
+def check_affordable(submap: Submap, params: PipelineParams) -> None:
+    """Check that a submap's map is not too large, and that the detector can search it.
+
+    Raises:
+        InputError: If not; the message says what to change.
+    """
+    check_detector(map_grid(submap, params.map.resolution), params.features.detector)
+
+
+def infer_features(
+    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> Features:
+    """Make a submap's keypoints."""
+    check_affordable(submap, params)
+    return Stages(params, memo).run(SELECT, submap, progress=progress)
+
+
+def extract_kept(gradient_map: GradientMap, params: PipelineParams, memo: Memo) -> Features:
+    """Extract a map's keypoints; the memo keeps all of them for another mask."""
+    stages = Stages(params, memo)
+    return stages.apply(SELECT, stages.apply(DETECT, gradient_map))
+
+
+LONG_STAGES: tuple[Stage[object], ...] = (FIT, SAMPLE, DETECT, PREPARE)
+"""Stages of one submap that are worth another process."""
+
+
+def _run_long_stages(
+    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> tuple[object, ...]:
+    stages = Stages(params, memo)
+    return tuple(stages.run(stage, submap, progress=progress) for stage in LONG_STAGES)
+
+
+def register_pair(
+    query: Submap,
+    database: Submap,
+    params: PipelineParams,
+    memo: Memo,
+    progress: Progress = silent,
+    helper: Helper | None = None,
+) -> PairResult:
+    """Run all stages for one pair; what the memo has is not computed again.
+
+    Args:
+        query: The submap to be placed.
+        database: The submap on which it is placed.
+        params: Parameters of all stages. If length-scale or noise are automatic, all that is
+            automatic is fitted to the two submaps.
+        memo: Shared by all calls that may need the same results.
+        progress: Called with the fraction done; may raise Cancelled.
+        helper: Takes over one of the submaps if both are new; the result is the same.
+
+    Returns:
+        The results of all stages.
+
+    Raises:
+        InputError: If a submap's map cannot be made.
+    """
+    for submap in (query, database):
+        check_affordable(submap, params)  # refused before the long work on either
+    if not params.map.has_numbers:
+        params = resolve_parameters((query, database), params, memo, part(progress, 0.0, FIT_SHARE))
+        progress = part(progress, FIT_SHARE, 1.0)
+    stages = Stages(params, memo)
+    if helper is not None and not (stages.holds(FIT, query) or stages.holds(FIT, database)):
+        here, there = (query, params, memo), (database, params, Memo())
+        _, results = beside(helper, _run_long_stages, here, there, part(progress, 0.0, 0.8))
+        for stage, result in zip(LONG_STAGES, results, strict=True):
+            stages.keep(result, stage, database)
+    query_map = stages.run(SAMPLE, query, progress=part(progress, 0.0, 0.4))
+    database_map = stages.run(SAMPLE, database, progress=part(progress, 0.4, 0.8))
+    query_features, database_features = (stages.run(SELECT, side) for side in (query, database))
+    matches = stages.run(MATCH, query, database)
+    registration = stages.run(REGISTER, query, database, progress=part(progress, 0.8, 1.0))
+    closure = judge_pair(query, database, registration, params, memo)
+    return PairResult(
+        query_map,
+        database_map,
+        query_features,
+        database_features,
+        matches,
+        registration,
+        closure,
+    )
+
+
+def judge_pair(
+    query: Submap, database: Submap, registration: Registration, params: PipelineParams, memo: Memo
+) -> LoopClosure:
+    """Accept or refuse a registration by its terrain, and then by images, if they are to be asked.
+
+    Args:
+        query: The query submap; its points are not needed.
+        database: The database submap, likewise.
+        registration: The registration of the query to the database.
+        params: The thresholds, and the seed.
+        memo: Keeps the keypoints of the images.
+
+    Raises:
+        InputError: If an image cannot be read.
+    """
+    closure = classify(registration, params.closure, query_id=query.id, database_id=database.id)
+    motion = registration.T_database_query
+    if params.closure.images == "off" or not closure.accepted or motion is None:
+        return closure
+    images = None
+    if query.images and database.images:
+        images = judge_by_images(
+            memo(extract_images, some_of(query.images)),
+            memo(extract_images, some_of(database.images)),
+            motion,
+            params.registration.seed,
+        )
+    return with_images(closure, images, params.closure)
+
+
+MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], GradientMap]
+
+
+@dataclass(frozen=True, eq=False)
+class ExtractedSubmap:
+    """What the comparison needs of one submap; it is small, because processes exchange it.
+
+    Attributes:
+        features: Keypoints of its map.
+        prepared: Its map, prepared for registration.
+    """
+
+    features: Features
+    prepared: Prepared
+
+
+@dataclass(frozen=True, eq=False)
+class MapDetector(StagedDetector[GradientMap, ExtractedSubmap]):
+    """The pipeline as a `LoopDetector`; with other maps or images, it is also some of its rivals.
+
+    Attributes:
+        params: Parameters of all stages.
+        memo: Keeps the results of each submap; another process begins with an empty one.
+        make_map: Makes a submap's map; a function of a module, so that it can be pickled.
+        drawn_from: Makes the map whose ``gradient`` is the image for the keypoints; None takes the
+            map itself.
+    """
+
+    params: PipelineParams
+    memo: Memo
+    make_map: MapMaker = infer_map
+    drawn_from: Callable[[GradientMap], GradientMap] | None = None
+
+    def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
+        """Make the map, unless its detector cannot search it."""
+        if self.make_map is infer_map:
+            check_affordable(submap, self.params)
+        return self.make_map(submap, self.params, self.memo, progress)
+
+    def extract(self, made: GradientMap, progress: Progress = silent) -> ExtractedSubmap:
+        """Extract the keypoints."""
+        image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
+        features = extract_kept(image, self.params, self.memo)
+        progress(1.0)
+        return ExtractedSubmap(features, Stages(self.params, self.memo).apply(PREPARE, made))
+
+    def keypoints(self, extracted: ExtractedSubmap) -> Features:
+        """Give the keypoints."""
+        return extracted.features
+
+    def compare(self, query: ExtractedSubmap, database: ExtractedSubmap) -> Registration:
+        """Match and register."""
+        stages, prepared = Stages(self.params, self.memo), (query.prepared, database.prepared)
+        matches = stages.apply(MATCH, query.features, database.features)
+        return stages.apply(REGISTER, *prepared, matches, stages.apply(SEARCH, *prepared))
+
+
+def detect_loop_closures(
+    dataset: Dataset,
+    params: PipelineParams | None = None,
+    *,
+    detector: LoopDetector | None = None,
+    candidates: Candidates = "automatic",
+    executor: Executor | None = None,
+    memo: Memo | None = None,
+    progress: Progress = silent,
+    sources: Sequence[SubmapSource] | None = None,
+    take: Callable[[LoopClosure], None] | None = None,
+    only: Collection[tuple[str, str]] | None = None,
+) -> DetectionResult:
+    """Compare every submap with earlier ones: with all of them, or with those worth comparing.
+
+    Parameters that are automatic are fitted to the dataset first (`resolve_parameters`).
+
+    Args:
+        dataset: The submaps in order.
+        params: Parameters of all stages; with a detector, only those of the verdict are used.
+        detector: Another way to register pairs; None uses the pipeline.
+        candidates: With how many earlier submaps a submap is compared: a number, ``all``, or
+            ``automatic``, which is all of up to 200 earlier ones, and 30 of more. The
+            `Shortlist` chooses them by the keypoints; ``automatic`` is ``all`` for a detector
+            without any.
+        executor: Threads or processes that share the work; None does everything in this thread.
+            The result is the same. For processes the detector must be picklable.
+        memo: Shares results with other calls; None keeps what this call needs. Other processes do
+            not fill it.
+        progress: Called from this thread from time to time; may raise Cancelled.
+        sources: Where the submaps are loaded from, as `open_dataset` gives them; None if the
+            dataset has them.
+        take: Called with each verdict in place of collecting them, so that memory does not grow
+            with their number.
+        only: Ids of the pairs to compare, in either order; then candidates are not chosen, and
+            submaps of none of them get no map. None compares as the candidates say.
+
+    Returns:
+        The verdict on every compared pair, sorted by query and then by database.
+
+    Raises:
+        InputError: If a submap's map cannot be made, if ``only`` pairs a submap with itself, if the
+            number of candidates is none that is allowed, or if the detector has no keypoints to
+            choose them by.
+    """
+    for query_id, database_id in only or ():
+        if query_id == database_id:
+            raise InputError(
+                f"{query_id} beside itself is no pair; name two different submaps in 'only'"
+            )
+    params = params or PipelineParams()
+    submaps: Sequence[SubmapSource] = dataset.submaps if sources is None else sources
+    check_searchable(candidates, detector)
+    used: PipelineParams | None = None
+    seconds: dict[str, float] = {}
+    if detector is None:
+        for submap in submaps:
+            check_affordable(submap.load(), params)
+        memo, start = memo or Memo(), perf_counter()
+        if submaps and not is_resolved(params):
+            some = [submaps[k].load() for k in representative(len(submaps))]
+            params = resolve_parameters(some, params, memo, part(progress, 0.0, FIT_SHARE))
+            seconds["fit"] = perf_counter() - start
+            progress = part(progress, FIT_SHARE, 1.0)
+        detector, used = MapDetector(params, memo), params
+    choice = listed = None
+    bare = list(dataset.submaps)
+    if only is not None:
+        named = {name for pair in only for name in pair}
+        kept = [k for k, submap in enumerate(submaps) if submap.id in named]
+        submaps, bare = [submaps[k] for k in kept], [bare[k] for k in kept]
+        listed = _Listed([submap.id for submap in submaps], only)
+    elif isinstance(detector, SearchableDetector) and any(
+        num_wanted(candidates, earlier) < earlier for earlier in range(len(submaps))
+    ):
+        names = [submap.id for submap in submaps]
+        choice = _Choice(names, detector, candidates, params.registration.seed)
+    closures: list[LoopClosure] = []
+    take, image_memo = take or closures.append, Memo()
+    hyperparameters: dict[str, Hyperparameters] = {}
+
+    def look(extracted: Sequence[object]) -> None:
+        if isinstance(detector, TunedDetector):
+            own = map(detector.hyperparameters, extracted)
+            hyperparameters.update(zip((submap.id for submap in bare), own, strict=True))
+
+    def judge(pair: Pair, registration: Registration) -> None:
+        query, database = (bare[k] for k in pair)
+        take(judge_pair(query, database, registration, params, image_memo))
+
+    spent = compare_all(submaps, detector, judge, executor, progress, choice or listed, look)
+    spent["total"] += seconds.get("fit", 0.0)
+    shortlists = choice.shortlists if choice else {}
+    return DetectionResult(tuple(closures), spent | seconds, used, shortlists, hyperparameters)
+
+
+def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> None:
+    """Check that a detector can compare a submap with so many candidates.
+
+    Args:
+        candidates: The number of candidates, ``all`` or ``automatic``.
+        detector: The detector; None is the pipeline.
+
+    Raises:
+        InputError: If it is a number, and the detector has no keypoints to choose them by; or if
+            it is no number of candidates.
+    """
+    check_candidates(candidates)
+    if not (isinstance(candidates, str) or detector is None):
+        if isinstance(detector, SearchableDetector):
+            return
+        raise InputError(
+            f"the detector has no keypoints by which the best {candidates:,} candidates could be "
+            "chosen; compare all"
+        )
+
+
+class _Listed:
+    """Chooses the pairs of a list."""
+
+    def __init__(self, ids: list[str], only: Collection[tuple[str, str]]) -> None:
+        places = {name: place for place, name in enumerate(ids)}
+        pairs = ((places[a], places[b]) for a, b in only if a in places and b in places)
+        self._pairs = sorted({(max(pair), min(pair)) for pair in pairs})
+
+    def __call__(self, _: Sequence[object], progress: Progress) -> list[Pair]:
+        progress(1.0)
+        return self._pairs
+
+
+class _Choice(Generic[M, E]):
+    """Chooses pairs by a shortlist, and keeps why."""
+
+    def __init__(
+        self, ids: list[str], detector: SearchableDetector[M, E], candidates: Candidates, seed: int
+    ) -> None:
+        self.shortlists: dict[str, tuple[Candidate, ...]] = {}
+        self._ids, self._detector = ids, detector
+        self._candidates: Candidates = candidates
+        self._shortlist, self._seed = Shortlist(seed), seed
+        self._waiting: list[tuple[str, E]] = []  # not on the shortlist yet
+
+    def __call__(self, extracted: Sequence[E], progress: Progress) -> list[Pair]:
+        places = {name: place for place, name in enumerate(self._ids)}
+        pairs: list[Pair] = []
+        earlier = ""
+        for query, submap in enumerate(extracted):
+            name, wanted = self._ids[query], num_wanted(self._candidates, query)
+            if wanted == query:
+                pairs += [(query, database) for database in range(query)]
+            else:
+                best = self._kept(earlier, submap, wanted)
+                self.shortlists[name] = best
+                pairs += sorted((query, places[candidate.id]) for candidate in best)
+            self._waiting.append((name, submap))
+            if isinstance(self._detector, KeepingDetector):
+                earlier = _chained(earlier, name, self._detector.key(submap))
+            progress((query + 1) / len(extracted))
+        return pairs
+
+    def _kept(self, earlier: str, submap: E, wanted: int) -> tuple[Candidate, ...]:
+        """Find the candidates, unless an earlier run found them after the same submaps."""
+        detector = self._detector
+        if not isinstance(detector, KeepingDetector):
+            return self._find(submap, wanted)
+        made_from = ("shortlist", earlier, detector.key(submap), wanted, self._seed)
+        return detector.keep(lambda: self._find(submap, wanted), *made_from)
+
+    def _find(self, submap: E, wanted: int) -> tuple[Candidate, ...]:
+        for name, waiting in self._waiting:
+            self._shortlist.add(name, self._detector.keypoints(waiting))
+        self._waiting = []
+        return self._shortlist.candidates(self._detector.keypoints(submap), wanted)
+
+
+def _chained(earlier: str, name: str, key: str) -> str:
+    """Name a row of submaps by the row without the last of them, and that one."""
+    return hashlib.sha256(f"{earlier}\n{name}\n{key}".encode()).hexdigest()

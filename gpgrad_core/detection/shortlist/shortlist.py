@@ -1,0 +1,276 @@
+"""The shortlist itself: submaps are added one by one, and searched for the best earlier ones."""
+
+from collections.abc import Collection
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import repeat
+from math import ceil
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.detection.shortlist.candidates import Candidate
+from gpgrad_core.detection.shortlist.vocabulary import (
+    Vocabulary,
+    learn_vocabulary,
+)
+from gpgrad_core.detection.shortlist.votes import (
+    Voters,
+    count_votes,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.threads import num_workers, single_threaded_libraries
+from gpgrad_core.types import Array, Features, as_vectors
+
+LEARN_FROM = 64
+"""Number of submaps from which the vocabulary is learned. Until then all submaps vote."""
+FEWEST_DESCRIPTORS = 5_000
+"""If the submaps have fewer descriptors than this, the vocabulary waits for more submaps."""
+MOST_VOTERS = 500
+"""Only so many keypoints of a submap, the strongest, are kept."""
+MOST_VOTED = 400
+"""Only for so many submaps, the ones with the most similar global vectors, votes are counted.
+
+Of 2,000, they hold 99 % of the pairs of eight sets that are accepted when all are compared, and all
+of those on real ground.
+"""
+WORTH_VOTES = 30.0
+"""Votes that a similarity of 1 is worth. Pairs that share little ground have no more votes than
+chance gives, but their vectors are a little more similar."""
+WORTH_THREADS = 50
+"""From this number of submaps on, the votes take longer to count than threads take to start."""
+
+Vectors = NDArray[np.float32]
+Halves = NDArray[np.float16]
+Counts = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class ShortlistState:
+    """Everything that a shortlist knows, for a file.
+
+    Attributes:
+        seed: Seed of the random choices.
+        ids: Ids of the n submaps in the order in which they were added.
+        vocabulary: The vocabulary; None as long as too few submaps were added.
+        global_vectors: Global vector of each submap (n, v); (n, 0) without a vocabulary.
+        num_descriptors: Number of descriptors that are kept of each submap (n,).
+        descriptors: These descriptors (p, c), submap by submap: short ones of the voters, or
+            whole ones of all keypoints without a vocabulary.
+        num_voters: Number of voters of each submap (n,).
+        positions: Positions of the voters (m, 2) [m], submap by submap.
+        tolerances: Tolerance of each submap's voters (n,) [m].
+    """
+
+    seed: int
+    ids: tuple[str, ...]
+    vocabulary: Vocabulary | None
+    global_vectors: Float[Vectors, "n v"]
+    num_descriptors: Int[Counts, "n"]
+    descriptors: Float[NDArray[np.floating], "p c"]
+    num_voters: Int[Counts, "n"]
+    positions: Float[Vectors, "m 2"]
+    tolerances: Float[Array, "n"]
+
+
+class Shortlist:
+    """Finds the earlier submaps that are worth comparing with a submap, by their keypoints.
+
+    A submap keeps at most 53 kB here: a global vector and its 500 strongest keypoints. The global
+    vectors of all earlier submaps are compared first, which is one product of a matrix with a
+    vector. For the most similar ones, votes are counted (`count_votes`), and those with the most
+    votes are the candidates. Nothing is learned from poses or from the truth, and the same submaps
+    in the same order have the same candidates.
+
+    >>> from gpgrad_core.types import Features
+    >>> none = Features(*np.zeros((1, 0, 2)), *np.zeros((3, 0)), np.zeros((0, 98), np.float32))
+    >>> shortlist = Shortlist()
+    >>> shortlist.add("000", none)
+    >>> shortlist.candidates(none, 30)
+    (Candidate(id='000', votes=0, similarity=0.0),)
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        """Begin with no submap.
+
+        Args:
+            seed: Seed of the random choices.
+        """
+        self._seed = seed
+        self._rows: dict[str, int] = {}
+        self._voters: list[Voters] = []
+        self._vocabulary: Vocabulary | None = None
+        self._waiting: list[
+            Float[NDArray[np.floating], "_ d"]
+        ] = []  # descriptors, until there is a vocabulary
+        self._global = np.zeros((0, 0), np.float32)  # has spare rows at its end
+
+    @classmethod
+    def restored(cls, state: ShortlistState) -> "Shortlist":
+        """Make a shortlist with everything that another one knew."""
+        shortlist = cls(state.seed)
+        shortlist._rows = {id: row for row, id in enumerate(state.ids)}
+        if state.vocabulary is not None:
+            shortlist._vocabulary, shortlist._global = state.vocabulary, state.global_vectors
+        descriptors = np.split(state.descriptors, np.cumsum(state.num_descriptors)[:-1])
+        positions = np.split(state.positions, np.cumsum(state.num_voters)[:-1])
+        if not state.ids:
+            return shortlist
+        if state.vocabulary is None:
+            shortlist._waiting = descriptors
+        shortlist._voters = [
+            Voters(described[: len(where)], where, tolerance)
+            for described, where, tolerance in zip(
+                descriptors, positions, state.tolerances.tolist(), strict=True
+            )
+        ]
+        return shortlist
+
+    def __len__(self) -> int:
+        """Number of submaps."""
+        return len(self._rows)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Ids of the submaps in the order in which they were added."""
+        return tuple(self._rows)
+
+    @property
+    def seed(self) -> int:
+        """Seed of the random choices."""
+        return self._seed
+
+    @property
+    def state(self) -> ShortlistState:
+        """Everything that the shortlist knows."""
+        kept = self._waiting or [voters.descriptors for voters in self._voters]
+        return ShortlistState(
+            self._seed,
+            self.ids,
+            self._vocabulary,
+            self._global[: len(self)].copy()
+            if self._vocabulary
+            else np.zeros((len(self), 0), np.float32),
+            np.array([len(voters) for voters in kept], np.int64),
+            np.concatenate(kept or [np.zeros((0, 0), np.float32)]),
+            np.array([len(voters.positions) for voters in self._voters], np.int64),
+            np.concatenate([np.zeros((0, 2), np.float32), *(v.positions for v in self._voters)]),
+            np.array([voters.tolerance for voters in self._voters], np.float64),
+        )
+
+    def add(self, id: str, features: Features) -> None:
+        """Add a submap.
+
+        Args:
+            id: Its id, which must be new.
+            features: Its keypoints, from the same detector as those of the others.
+
+        Raises:
+            InputError: If the id is not new, or the descriptors have another length than others.
+        """
+        if id in self._rows:
+            raise InputError(f"submap {id} is on the shortlist already; ids must differ")
+        vectors, voters = self._described(features)
+        self._rows[id] = len(self._rows)
+        self._voters.append(voters)
+        if self._vocabulary is not None:
+            self._shorten(self._rows[id], self._vocabulary, vectors)
+            return
+        self._waiting.append(vectors)
+        enough = sum(len(voters) for voters in self._waiting) >= FEWEST_DESCRIPTORS
+        if enough and len(self) >= LEARN_FROM:
+            with single_threaded_libraries():  # sums must not depend on the number of threads
+                self._vocabulary = learn_vocabulary(np.concatenate(self._waiting), self._seed)
+            for row, waiting in enumerate(self._waiting):
+                self._shorten(row, self._vocabulary, waiting)
+            self._waiting = []
+
+    def candidates(
+        self, features: Features, count: int, among: Collection[str] | None = None
+    ) -> tuple[Candidate, ...]:
+        """Find the submaps that are most likely to show the same place.
+
+        Args:
+            features: Keypoints of the submap to compare; it need not have been added.
+            count: Largest number of candidates.
+            among: Ids of the submaps that may be chosen; None takes all.
+
+        Returns:
+            The candidates, the best first: by their votes, with `WORTH_VOTES` more for a similarity
+            of 1, and then in the order of adding.
+
+        Raises:
+            InputError: If a submap was not added, or the descriptors have another length.
+        """
+        vectors, voters = self._described(features)
+        rows = np.arange(len(self))
+        if among is not None:
+            rows = np.array(sorted(self._row(id) for id in among), dtype=np.intp)
+        similarity, voted = np.zeros(len(rows), np.float32), np.arange(len(rows))
+        with single_threaded_libraries():
+            if self._vocabulary is not None:
+                short = self._vocabulary.shorten(vectors)
+                voters = replace(voters, descriptors=_halved(short[: len(voters.positions)]))
+                query = self._vocabulary.aggregate(short)
+                similarity = (self._global[: len(self)] @ query)[rows]
+                voted = np.argsort(-similarity, kind="stable")[: max(MOST_VOTED, count)]
+            votes = np.zeros(len(rows), np.intp)
+            votes[voted] = _count_side_by_side(voters, [self._voters[rows[k]] for k in voted])
+        ids, likeness = self.ids, votes + WORTH_VOTES * similarity
+        return tuple(
+            Candidate(ids[rows[k]], int(votes[k]), round(float(similarity[k]), 6))
+            for k in np.lexsort((-votes, -likeness))[:count]
+        )
+
+    def _row(self, id: str) -> int:
+        row = self._rows.get(id)
+        if row is None:
+            raise InputError(f"submap {id} is not on the shortlist; add it first")
+        return row
+
+    def _described(self, features: Features) -> tuple[Float[Vectors, "k d"], Voters]:
+        """Give a submap's descriptors, the strongest first, and its voters with whole ones."""
+        order = np.argsort(-features.responses, kind="stable")
+        vectors = as_vectors(features.descriptors)[order]
+        length = self._waiting[0].shape[1] if self._waiting else vectors.shape[1]
+        if self._vocabulary is not None:
+            length = len(self._vocabulary.mean)
+        if vectors.shape[1] != length:
+            raise InputError(
+                f"descriptors of {vectors.shape[1]} numbers cannot be compared with those of "
+                f"{length}; use one detector for all submaps"
+            )
+        strongest = order[:MOST_VOTERS]
+        tolerance = float(np.median(features.scales[strongest])) if len(order) else 0.0
+        positions = features.positions[strongest].astype(np.float32)
+        return vectors, Voters(vectors[:MOST_VOTERS], positions, tolerance)
+
+    def _shorten(self, row: int, vocabulary: Vocabulary, vectors: Float[Vectors, "k d"]) -> None:
+        """Replace a submap's descriptors by its global vector and the voters' short ones."""
+        short, voters = vocabulary.shorten(vectors), self._voters[row]
+        vector = vocabulary.aggregate(short)
+        if row >= len(self._global):
+            grown = np.zeros((max(LEARN_FROM, 2 * row), len(vector)), np.float32)
+            grown[: len(self._global)] = self._global.reshape(-1, len(vector))
+            self._global = grown
+        self._global[row] = vector
+        self._voters[row] = replace(voters, descriptors=_halved(short[: len(voters.positions)]))
+
+
+def _count_side_by_side(query: Voters, others: list[Voters]) -> list[int]:
+    """Count the votes on all cores; the result does not depend on their number."""
+    workers = num_workers()
+    if workers == 1 or len(others) < WORTH_THREADS:
+        return count_votes(query, others)
+    size = ceil(len(others) / workers)
+    shares = [others[start : start + size] for start in range(0, len(others), size)]
+    with ThreadPoolExecutor(workers, thread_name_prefix="votes") as executor:
+        counted = executor.map(count_votes, repeat(query), shares)
+        return [votes for share in counted for votes in share]
+
+
+def _halved(short: Float[Vectors, "m c"]) -> Float[Halves, "m c"]:
+    """Round to half precision; a coordinate beyond its range becomes the largest one."""
+    most = np.finfo(np.float16).max
+    return np.clip(short, -most, most).astype(np.float16)

@@ -1,0 +1,166 @@
+"""The stages of the pipeline as data: what each computes, from which results and parameters.
+
+A stage's function, inputs and parameters are its key in the memo and in the store, its place in the
+times that the viewer shows, and its part of the progress. So a changed parameter runs the stages
+that name it, and those after them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Literal, TypeAlias, TypeVar
+
+from gpgrad_core.detection.params import PipelineParams
+from gpgrad_core.features import detect_features, select_trusted
+from gpgrad_core.mapping.gradient_map import (
+    fit_terrain,
+    sample_map,
+)
+from gpgrad_core.matching import match_features
+from gpgrad_core.registration import prepare, register_prepared, search_candidates
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.types import Submap, SubmapSource
+
+R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
+
+Phase: TypeAlias = Literal["map", "features", "matching", "registration"]
+
+
+@dataclass(frozen=True)
+class Stage(Generic[R_co]):
+    """A pure function, and where its arguments come from.
+
+    Attributes:
+        function: Takes the submaps if it wants them, then the results of its inputs, and then its
+            parameters.
+        params_of: Picks its parameters out of all.
+        inputs: The stages whose results it takes. A stage of a pair takes a result of each of the
+            two submaps from a stage of single submaps.
+        phase: What its time counts as.
+        wants_submap: Whether its arguments begin with the submap itself.
+        of_pair: Whether it belongs to a pair of submaps, and not to one.
+        reports: Whether it takes a progress hook.
+    """
+
+    function: Callable[..., R_co]
+    params_of: Callable[[PipelineParams], tuple[object, ...]]
+    inputs: tuple["Stage[object]", ...]
+    phase: Phase
+    wants_submap: bool = False
+    of_pair: bool = False
+    reports: bool = False
+
+
+FIT = Stage(
+    fit_terrain, lambda params: (params.map.terrain,), (), "map", wants_submap=True, reports=True
+)
+SAMPLE = Stage(
+    sample_map,
+    lambda params: (params.map.resolution, params.map.scale),
+    (FIT,),
+    "map",
+    wants_submap=True,
+)
+DETECT = Stage(detect_features, lambda params: (params.features.detector,), (SAMPLE,), "features")
+SELECT = Stage(select_trusted, lambda params: (params.features,), (DETECT,), "features")
+PREPARE = Stage(prepare, lambda params: (params.features.max_std_ratio,), (SAMPLE,), "registration")
+MATCH = Stage(
+    match_features, lambda params: (params.matching,), (SELECT,), "matching", of_pair=True
+)
+SEARCH = Stage(
+    search_candidates,
+    lambda params: (params.registration.searched,),
+    (PREPARE,),
+    "registration",
+    of_pair=True,
+)
+REGISTER = Stage(
+    register_prepared,
+    lambda params: (params.registration,),
+    (PREPARE, MATCH, SEARCH),
+    "registration",
+    of_pair=True,
+    reports=True,
+)
+STAGES: tuple[Stage[object], ...] = (
+    *(FIT, SAMPLE, DETECT, SELECT, PREPARE),
+    *(MATCH, SEARCH, REGISTER),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Stages:
+    """Runs stages with some parameters; the memo keeps what they give.
+
+    Attributes:
+        params: Parameters of all stages, with numbers for those that the stages use.
+        memo: Keeps the results.
+    """
+
+    params: PipelineParams
+    memo: Memo
+
+    def run(self, stage: Stage[R], *submaps: Submap, progress: Progress = silent) -> R:
+        """Run a stage for a submap or a pair (query, database), and the stages before it."""
+        return self.apply(stage, *self._inputs(stage, submaps, progress), progress=progress)
+
+    def apply(self, stage: Stage[R], *inputs: object, progress: Progress = silent) -> R:
+        """Run a stage on given inputs, unless the memo has the result."""
+        arguments = *inputs, *stage.params_of(self.params)
+        if stage.reports:
+            return self.memo(stage.function, *arguments, progress=progress)
+        return self.memo(stage.function, *arguments)
+
+    def holds(self, stage: Stage[object], *submaps: Submap) -> bool:
+        """Tell whether the memo has the result of a stage and of those before it."""
+        if not all(
+            self.holds(source, *some)
+            for source in stage.inputs
+            for some in _submaps_of(source, submaps)
+        ):
+            return False
+        arguments = *self._inputs(stage, submaps), *stage.params_of(self.params)
+        return self.memo.holds(stage.function, *arguments)
+
+    def keep(self, result: R, stage: Stage[R], *submaps: Submap) -> R:
+        """Give the memo a stage's result that was computed elsewhere."""
+        arguments = *self._inputs(stage, submaps), *stage.params_of(self.params)
+        return self.memo.keep(result, stage.function, *arguments)
+
+    def _inputs(
+        self, stage: Stage[object], submaps: tuple[Submap, ...], progress: Progress = silent
+    ) -> list[object]:
+        inputs: list[object] = [*submaps] if stage.wants_submap else []
+        heard = silent if stage.of_pair else progress  # that of a pair is for its own stage
+        for source in stage.inputs:
+            for some in _submaps_of(source, submaps):
+                inputs.append(self.run(source, *some, progress=heard))  # noqa: PERF401
+        return inputs
+
+
+def key_of_stage(
+    stage: Stage[object], params: PipelineParams, *sources: SubmapSource
+) -> tuple[object, ...]:
+    """Say what a stage's result is made from, as `store.key_of` takes it.
+
+    Args:
+        stage: The stage.
+        params: Parameters of all stages.
+        sources: The submap, or the pair (query, database); they need not be loaded.
+    """
+    inputs = (
+        key_of_stage(source, params, *some)
+        for source in stage.inputs
+        for some in _submaps_of(source, sources)
+    )
+    own = sources if stage.wants_submap else ()
+    return (stage.function.__name__, *own, *inputs, *stage.params_of(params))
+
+
+S = TypeVar("S", bound=SubmapSource)
+
+
+def _submaps_of(source: Stage[object], submaps: tuple[S, ...]) -> list[tuple[S, ...]]:
+    """List for which submaps an input is run: the pair as a whole, or each submap by itself."""
+    return [submaps] if source.of_pair else [(submap,) for submap in submaps]

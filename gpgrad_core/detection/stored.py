@@ -1,0 +1,186 @@
+"""The pipeline's stages over a store: what an earlier run has made is not made again."""
+
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+from gpgrad_core.detection.all_pairs import SourceDetector
+from gpgrad_core.detection.dataset import (
+    ExtractedSubmap,
+    MapDetector,
+    infer_map,
+)
+from gpgrad_core.detection.shortlist import ALL_UP_TO
+from gpgrad_core.detection.stages import (
+    PREPARE,
+    SELECT,
+    key_of_stage,
+)
+from gpgrad_core.registration import Prepared
+from gpgrad_core.run.folders import TemporaryFolder
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run.store import Store, key_of
+from gpgrad_core.types import (
+    Features,
+    GradientMap,
+    LoopDetector,
+    Registration,
+    Submap,
+    SubmapSource,
+)
+
+D = TypeVar("D", bound=LoopDetector)
+R = TypeVar("R")
+
+STORED = (SELECT, PREPARE)
+"""The stages whose results are kept: all that a comparison needs of a submap."""
+VIEW_BYTES = 2_000_000
+"""Room for what is kept of a submap and its pairs; 30,000 points take half of it."""
+LOADED = Memo(200_000_000)
+"""Views that this process has loaded, by their keys: it gets a new detector with every job."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A submap as the comparison sees it: in the store, or here if the store could not take it.
+
+    Attributes:
+        source: The submap, from which the view can be made anew.
+        features_key: Key of its keypoints in the store; a shortlist needs nothing else.
+        prepared_key: Key of what is prepared for registration.
+        made: What the comparison needs; None if the store has it.
+    """
+
+    source: SubmapSource
+    features_key: str
+    prepared_key: str
+    made: ExtractedSubmap | None = None
+
+    @property
+    def key(self) -> str:
+        """Key of both together."""
+        return f"{self.features_key} {self.prepared_key}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Mapped:
+    """A view that is still to be made, with the map that it will be made of."""
+
+    view: View
+    gradient_map: GradientMap
+
+
+@dataclass(frozen=True, eq=False)
+class StoredDetector(SourceDetector[View | _Mapped, View]):
+    """A `MapDetector` that keeps views and registrations in a store, and takes them from there.
+
+    So a run that was killed goes on where it was, and a second run with another threshold compares
+    nothing. Submaps are handed around without their views, which are several times as large, and
+    which every process loads as it needs them.
+
+    Attributes:
+        detector: What makes views and registrations; with its own maps, not a rival's.
+        store: Where they are kept.
+    """
+
+    detector: MapDetector
+    store: Store
+
+    def infer(self, submap: Submap, progress: Progress = silent) -> View | _Mapped:
+        """Make the map, unless the view is in the store."""
+        return self.infer_source(submap, progress)
+
+    def infer_source(self, source: SubmapSource, progress: Progress = silent) -> View | _Mapped:
+        """Load the submap and make its map, unless the view is in the store."""
+        features_key, prepared_key = (
+            key_of(*key_of_stage(stage, self.detector.params, source)) for stage in STORED
+        )
+        view = View(source, features_key, prepared_key)
+        if self.store.holds(view.features_key) and self.store.holds(view.prepared_key):
+            progress(1.0)
+            return view
+        return _Mapped(view, self.detector.infer(source.load(), progress))
+
+    def extract(self, made: View | _Mapped, progress: Progress = silent) -> View:
+        """Make the view of a map, and put it into the store."""
+        if isinstance(made, View):
+            progress(1.0)
+            return made
+        extracted = self.detector.extract(made.gradient_map, progress)
+        return made.view if self._put(made.view, extracted) else replace(made.view, made=extracted)
+
+    def keypoints(self, extracted: View) -> Features:
+        """Give the keypoints of a view."""
+        if extracted.made is None:
+            features = self.store.get(extracted.features_key)
+            if isinstance(features, Features):
+                return features
+        return self._load(extracted).features
+
+    def key(self, extracted: View) -> str:
+        """Give the key of a view."""
+        return extracted.key
+
+    def keep(self, make: Callable[[], R], *made_from: object) -> R:
+        """Return ``make()``, from the store if it was made before from the same."""
+        return self.store(make, *made_from)
+
+    def compare(self, query: View, database: View) -> Registration:
+        """Register two views, unless that was done before."""
+        params = self.detector.params
+        return self.store(
+            lambda: self.detector.compare(self._load(query), self._load(database)),
+            *("pair", query.key, database.key, params.matching, params.registration),
+        )
+
+    def _load(self, view: View) -> ExtractedSubmap:
+        if view.made is not None:
+            return view.made
+        return LOADED(self._from_store, view.key, view=view)
+
+    def _from_store(self, key: str, *, view: View) -> ExtractedSubmap:
+        del key  # by which `LOADED` knows the view
+        features, prepared = (self.store.get(key) for key in (view.features_key, view.prepared_key))
+        if isinstance(features, Features) and isinstance(prepared, Prepared):
+            return ExtractedSubmap(features, prepared)
+        # It was damaged, or another process needed its room.
+        extracted = self.detector.extract(self.detector.infer(view.source.load()))
+        self._put(view, extracted)
+        return extracted
+
+    def _put(self, view: View, extracted: ExtractedSubmap) -> bool:
+        """Keep what was extracted of a submap, and say whether it is kept."""
+        return self.store.put(view.features_key, extracted.features) and self.store.put(
+            view.prepared_key, extracted.prepared
+        )
+
+
+def with_store(detector: D, store: Store | None) -> "D | StoredDetector":
+    """Let a detector use a store, if there is one and the detector is the pipeline itself.
+
+    Rivals are not kept: they run to be timed.
+    """
+    if store is None or not isinstance(detector, MapDetector):
+        return detector
+    is_own = detector.make_map is infer_map and detector.drawn_from is None
+    return StoredDetector(detector, store) if is_own else detector
+
+
+@contextmanager
+def store_for_run(store: Store | None, num_submaps: int) -> Generator[Store | None]:
+    """Give a store with room for a run; a temporary one if the results of many are not kept.
+
+    Args:
+        store: Where results are kept; None if they are not.
+        num_submaps: Number of submaps of the run. Of few, the results fit into memory.
+    """
+    if store is not None:
+        yield store.with_room(num_submaps * VIEW_BYTES)
+    elif num_submaps <= ALL_UP_TO:
+        yield None
+    else:
+        with TemporaryFolder("gpgrad-results-") as folder:
+            yield Store(Path(folder)).with_room(num_submaps * VIEW_BYTES)

@@ -1,0 +1,1 @@
+"""Files in and out: clouds, datasets, poses, coordinates, and records for other programs."""

@@ -1,0 +1,165 @@
+"""One cloud file -> one submap: every format that is read is a module of this folder."""
+
+import importlib
+import pkgutil
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds.format import (
+    CloudFormat,
+    PointCloud,
+    Points,
+)
+from gpgrad_core.reading.paths import check_path
+from gpgrad_core.types import Submap
+
+COARSE_STEP = 1e-3
+"""If neighbouring 32-bit coordinates differ by more than this [m], the user is warned."""
+
+
+def _find_formats() -> dict[str, CloudFormat]:
+    formats: dict[str, CloudFormat] = {}
+    for module in pkgutil.iter_modules(__path__, prefix=f"{__name__}."):
+        for value in vars(importlib.import_module(module.name)).values():
+            if isinstance(value, CloudFormat):
+                formats[value.ending] = value
+    return dict(sorted(formats.items()))
+
+
+CLOUD_FORMATS = _find_formats()
+"""The format of a file, by its ending: every `CloudFormat` of a module in this folder."""
+CLOUD_ENDINGS = " ".join(CLOUD_FORMATS)
+"""As messages list them."""
+
+
+def is_cloud(path: Path) -> bool:
+    """Tell by its ending whether a file is a cloud."""
+    return path.suffix.lower() in CLOUD_FORMATS
+
+
+def load_cloud(path: Path | str) -> Submap:
+    """Load one gravity-aligned cloud, of any format in `CLOUD_FORMATS`.
+
+    float64 files keep their precision. Rows that are not finite are dropped and counted in
+    ``Submap.num_dropped``; wild points are left out and counted in ``Submap.num_wild``.
+
+    Args:
+        path: The file; its name without the ending becomes the submap's id.
+
+    Returns:
+        The submap, with points in metres.
+
+    Raises:
+        InputError: If the file is missing or broken, has an unknown ending, or holds no terrain.
+    """
+    return load_cloud_with_notes(Path(path))[0]
+
+
+def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
+    """Load one cloud, with notes on what was left out or is doubtful, one line each.
+
+    Raises:
+        InputError: See `load_cloud`.
+    """
+    cloud_format = _format_of(path)
+    cloud = read_cloud(path, cloud_format.submap_numbers)
+    points, colors = cloud.points, cloud.colors
+    if len(points) == 0:
+        raise InputError(f"{path}: is an empty cloud: it holds no points; give another file")
+    notes: list[str] = []
+    if colors is not None and not _are_colors(colors, points):
+        colors = None
+        notes.append(f"{path.name}: its colours are not all from 0 to 1 and were left out")
+    numbers = {name: np.asarray(values, np.float64) for name, values in cloud.numbers.items()}
+    try:
+        submap = Submap.from_points(
+            points,
+            path.stem,
+            colors=colors,
+            noise_std=numbers.get("noise_std"),
+            ranges=numbers.get("range"),
+        )
+    except InputError as error:
+        # The submap's error names the submap; the user needs the name of the file.
+        raise InputError(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
+    if submap.num_dropped:
+        verb = "is not finite and was" if submap.num_dropped == 1 else "are not finite and were"
+        notes.append(f"{path.name}: {submap.num_dropped:,} of {len(points):,} rows {verb} dropped")
+    notes += wild_note(submap, path.name)
+    furthest = float(np.abs(submap.points).max())
+    if points.dtype.itemsize < 8 and np.spacing(np.float32(furthest)) > COARSE_STEP:
+        notes.append(
+            f"{path.name}: its 32-bit coordinates of up to {furthest:,.0f} m have steps of "
+            f"{np.spacing(np.float32(furthest)):.2g} m; save it with 64 bits or in a local frame"
+        )
+    return submap, tuple(notes)
+
+
+def _are_colors(colors: Points, points: Points) -> bool:
+    """Say whether all points that are kept have red, green and blue from 0 to 1."""
+    kept = colors[np.isfinite(points).all(axis=1)]
+    return bool(np.all((kept >= 0) & (kept <= 1)))
+
+
+def wild_note(submap: Submap, name: str) -> list[str]:
+    """Say how many wild points were left out of a cloud; nothing if there were none."""
+    count, total = submap.num_wild, submap.num_points + submap.num_wild
+    if not count:
+        return []
+    verb, them = ("was", "it") if count == 1 else ("were", "them")
+    return [f"{name}: {count:,} of {total:,} points {verb} left out: no ground explains {them}"]
+
+
+def read_cloud(path: Path, names: Collection[str] = ()) -> PointCloud:
+    """Read what a file holds, without changes.
+
+    Args:
+        path: The file.
+        names: Which further numbers of each point to read, such as ``intensity``. Those of
+            ``.ply``, ``.npz`` and ``.pcd`` have the file's names; those of others are
+            `clouds.kitti.REFLECTANCE` and `clouds.las.FIELDS`.
+
+    Raises:
+        InputError: As in `load_cloud`, except that the cloud may hold any points, or none; or if
+            there are more or fewer of a number than of the points.
+    """
+    cloud_format = _format_of(path)
+    try:
+        cloud = cloud_format.read(path, names)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    for name, values in cloud.numbers.items():
+        if len(values) != len(cloud.points):
+            raise InputError(
+                f"{path}: {name} has {len(values):,} rows, the points have {len(cloud.points):,}"
+            )
+    return cloud
+
+
+def _format_of(path: Path) -> CloudFormat:
+    if not check_path(path).exists():
+        raise InputError(f"{path}: no such file")
+    if not path.is_file() and not path.is_dir():  # a pipe would be waited for, without end
+        raise InputError(f"{path}: cannot be read: it is a device or a pipe, not a file")
+    cloud_format = CLOUD_FORMATS.get(path.suffix.lower())
+    if cloud_format is None:
+        raise InputError(
+            f"{path}: unknown ending {path.suffix!r}; the known ones are {CLOUD_ENDINGS}"
+        )
+    return cloud_format
+
+
+def unpacked_bytes(path: Path) -> int:
+    """Give the bytes that a cloud takes in memory; a compressed one takes more than its file.
+
+    Raises:
+        InputError: If it is broken.
+    """
+    measure = _format_of(path).unpacked_bytes
+    try:
+        return path.stat().st_size if measure is None else measure(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None

@@ -1,0 +1,209 @@
+"""NPY and NPZ, NumPy's own formats.
+
+NumPy's reader is not used: it parses the header as a Python expression, believes a shape before
+it has looked at the size, and leaves what a shape does not cover unread.
+"""
+
+import math
+import re
+from collections.abc import Callable, Collection, Generator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeAlias
+from zipfile import ZipFile, ZipInfo
+
+import numpy as np
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds.format import (
+    CloudFormat,
+    PointCloud,
+    Points,
+    as_floats,
+)
+from gpgrad_core.reading.archives import opened_archive, read_member
+from gpgrad_core.reading.text import parse_count
+
+MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK\x03\x04"
+LENGTH_BYTES = {1: 2, 2: 4, 3: 4}
+"""How many bytes give the length of the header, by version."""
+LARGEST_HEADER = 10_000
+MOST_GROWTH = 30
+"""Arrays of real numbers grow to at most some times their compressed size. Zeros grow a
+thousandfold."""
+SMALL_ARRAY = 16_000_000
+"""Bytes that any compressed array may grow to."""
+
+Load: TypeAlias = Callable[[], NDArray[np.generic]]
+
+_ITEM = re.compile(
+    r"\s*'(?P<key>descr|fortran_order|shape)'\s*:\s*"
+    r"(?P<value>'[^']{1,40}'|True|False|\([0-9,\s]{0,200}\)|\[.*\])\s*(?:,|(?=\}))"
+)
+
+
+def read_npy(path: Path, _names: Collection[str] = ()) -> PointCloud:
+    """Read an array of shape (n, 3).
+
+    Raises:
+        InputError: If it is no NPY file, its size is not that of its shape, or the array is no
+            points.
+    """
+    data = path.read_bytes()
+    if data.startswith(ZIP_MAGIC):
+        raise InputError(f"{path}: is an NPZ archive; rename it to .npz")
+    array = _parse(data, f"{path}: is not a complete NPY file")
+    return PointCloud(_check_points(array, str(path)))
+
+
+def read_npz(path: Path, names: Collection[str] = ()) -> PointCloud:
+    """Read the array ``points`` of an archive, or its only array of shape (n, 3).
+
+    Args:
+        path: The file.
+        names: Which further arrays, of one number for each point, to read.
+
+    Raises:
+        InputError: If it is no archive of arrays, holds no such array of points, or one of the
+            further arrays is no row of numbers.
+    """
+    with opened_npz(path) as arrays:
+        points = _points_of(arrays, path)
+        numbers = {name: arrays[name]() for name in names if name in arrays}
+    for name, array in numbers.items():
+        if array.ndim != 1 or array.dtype.kind not in "fiu":
+            raise InputError(
+                f"{path}, array {name!r}: must be numbers of shape (n,), one for each point, "
+                f"got {array.dtype} {array.shape}"
+            )
+    return PointCloud(points, numbers=numbers)
+
+
+def _points_of(arrays: Mapping[str, Load], path: Path) -> Points:
+    if "points" in arrays:
+        return _check_points(arrays["points"](), f"{path}, array 'points'")
+    held = {name: load() for name, load in arrays.items()}
+    clouds = [name for name, array in held.items() if _has_points_shape(array)]
+    if len(clouds) != 1:
+        listed = ", ".join(f"{name} {array.shape}" for name, array in held.items()) or "nothing"
+        raise InputError(
+            f"{path}: needs an array 'points', or just one of shape (n, 3); it holds {listed}"
+        )
+    return as_floats(held[clouds[0]])
+
+
+def unpacked_npz(path: Path) -> int:
+    """Give the size of an archive's arrays, unpacked [bytes].
+
+    Raises:
+        InputError: If it is no archive.
+    """
+    with path.open("rb") as file, opened_archive(file, str(path), "NPZ file") as archive:
+        return sum(member.file_size for member in archive.infolist())
+
+
+def _parse(data: bytes, broken: str) -> NDArray[np.generic]:
+    """Parse the content of an NPY file; an error message begins with ``broken``."""
+    if not data.startswith(MAGIC) or len(data) < 12:
+        raise InputError(f"{broken}: it does not begin as one, with the byte 0x93 and 'NUMPY'")
+    width = LENGTH_BYTES.get(data[6])
+    if width is None:
+        raise InputError(f"{broken}: its version {data[6]} is not known")
+    begin = 8 + width
+    end = begin + int.from_bytes(data[8:begin], "little")
+    if end > len(data) or end - begin > LARGEST_HEADER:
+        raise InputError(f"{broken}: its header of {end - begin:,} bytes does not end")
+    dtype, fortran, shape = _parse_header(data[begin:end].decode("latin-1"), broken)
+    size = math.prod(shape) * dtype.itemsize
+    if size != len(data) - end:
+        raise InputError(
+            f"{broken}: its header promises {dtype} {shape}, {size:,} bytes, but "
+            f"{len(data) - end:,} follow"
+        )
+    if not size:
+        return np.empty(shape, dtype)
+    array = np.frombuffer(data, dtype, offset=end).reshape(shape, order="F" if fortran else "C")
+    return array.copy()  # one that can be written to, unlike the file's bytes
+
+
+def _parse_header(header: str, broken: str) -> tuple[np.dtype[np.generic], bool, tuple[int, ...]]:
+    text = header.strip()
+    items: dict[str, str] = {}
+    position = 1
+    while text.startswith("{") and (item := _ITEM.match(text, position)) is not None:
+        if item["key"] in items:
+            break
+        items[item["key"]] = item["value"]
+        position = item.end()
+    if len(items) != 3 or text[position:].strip() != "}":
+        raise InputError(f"{broken}: its header does not give descr, fortran_order and shape")
+    descr, order, sizes = items["descr"], items["fortran_order"], items["shape"]
+    if descr.startswith("[") or "O" in descr:
+        raise InputError(
+            f"{broken} of numbers: it holds {descr[:40]}; Python objects are never loaded, "
+            "because loading them can run programs"
+        )
+    try:
+        dtype = np.dtype(descr.strip("'"))
+    except (TypeError, ValueError):
+        raise InputError(f"{broken}: {descr} is not a type of numbers") from None
+    shape = [parse_count(size.strip()) for size in sizes[1:-1].split(",") if size.strip()]
+    counted = tuple(size for size in shape if size is not None)
+    # Only a type of numbers has a fixed meaning: NumPy takes many words for types.
+    if order not in ("True", "False") or not sizes.startswith("(") or len(counted) < len(shape):
+        raise InputError(f"{broken}: its header gives the shape {sizes} and the order {order}")
+    return dtype, order == "True", counted
+
+
+@contextmanager
+def opened_npz(path: Path) -> Generator[dict[str, Load]]:
+    """Open an archive of arrays: each is loaded when it is called."""
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) == MAGIC:
+            raise InputError(f"{path}: is a single NPY array; rename it to .npy")
+        with opened_archive(file, str(path), "NPZ file") as archive:
+
+            def loader(member: ZipInfo) -> Load:
+                return lambda: _load(archive, member, path)
+
+            yield {
+                member.filename.removesuffix(".npy"): loader(member)
+                for member in archive.infolist()
+                if member.filename.endswith(".npy")
+            }
+
+
+def _load(archive: ZipFile, member: ZipInfo, path: Path) -> NDArray[np.generic]:
+    if member.file_size > max(SMALL_ARRAY, MOST_GROWTH * member.compress_size):
+        raise InputError(
+            f"{path}: {member.filename!r} would unpack from {member.compress_size:,} bytes to "
+            f"{member.file_size:,}; numbers do not shrink to less than 1/{MOST_GROWTH}, "
+            "so it is damaged"
+        )
+    data = read_member(archive, member, str(path))
+    name = member.filename.removesuffix(".npy")
+    return _parse(data, f"{path}, array {name!r}: is not a complete NPY file")
+
+
+def _has_points_shape(array: NDArray[np.generic]) -> bool:
+    return array.ndim == 2 and array.shape[1] == 3 and array.dtype.kind in "fiu"
+
+
+def _check_points(array: NDArray[np.generic], where: str) -> Points:
+    if not _has_points_shape(array):
+        raise InputError(
+            f"{where}: points must be numbers of shape (n, 3), got {array.dtype} {array.shape}"
+        )
+    return as_floats(array)
+
+
+NPY = CloudFormat(".npy", "an array of shape (n, 3)", read_npy)
+NPZ = CloudFormat(
+    ".npz",
+    "an array `points`, or the only array of shape (n, 3); `noise_std` and `range` if they are "
+    "there",
+    read_npz,
+    submap_numbers=("noise_std", "range"),
+    unpacked_bytes=unpacked_npz,
+)

@@ -1,0 +1,387 @@
+"""PLY, the cloud format that every tool writes.
+
+Open3D's reader is not used: for a file that was cut short, Open3D 0.20 prints a warning and
+returns zeros for the missing points. trimesh refuses such a file, but does not say how much is
+missing. After a check of the number of points in the header, NumPy reads the rest in one call.
+"""
+
+import shutil
+import tempfile
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds.format import (
+    CloudFormat,
+    PointCloud,
+    as_floats,
+    cut_short,
+    surplus,
+)
+from gpgrad_core.io.clouds.tables import (
+    Layout,
+    read_body,
+)
+from gpgrad_core.reading.text import parse_count
+
+BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+SCALARS = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+RGB = ("red", "green", "blue")
+MAX_FLOAT32_EXTENT = 1000.0
+"""Coordinates beyond this [m] are written as doubles: there float32 has steps of 0.06 mm."""
+
+
+LARGEST_HEADER = 1_000_000
+"""Bytes; real headers have a thousandth."""
+FACE_LISTS = ("vertex_indices", "vertex_index")
+MOST_PROPERTIES = 1000
+"""Of an element; real ones have some tens."""
+
+
+@dataclass(frozen=True)
+class _Property:
+    """A number of each row, or a list of numbers, whose length comes first."""
+
+    name: str
+    kind: str  # NumPy's type of the number, or of a list's numbers
+    length: str = ""  # NumPy's type of a list's length; "" if it is no list
+
+
+@dataclass(frozen=True)
+class _Element:
+    name: str
+    count: int
+    properties: tuple[_Property, ...]
+
+    @property
+    def has_list(self) -> bool:
+        return any(item.length for item in self.properties)
+
+    def dtype(self, byte_order: str, lengths: Sequence[int] = ()) -> np.dtype[np.void]:
+        """Type of a row, given the lengths of its lists."""
+        # The fields are numbered, because two properties may have the same name.
+        left = iter(lengths)
+        fields: list[Any] = []
+        for k, item in enumerate(self.properties):
+            if item.length:
+                fields.append((f"length {k}", byte_order + item.length))
+            shape = (next(left),) if item.length else ()
+            fields.append((str(k), byte_order + item.kind, shape))
+        return np.dtype(fields)
+
+
+@dataclass(frozen=True)
+class _Header:
+    layout: str
+    elements: tuple[_Element, ...]
+    num_bytes: int
+    num_lines: int
+
+    def vertex(self, path: Path) -> _Element:
+        for element in self.elements:
+            if element.name == "vertex":
+                return element
+        raise InputError(f"{path}: its header has no 'element vertex'; it holds no points")
+
+
+def read_ply(path: Path, names: Collection[str] = ()) -> PointCloud:
+    """Read the vertices of a PLY file, ascii or binary of either byte order.
+
+    Args:
+        path: The file.
+        names: Which further numbers of each vertex to read, by the names of their properties.
+
+    Returns:
+        Positions [m], float32 if they are float32 in the file, otherwise float64. Colours that are
+        whole numbers are divided by the largest number of their type; floats are not changed.
+
+    Raises:
+        InputError: If it is not a PLY file, has no x, y and z, or ends too early.
+    """
+    data = path.read_bytes()
+    header = _parse_header(data, path)
+    kinds = {item.name: item.kind for item in header.vertex(path).properties if not item.length}
+    rgb = RGB if all(name in kinds for name in RGB) else ()
+    further = [name for name in names if name in kinds]
+    columns = _read_vertices(data, header, [*"xyz", *rgb, *further], path)
+    colors = None
+    if rgb:
+        colors = np.column_stack([columns[name] for name in RGB]).astype(np.float64)
+        if np.dtype(kinds["red"]).kind in "iu":
+            colors /= np.iinfo(kinds["red"]).max
+    points = np.column_stack([columns[name] for name in "xyz"])
+    return PointCloud(as_floats(points), colors, {name: columns[name] for name in further})
+
+
+def _read_vertices(
+    data: bytes, header: _Header, properties: Sequence[str], path: Path
+) -> dict[str, NDArray[np.number]]:
+    """Read some properties of every vertex, by their names."""
+    vertex = header.vertex(path)
+    place = header.elements.index(vertex)
+    before, after = header.elements[:place], header.elements[place + 1 :]
+    columns = _columns(vertex, properties, path)
+    if header.layout == "ascii":
+        if any(item.length for item in vertex.properties[: max(columns)]):
+            wanted = ", ".join(properties)
+            raise InputError(f"{path}: {wanted} must come before all list properties of a vertex")
+        width = None if vertex.has_list else len(vertex.properties)
+        body = read_body(
+            data[header.num_bytes :],
+            vertex.count,
+            Layout(columns, width),
+            path,
+            # An element without properties has no rows.
+            before=sum(element.count for element in before if element.properties),
+            after=sum(element.count for element in after if element.properties),
+            first_line=header.num_lines + 1,
+        )
+        return dict(zip(properties, body.T, strict=True))
+    for element in (*before, vertex):
+        if element.has_list:
+            raise InputError(
+                f"{path}: lists in or before 'element vertex' are not supported in a binary PLY; "
+                "save only the points"
+            )
+    order = BYTE_ORDERS[header.layout]
+    start = header.num_bytes + sum(e.count * e.dtype(order).itemsize for e in before)
+    dtype = vertex.dtype(order)
+    available = max(0, len(data) - start) // dtype.itemsize
+    if available < vertex.count or start > len(data):
+        raise cut_short(path, vertex.count, available)
+    end = start + vertex.count * dtype.itemsize
+    _check_end(data, end, after, order, vertex.count, path)
+    rows = np.frombuffer(data, dtype, vertex.count, start) if vertex.count else np.empty(0, dtype)
+    return {name: rows[str(column)] for name, column in zip(properties, columns, strict=True)}
+
+
+def _check_end(
+    data: bytes,
+    position: int,
+    elements: Iterable[_Element],
+    order: str,
+    num_points: int,
+    path: Path,
+) -> None:
+    """Check that a binary file ends where its last element ends.
+
+    The corners of faces must be points: by chance, the lengths of their lists may fit elsewhere.
+    """
+    for element in elements:
+        end = _end_of(data, position, element, order, num_points)
+        if end is None:
+            raise InputError(
+                f"{path}: is cut short or damaged: it does not hold {element.count:,} rows of "
+                f"'element {element.name}'; copy or save it again"
+            )
+        position = end
+    if position < len(data):
+        raise surplus(path, position, len(data), "bytes")
+
+
+def _end_of(data: bytes, start: int, element: _Element, order: str, num_points: int) -> int | None:
+    """Find where an element ends; None if that is beyond the file, or it cannot be the element."""
+    empty = element.dtype(order, [0] * len(element.properties)).itemsize
+    if start + element.count * empty > len(data):
+        return None
+    if not element.count or not element.has_list:
+        return start + element.count * empty
+    first = _list_lengths(data, start, element, order, num_points)
+    if first is not None:
+        # Nearly always, all lists are as long as the first one: a mesh of triangles.
+        dtype = element.dtype(order, first[0])
+        end = start + element.count * dtype.itemsize
+        if end <= len(data):
+            rows = np.frombuffer(data, dtype, element.count, start)
+            lists = [k for k, item in enumerate(element.properties) if item.length]
+            same = zip(lists, first[0], strict=True)
+            if all(np.all(rows[f"length {k}"] == length) for k, length in same):
+                corners = [k for k in lists if element.properties[k].name in FACE_LISTS]
+                return end if all(_are_indices(rows[str(k)], num_points) for k in corners) else None
+    position = start
+    for _ in range(element.count):
+        row = _list_lengths(data, position, element, order, num_points)
+        if row is None:
+            return None
+        position = row[1]
+    return position
+
+
+def _are_indices(corners: NDArray[np.number], num_points: int) -> bool:
+    return bool(np.all((corners >= 0) & (corners < num_points)))
+
+
+def _list_lengths(
+    data: bytes, start: int, element: _Element, order: str, num_points: int
+) -> tuple[list[int], int] | None:
+    """Read the lengths of a row's lists, and where it ends; None if it cannot be a row."""
+    lengths: list[int] = []
+    position = start
+    for item in element.properties:
+        size, times = np.dtype(item.kind).itemsize, 1
+        if item.length:
+            width = np.dtype(item.length).itemsize
+            if position + width > len(data):
+                return None
+            signed = item.length.startswith("i")
+            little = "little" if order == "<" else "big"
+            times = int.from_bytes(data[position : position + width], little, signed=signed)
+            if times < (2 if item.name in FACE_LISTS else 0):  # a face of one corner is none
+                return None
+            lengths.append(times)
+            position += width
+        position += times * size
+        if position > len(data):
+            return None
+        if item.length and item.name in FACE_LISTS:
+            corners = np.frombuffer(data, order + item.kind, times, position - times * size)
+            if not _are_indices(corners, num_points):
+                return None
+    return lengths, position
+
+
+def _parse_header(data: bytes, path: Path) -> _Header:
+    if not data.startswith(b"ply"):
+        raise InputError(f"{path}: is not a PLY file: it does not start with 'ply'")
+    layout = ""
+    elements: list[_Element] = []
+    position = number = 0
+    while (end := data.find(b"\n", position, LARGEST_HEADER)) >= 0:
+        words = data[position:end].decode("latin-1").split()
+        position = end + 1
+        number += 1
+        where = f"{path}, line {number}"
+        match words:
+            case ["end_header"]:
+                if not layout:
+                    raise InputError(f"{path}: its header has no 'format' line")
+                return _Header(layout, tuple(elements), position, number)
+            case ["format", name, *_] if not layout:
+                if name not in BYTE_ORDERS:
+                    raise InputError(
+                        f"{where}: format {name!r} is not one of {', '.join(BYTE_ORDERS)}"
+                    )
+                layout = name
+            case ["element", name, word] if (count := parse_count(word)) is not None:
+                if any(element.name == name for element in elements):
+                    raise InputError(f"{where}: names 'element {name}' a second time")
+                elements.append(_Element(name, count, ()))
+            case ["property", "list", length, kind, name] if elements and _is_length(length, kind):
+                item = _Property(name, SCALARS[kind], SCALARS[length])
+                elements[-1] = _with_property(elements[-1], item, where)
+            case ["property", kind, name] if elements and kind in SCALARS:
+                item = _Property(name, SCALARS[kind])
+                elements[-1] = _with_property(elements[-1], item, where)
+            case ["ply"] | ["comment", *_] | ["obj_info", *_] | []:
+                pass
+            case _:
+                raise InputError(f"{where}: {' '.join(words)[:60]!r} is not a line of a PLY header")
+    raise InputError(f"{path}: is cut short: its header has no 'end_header'; copy or save it again")
+
+
+def _is_length(length: str, kind: str) -> bool:
+    return SCALARS.get(length, "f")[0] in "iu" and kind in SCALARS
+
+
+def _with_property(element: _Element, item: _Property, where: str) -> _Element:
+    if len(element.properties) == MOST_PROPERTIES:
+        raise InputError(f"{where}: 'element {element.name}' has over {MOST_PROPERTIES} properties")
+    return _Element(element.name, element.count, (*element.properties, item))
+
+
+def _columns(vertex: _Element, wanted: Sequence[str], path: Path) -> tuple[int, ...]:
+    names = [None if item.length else item.name for item in vertex.properties]
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        raise InputError(f"{path}: its vertices have no property {' or '.join(missing)}")
+    twice = [name for name in wanted if names.count(name) > 1]
+    if twice:
+        raise InputError(f"{path}: its vertices have the property {twice[0]} twice")
+    return tuple(names.index(name) for name in wanted)
+
+
+def write_ply(
+    path: Path,
+    points: Float[Array, "n 3"],
+    colors: Float[Array, "n 3"] | None = None,
+    extras: Mapping[str, Float[Array, "n"]] | None = None,
+) -> None:
+    """Write points as a little-endian binary PLY.
+
+    Positions are float32 if that is precise to a tenth of a millimetre, otherwise double.
+
+    Args:
+        path: The file; it is overwritten if it exists.
+        points: Positions [m].
+        colors: Red, green and blue in [0, 1]; written with eight bits each.
+        extras: Further numbers of each point, by name; written as float32.
+    """
+    extras = extras or {}
+    wide = bool(len(points)) and float(np.abs(points).max()) > MAX_FLOAT32_EXTENT
+    kind, dtype = ("double", "<f8") if wide else ("float", "<f4")
+    header = "\n".join(
+        [
+            "ply",
+            "format binary_little_endian 1.0",
+            f"element vertex {len(points)}",
+            *(f"property {kind} {name}" for name in "xyz"),
+            *(f"property uchar {name}" for name in RGB if colors is not None),
+            *(f"property float {name}" for name in extras),
+            "end_header\n",
+        ]
+    )
+    columns = [points.astype(dtype)]
+    if colors is not None:
+        columns.append(np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8))
+    columns += [values.astype("<f4")[:, None] for values in extras.values()]
+    rows = [np.ascontiguousarray(column).view(np.uint8) for column in columns]
+    path.write_bytes(header.encode("ascii") + np.hstack(rows).tobytes())
+
+
+def write_ply_pieces(path: Path, pieces: Iterable[Float[Array, "n 3"]]) -> int:
+    """Write points as a little-endian binary PLY of doubles, one array after the other.
+
+    The header is written last, because only then is the number of points known.
+
+    Args:
+        path: The file; it is overwritten if it exists.
+        pieces: Positions [m], in any number of arrays.
+
+    Returns:
+        The number of points.
+    """
+    count = 0
+    with tempfile.TemporaryFile(dir=path.parent) as body:
+        for piece in pieces:
+            body.write(np.ascontiguousarray(piece, dtype="<f8").tobytes())
+            count += len(piece)
+        lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+        header = "\n".join([*lines, *(f"property double {name}" for name in "xyz"), "end_header\n"])
+        body.seek(0)
+        with path.open("wb") as file:
+            file.write(header.encode("ascii"))
+            shutil.copyfileobj(body, file)
+    return count
+
+
+PLY = CloudFormat(
+    ".ply",
+    "x, y, z; colours; `noise_std` and `range` of each point if they are there",
+    read_ply,
+    submap_numbers=("noise_std", "range"),
+)

@@ -1,0 +1,242 @@
+"""Rows of numbers in text: XYZ, CSV, and the ascii bodies of PLY and PCD."""
+
+import csv
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import Array
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds.format import (
+    CloudFormat,
+    PointCloud,
+    cut_short,
+    surplus,
+)
+from gpgrad_core.reading.text import (
+    COMMA_HINT,
+    DECIMAL_COMMA,
+    lines_of,
+    parse_number,
+    read_text,
+)
+
+COMMENT_MARKS = ("#", "//")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the rows of a table are read."""
+
+    columns: tuple[int, ...]  # which columns to read, such as those of x, y and z, counted from 0
+    width: int | None = None  # number of columns that each row must have; None if they may differ
+    separator: str | None = None  # what separates the columns; None means spaces
+
+
+def read_table(path: Path, _names: Collection[str] = ()) -> PointCloud:
+    """Read an XYZ or CSV file.
+
+    Columns are separated by commas, semicolons, tabs or spaces. If the first row is a header, it
+    must name the columns x, y and z, in any order and in lower or upper case; without a header
+    they are the first three columns. Further columns are ignored, and so are empty lines and lines
+    that start with ``#`` or ``//``. All rows have the same number of columns.
+
+    An empty field is read as NaN.
+
+    Raises:
+        InputError: If a row has another number of columns than the first, a field is not a
+            number, or the numbers are written with decimal commas; the message names the line.
+    """
+    return PointCloud(_read_positions(lines_of(read_text(path)), path))
+
+
+def _read_positions(lines: Sequence[str], path: Path) -> Float[Array, "n 3"]:
+    first = next((k for k, line in enumerate(lines) if _is_data(line)), None)
+    if first is None:
+        return np.empty((0, 3))
+    separator = next((mark for mark in ";,\t" if mark in lines[first]), None)
+    fields = _fields(lines[first], separator)
+    columns = _named_columns(fields)
+    if columns is not None:
+        layout = Layout(columns, len(fields), separator)
+        return parse_rows(lines[first + 1 :], layout, path, first_line=first + 2)
+    # CloudCompare writes its header as a comment with as many words as there are columns.
+    for line in lines[:first]:
+        words = _fields(re.sub(r"^\s*(#|//)+", "", line), separator)
+        columns = columns or (_named_columns(words) if len(words) == len(fields) else None)
+    if columns is None and separator == ",":
+        _refuse_decimal_commas(lines, first, len(fields), path)
+    layout = Layout(columns or (0, 1, 2), len(fields), separator)
+    return parse_rows(lines[first:], layout, path, first_line=first + 1)
+
+
+def _refuse_decimal_commas(lines: Sequence[str], first: int, width: int, path: Path) -> None:
+    """Refuse commas that are, or may be, those of numbers: ``3,158,8,503`` has 2 or 4 columns."""
+    words = lines[first].split()
+    if len(words) > 1 and all(DECIMAL_COMMA.fullmatch(word) for word in words):
+        raise InputError(f"{path}, line {first + 1}: {_shorten(lines[first])!r}: {COMMA_HINT}")
+    # If no number has a point, every second comma may stand for one.
+    if width > 3 and not any("." in line for line in lines[first:] if _is_data(line)):
+        raise InputError(
+            f"{path}, line {first + 1}: {_shorten(lines[first])!r} may be {width} whole numbers, "
+            f"or fewer with decimal commas: {COMMA_HINT}; if they are whole numbers, name the "
+            "columns in a header: x,y,z,…"
+        )
+
+
+def _named_columns(words: list[str]) -> tuple[int, int, int] | None:
+    names = [word.lower() for word in words]
+    if not all(name in names for name in "xyz"):
+        return None
+    return names.index("x"), names.index("y"), names.index("z")
+
+
+def read_body(
+    data: bytes,
+    count: int,
+    layout: Layout,
+    path: Path,
+    *,
+    before: int = 0,
+    after: int = 0,
+    first_line: int,
+) -> Float[Array, "n columns"]:
+    """Read the rows of an ascii body, whose number the header gives.
+
+    Args:
+        data: Everything after the header.
+        count: Number of rows according to the header.
+        layout: Which columns to read, and how many there must be.
+        path: The file, for the error message.
+        before: Number of rows before these that belong to something else.
+        after: Number of rows after these that belong to something else.
+        first_line: Number of the body's first line in the file.
+
+    Raises:
+        InputError: If there are fewer rows or more, a row has another number of columns, or a
+            field is not a number.
+    """
+    if b"\0" in data:
+        raise InputError(f"{path}: its header says 'ascii', but zero bytes follow; save it again")
+    lines = lines_of(data.decode("latin-1"))
+    places = [k for k, line in enumerate(lines) if line and not line.isspace()]
+    held = len(places)
+    if lines and places and places[-1] == len(lines) - 1 and not data.endswith((b"\n", b"\r")):
+        # The last row has no line end: if the file is cut short, the row may lack digits.
+        least = layout.width or max(layout.columns) + 1
+        whole = held == before + count + after
+        held -= not whole or (not after and len(lines[-1].split()) < least)
+    if held < before + count:
+        raise cut_short(path, count, max(0, held - before))
+    if held < before + count + after:
+        raise InputError(
+            f"{path}: is cut short: its header promises {before + count + after:,} rows, but the "
+            f"file ends after {held:,}; copy or save it again"
+        )
+    if held > before + count + after:
+        raise surplus(path, before + count + after, held, "rows")
+    chosen = places[before : before + count]
+    # Rows that follow each other keep the numbers of their lines, for the error message.
+    body = lines[chosen[0] : chosen[-1] + 1] if chosen else []
+    start = first_line + (chosen[0] if chosen else 0)
+    return parse_rows(body, layout, path, first_line=start, comments=False)
+
+
+def parse_rows(
+    lines: Sequence[str], layout: Layout, path: Path, *, first_line: int, comments: bool = True
+) -> Float[Array, "n columns"]:
+    """Parse columns out of rows of numbers, at full precision.
+
+    Args:
+        lines: One row per line; empty lines are skipped.
+        layout: Which columns to read, how many there must be, and what separates them.
+        path: The file, for the error message.
+        first_line: Number of the first of these lines in the file, for the error message.
+        comments: Whether lines that start with a comment mark are skipped too.
+
+    Raises:
+        InputError: If a row has another number of columns, or a field is not a number.
+    """
+    rows = [line for line in lines if (_is_data(line) if comments else line.strip())]
+    if not rows:
+        return np.empty((0, len(layout.columns)))
+    try:
+        if all(_has_width(row, layout) for row in rows):
+            return np.loadtxt(
+                rows, delimiter=layout.separator, usecols=layout.columns, comments=None, ndmin=2
+            )
+    except ValueError:
+        pass
+    # NumPy's reader accepts no empty fields, and its errors do not name the file's line.
+    return _parse_slowly(lines, layout, path, first_line, comments=comments)
+
+
+def _has_width(row: str, layout: Layout) -> bool:
+    if layout.width is None:
+        return True
+    if layout.separator is None:
+        return len(row.split()) == layout.width
+    return '"' not in row and row.count(layout.separator) == layout.width - 1
+
+
+def _parse_slowly(
+    lines: Sequence[str], layout: Layout, path: Path, first_line: int, *, comments: bool
+) -> Float[Array, "n columns"]:
+    points: list[list[float]] = []
+    for number, line in enumerate(lines, start=first_line):
+        if not (_is_data(line) if comments else line.strip()):
+            continue
+        fields = _fields(line, layout.separator)
+        where, width, least = f"{path}, line {number}", len(fields), max(layout.columns) + 1
+        if width < least:
+            needs = "x, y and z need" if len(layout.columns) == 3 else "it needs"
+            raise InputError(f"{where}: {_has(width)}, {needs} {least}: {_shorten(line)!r}")
+        point: list[float] = []
+        for column in layout.columns:
+            value = parse_number(fields[column]) if fields[column] else float("nan")
+            if value is None:
+                hint = "; a header must name the columns x, y and z" if not points else ""
+                if DECIMAL_COMMA.fullmatch(fields[column]):
+                    hint = f"; {COMMA_HINT}"
+                raise InputError(f"{where}: {_shorten(fields[column])!r} is not a number{hint}")
+            point.append(value)
+        if layout.width is not None and width != layout.width:
+            hint = f"; {COMMA_HINT}" if layout.separator == "," and width > layout.width else ""
+            raise InputError(
+                f"{where}: {_has(width)}, but the table has {layout.width}: "
+                f"{_shorten(line)!r}{hint}"
+            )
+        points.append(point)
+    return np.array(points, dtype=np.float64).reshape(-1, len(layout.columns))
+
+
+def _has(columns: int) -> str:
+    return f"has {columns} column{'s' * (columns != 1)}"
+
+
+def _is_data(line: str) -> bool:
+    stripped = line.strip()
+    return bool(stripped) and not stripped.startswith(COMMENT_MARKS)
+
+
+def _fields(line: str, separator: str | None) -> list[str]:
+    if separator is not None and '"' in line:
+        try:
+            (split,) = csv.reader([line], delimiter=separator, skipinitialspace=True)
+        except (csv.Error, ValueError):  # a quote that does not end
+            split = line.split(separator)
+        return [field.strip() for field in split]
+    return [field.strip().strip('"') for field in line.split(separator)]
+
+
+def _shorten(text: str) -> str:
+    text = text.strip()
+    return text if len(text) <= 40 else text[:39] + "…"
+
+
+HOLDS = "a table of numbers; a first row may name the columns x, y and z"
+CSV, XYZ = (CloudFormat(ending, HOLDS, read_table) for ending in (".csv", ".xyz"))

@@ -1,0 +1,123 @@
+"""``dataset.toml``: what a dataset is, as its maker says."""
+
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import msgspec
+import tomli_w
+from msgspec import Meta, Struct, structs
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.georeference import HIGHEST
+from gpgrad_core.reading.records import as_record
+from gpgrad_core.reading.toml_files import read_toml
+from gpgrad_core.types import Dataset
+
+TEXTS = ("name", "description", "licence")
+Noise: TypeAlias = Annotated[float, Meta(ge=0.0, lt=1e6)]
+Place: TypeAlias = tuple[
+    Annotated[float, Meta(ge=-90.0, le=90.0)],
+    Annotated[float, Meta(ge=-360.0, le=360.0)],
+    Annotated[float, Meta(ge=-HIGHEST, le=HIGHEST)],
+]
+RULES = {
+    "origin": "[latitude, longitude, height] in degrees and metres",
+    "sensor_noise": "a table",
+    "preferred": "a table",
+}
+
+
+class _SensorNoise(Struct, frozen=True, forbid_unknown_fields=True):
+    constant: Noise | None = None
+    quadratic: Noise | None = None
+
+
+class _File(Struct):
+    name: str = ""
+    description: str = ""
+    licence: str = ""
+    sensor_noise: _SensorNoise = _SensorNoise()
+    preferred: dict[str, object] = msgspec.field(default_factory=dict[str, object])
+    origin: Place | None = None
+
+
+def read_dataset_toml(path: Path, submap_ids: frozenset[str]) -> Dataset:
+    """Read ``dataset.toml``.
+
+    Args:
+        path: The file.
+        submap_ids: Ids of the existing submaps, by which the preferred ones are checked.
+
+    Raises:
+        InputError: If the file is not TOML, a value has the wrong type, or a preferred submap does
+            not exist.
+
+    Returns:
+        What the file says of the dataset, which has no submaps yet; its name is empty if the file
+        gives none. ``notes`` names the keys that were ignored.
+    """
+    table = read_toml(path)
+    content = as_record(table, _File, str(path), RULES)
+    _check_preferred(content.preferred, path, submap_ids)
+    noise = structs.asdict(content.sensor_noise)
+    return Dataset(
+        content.name,
+        (),
+        description=content.description,
+        licence=content.licence,
+        sensor_noise={key: number for key, number in noise.items() if number is not None},
+        preferred=content.preferred,
+        notes=tuple(
+            f"{path.name}: the unknown key {key!r} was ignored"
+            for key in table
+            if key not in _File.__struct_fields__
+        ),
+        origin=content.origin,
+    )
+
+
+def _check_preferred(preferred: dict[str, object], path: Path, submap_ids: frozenset[str]) -> None:
+    for key, entry in preferred.items():
+        if key not in ("query", "database"):
+            # The pipeline checks the groups and names inside when it uses them.
+            if not isinstance(entry, dict):
+                raise InputError(
+                    f"{path}: preferred.{key} must be a table of parameters, got {entry!r}"
+                )
+        elif not isinstance(entry, str):
+            raise InputError(
+                f"{path}: preferred.{key} must be a submap's id in quotes, got {entry!r}"
+            )
+        elif entry not in submap_ids:
+            raise InputError(
+                f"{path}: preferred.{key} names submap {entry!r}, which the dataset does not have"
+            )
+    query = preferred.get("query")
+    if query is not None and query == preferred.get("database") and len(submap_ids) > 1:
+        raise InputError(
+            f"{path}: preferred.query and preferred.database must be two different submaps, got "
+            f"{query!r} twice"
+        )
+
+
+def write_dataset_toml(path: Path, dataset: Dataset) -> None:
+    """Write ``dataset.toml``.
+
+    Args:
+        path: The file; it is overwritten if it exists.
+        dataset: What is written of it: all but its submaps and notes.
+    """
+    parts = [tomli_w.dumps({key: getattr(dataset, key) for key in TEXTS if getattr(dataset, key)})]
+    if dataset.sensor_noise:
+        noise = tomli_w.dumps({"sensor_noise": dataset.sensor_noise})
+        parts.append(f"# Noise of a point at range r [m]: constant + quadratic r^2\n{noise}")
+    if dataset.origin is not None:
+        place = tomli_w.dumps({"origin": list(dataset.origin)})
+        # Before the tables: TOML would take it for a part of the last one.
+        parts.insert(
+            1,
+            f"# Where the poses have their zero: latitude and longitude [deg], height [m]\n{place}",
+        )
+    if dataset.preferred:
+        parts.append(tomli_w.dumps({"preferred": dataset.preferred}))
+    path.write_text("\n".join(parts), encoding="utf-8", newline="\n")

@@ -1,0 +1,589 @@
+"""A folder of clouds with poses -> a dataset, and back."""
+
+import os
+import re
+import tempfile
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds import (
+    CLOUD_ENDINGS,
+    is_cloud,
+    load_cloud_with_notes,
+    wild_note,
+)
+from gpgrad_core.io.clouds.ply import write_ply
+from gpgrad_core.io.cpet import (
+    PosedScan,
+    find_posed_scans,
+)
+from gpgrad_core.io.dataset_toml import (
+    read_dataset_toml,
+    write_dataset_toml,
+)
+from gpgrad_core.io.poses import (
+    poses_at,
+    read_poses,
+    read_positions,
+    write_poses,
+    write_positions,
+)
+from gpgrad_core.reading.paths import check_path
+from gpgrad_core.run.folders import whole_folder
+from gpgrad_core.run.memo import array_bytes
+from gpgrad_core.run.memory import Spool, Waiting
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.se2 import Pose, level_pose
+from gpgrad_core.types import Dataset, Submap, SubmapSource
+
+CLOUD_FOLDER = "submaps"
+TRUTH_FILE = "poses_gt.txt"
+POSITIONS_FILE = "positions_gt.txt"  # read where there are no true poses
+ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first one that exists is read
+INFO_FILE = "dataset.toml"
+IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
+NO_POINTS = np.empty((0, 3))
+OF_POINTS = ("points", "colors", "noise_std", "ranges")
+"""What a submap has of each of its points."""
+MOST_LOADED = 100_000_000
+"""Bytes of points that `open_dataset` and the viewer keep in memory, and that processes send each
+other."""
+JOURNAL = "build.jsonl"
+"""Name of the journal of a build; it tells what the submaps were made of."""
+SIMULATED = "gpgrad simulate"
+"""Stands in the description, or above the poses, of what was simulated."""
+MADE_ENTRIES = (
+    *("submaps", "scans", "trajectory"),
+    *(TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES, "times.txt", INFO_FILE, JOURNAL),
+)
+"""What gpgrad writes into a dataset or a recording."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A dataset whose clouds are loaded one at a time, when they are needed.
+
+    Attributes:
+        dataset: The dataset without its clouds: its submaps have ids and poses, but no points.
+        clouds: The file of each submap.
+        sensors: ``T_submap_sensor`` of each cloud that is in the frame of its sensor, else None;
+            nothing if no cloud is.
+    """
+
+    dataset: Dataset
+    clouds: tuple[Path, ...]
+    sensors: tuple[Pose | None, ...] = ()
+
+    def sensor(self, k: int) -> Pose | None:
+        """Give ``T_submap_sensor`` of cloud number k; None if the cloud is level already."""
+        return self.sensors[k] if self.sensors else None
+
+    def load(self, k: int) -> tuple[Submap, tuple[str, ...]]:
+        """Load submap number k, with notes on what was left out of it, one line each.
+
+        Raises:
+            InputError: If its file is broken; the message names the file.
+        """
+        submap, notes = _load(self.clouds[k], self.sensor(k))
+        return _completed(submap, self.dataset.submaps[k]), notes
+
+
+@dataclass(frozen=True, eq=False)
+class SubmapFile:
+    """A submap that is read from its file whenever it is needed; a `SubmapSource`.
+
+    Attributes:
+        path: The file.
+        outlined: The submap without its points.
+        num_points: Number of points.
+        sensor: ``T_submap_sensor`` if the file's points are in the frame of the sensor.
+    """
+
+    path: Path
+    outlined: Submap
+    num_points: int
+    sensor: Pose | None = None
+
+    @property
+    def id(self) -> str:
+        """The submap's name."""
+        return self.outlined.id
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of the points when the file was first read."""
+        return self.outlined.fingerprint
+
+    def load(self) -> Submap:
+        """Read the file.
+
+        Raises:
+            InputError: If it cannot be read any more, or its content has changed.
+        """
+        submap, _ = _load(self.path, self.sensor)
+        if submap.fingerprint != self.fingerprint:
+            raise InputError(f"{self.path}: has changed since the run began; start it again")
+        return _completed(submap, self.outlined)
+
+
+def _load(path: Path, sensor: Pose | None) -> tuple[Submap, tuple[str, ...]]:
+    """Load a cloud, and bring it from the frame of its sensor into a level one if need be."""
+    submap, notes = load_cloud_with_notes(path)
+    if sensor is None:
+        return submap, notes
+    try:
+        level = Submap.from_points(sensor.apply(submap.points), submap.id)
+    except InputError as error:  # a wall, for instance, is a line from above
+        raise InputError(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
+    notes += tuple(wild_note(level, path.name))
+    num_wild = submap.num_wild + level.num_wild
+    return replace(level, num_dropped=submap.num_dropped, num_wild=num_wild), notes
+
+
+def _completed(submap: Submap, outlined: Submap) -> Submap:
+    """Add to a cloud what the dataset knows of the submap."""
+    return replace(
+        submap,
+        id=outlined.id,
+        pose_true=outlined.pose_true,
+        pose_odometry=outlined.pose_odometry,
+        images=outlined.images,
+    )
+
+
+def open_dataset(
+    path: Path | str | Outline,
+    progress: Progress = silent,
+    *,
+    check: Callable[[Submap], None] | None = None,
+    most_bytes: int = MOST_LOADED,
+) -> tuple[Dataset, tuple[SubmapSource, ...]]:
+    """Read a dataset of any size: all clouds are read once, and only some are kept in memory.
+
+    So a broken cloud is found before the work begins, as by `load_dataset`.
+
+    Args:
+        path: Folder or file, as for `load_dataset`, or what `outline_dataset` has read of it.
+        progress: Called once per cloud.
+        check: Called with each submap; an error that it raises ends the reading.
+        most_bytes: Bytes of points to keep in memory; all further submaps are read again from
+            their files when they are needed.
+
+    Returns:
+        The dataset, whose submaps lack their points, and the sources of its submaps.
+
+    Raises:
+        InputError: See `load_dataset`.
+    """
+    outline = path if isinstance(path, Outline) else outline_dataset(path)
+    sources: list[SubmapSource] = []
+    notes, held = list(outline.dataset.notes), 0
+    for k, cloud in enumerate(outline.clouds):
+        submap, cloud_notes = outline.load(k)
+        if check is not None:
+            check(submap)
+        notes += cloud_notes
+        held += array_bytes(submap)
+        if held <= most_bytes:
+            sources.append(submap)
+        else:
+            bare, sensor = _bare(submap), outline.sensor(k)
+            sources.append(SubmapFile(cloud.absolute(), bare, submap.num_points, sensor))
+        progress((k + 1) / len(outline.clouds))
+    return replace(outline.dataset, notes=tuple(notes)), tuple(sources)
+
+
+def load_dataset(
+    path: Path | str, progress: Progress = silent, *, most_bytes: int | None = None
+) -> Dataset:
+    """Load a dataset folder, a bare folder of clouds, or a single cloud.
+
+    A dataset folder has ``submaps/``, and optionally ``poses_gt.txt``, ``poses_odom.txt`` (or
+    ``poses.txt``) and ``dataset.toml``. A submap's index is the last number in its file's name.
+    Gaps in the numbering, missing poses and extra files are fine. A folder of scans with a pose
+    each, ``NAME/NAME.xyz`` with ``NAME/NAME.gt``, is a dataset too; see `find_posed_scans`.
+
+    Args:
+        path: Folder or file.
+        progress: Called once per cloud.
+        most_bytes: Bytes of points to keep in memory. Further ones wait in a temporary file, and
+            are used like any others. None keeps all in memory.
+
+    Returns:
+        The submaps sorted by their numbers; submaps without a number are last, sorted by name.
+        ``notes`` reports what was left out or ignored.
+
+    Raises:
+        InputError: If something is missing, broken or contradictory; the message names the file,
+            and in a text file also the line. Or if the disk is too full for the temporary file.
+    """
+    outline = outline_dataset(path)
+    notes = list(outline.dataset.notes)
+    with closing(_Submaps(most_bytes)) as submaps:
+        for k in range(len(outline.clouds)):
+            submap, cloud_notes = outline.load(k)
+            submaps.add(submap)
+            notes += cloud_notes
+            progress((k + 1) / len(outline.clouds))
+        return replace(outline.dataset, submaps=submaps.finish(), notes=tuple(notes))
+
+
+class _Submaps:
+    """Submaps in memory, up to a number of bytes, and further ones in a temporary file."""
+
+    def __init__(self, most_bytes: int | None) -> None:
+        self._most = most_bytes
+        self._held = 0
+        self._submaps: list[Submap] = []
+        self._waiting: dict[int, dict[str, Waiting]] = {}
+        self._spool: Spool | None = None
+
+    def add(self, submap: Submap) -> None:
+        """Take the next one."""
+        self._held += array_bytes(submap)
+        if self._most is not None and self._held > self._most:
+            try:
+                self._waiting[len(self._submaps)] = self._put_away(submap)
+            except OSError as error:
+                raise _no_room(error) from None
+            submap = _bare(submap)
+        self._submaps.append(submap)
+
+    def finish(self) -> tuple[Submap, ...]:
+        """Give all of them."""
+        if self._spool is not None:
+            try:
+                mapped = self._spool.finish()
+            except OSError as error:
+                raise _no_room(error) from None
+            for k, arrays in self._waiting.items():
+                given = {name: give(mapped) for name, give in arrays.items()}
+                self._submaps[k] = replace(self._submaps[k], **given)
+        return tuple(self._submaps)
+
+    def close(self) -> None:
+        """Leave no file behind if not all were taken."""
+        if self._spool is not None:
+            self._spool.close()
+
+    def _put_away(self, submap: Submap) -> dict[str, Waiting]:
+        self._spool = self._spool or Spool()
+        arrays = {name: getattr(submap, name) for name in OF_POINTS}
+        return {name: self._spool.write(a) for name, a in arrays.items() if a is not None}
+
+
+def _bare(submap: Submap) -> Submap:
+    """Leave out whatever a submap has of each of its points."""
+    return replace(submap, points=NO_POINTS, **dict.fromkeys(OF_POINTS[1:]))
+
+
+def _no_room(error: OSError) -> InputError:
+    folder = tempfile.gettempdir()
+    return InputError(
+        f"{folder}: the points cannot wait there: {error.strerror or error}; make room, or name "
+        "another folder in TMPDIR"
+    )
+
+
+def outline_dataset(path: Path | str) -> Outline:
+    """Read a dataset without its clouds; see `load_dataset`.
+
+    Raises:
+        InputError: See `load_dataset`.
+    """
+    path = check_path(path)
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    if not path.is_dir():
+        return Outline(Dataset(path.stem, (_without_points(path.stem),)), (path,))
+    try:
+        return _outline_folder(path)
+    except OSError as error:
+        place = error.filename or path
+        raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
+
+
+def _outline_folder(path: Path) -> Outline:
+    has_submaps = (path / "submaps").is_dir()
+    clouds, ignored = _find_clouds(path / "submaps" if has_submaps else path)
+    if not clouds and not has_submaps and (scans := find_posed_scans(path)):
+        return _outline_scans(path, scans)
+    if not clouds:
+        raise InputError(_no_clouds(path, has_submaps=has_submaps))
+    # A folder of loose clouds may hold anything else; in submaps/ another file is reported.
+    notes = [f"submaps/{name}: is not a cloud and was ignored" for name in ignored if has_submaps]
+    indices = {index: cloud.stem for cloud in clouds if (index := index_of(cloud.stem)) is not None}
+    info = Dataset("", ())
+    if (path / INFO_FILE).exists():
+        info = read_dataset_toml(path / INFO_FILE, frozenset(cloud.stem for cloud in clouds))
+    truth = read_poses(path / TRUTH_FILE, indices) if (path / TRUTH_FILE).exists() else {}
+    odometry: dict[int, Pose] = {}
+    present = [path / name for name in ODOMETRY_FILES if (path / name).exists()]
+    if present:
+        odometry = read_poses(present[0], indices)
+        notes += [
+            f"{file.name}: was ignored, because there is also {present[0].name}"
+            for file in present[1:]
+        ]
+    positions_only = not truth and (path / POSITIONS_FILE).exists()
+    if positions_only:
+        truth = poses_at(read_positions(path / POSITIONS_FILE, indices), odometry)
+        notes.append(
+            f"{POSITIONS_FILE}: has true positions without headings; the headings are those of "
+            "odometry, turned onto the positions nearby, and turns are not judged"
+            if truth
+            else f"{POSITIONS_FILE}: was ignored, because the traverse has no odometry to give "
+            "headings, or is shorter than 2 m"
+        )
+    submaps: list[Submap] = []
+    for cloud in clouds:
+        submap, index = _without_points(cloud.stem), index_of(cloud.stem)
+        if index is not None:
+            submap = replace(
+                submap,
+                pose_true=truth.get(index),
+                pose_odometry=odometry.get(index),
+                images=_find_images(path / "images", index),
+            )
+        submaps.append(submap)
+    dataset = replace(
+        info,
+        name=info.name or path.resolve().name,
+        submaps=tuple(submaps),
+        notes=(*info.notes, *notes),
+        positions_only=positions_only and bool(truth),
+    )
+    return Outline(dataset, tuple(clouds))
+
+
+def _outline_scans(path: Path, scans: Sequence[PosedScan]) -> Outline:
+    """Outline a folder of scans with a pose each: every scan is a submap."""
+    submaps: list[Submap] = []
+    sensors: list[Pose] = []
+    for scan in scans:
+        sensor = scan.read_pose()
+        level = level_pose(sensor)
+        submaps.append(replace(_without_points(scan.name), pose_true=level))
+        sensors.append(level.inverse() @ sensor)
+    note = (
+        f"{path.name}: each scan is a submap, made level by its pose in {scans[0].name}.gt and so "
+        "on; these poses are the true ones, and there is no odometry"
+    )
+    dataset = Dataset(name=path.resolve().name, submaps=tuple(submaps), notes=(note,))
+    return Outline(dataset, tuple(scan.cloud for scan in scans), tuple(sensors))
+
+
+def _without_points(name: str) -> Submap:
+    return Submap(name, NO_POINTS, fingerprint="")
+
+
+def _find_images(folder: Path, index: int) -> tuple[Path, ...]:
+    """List the images in the folder of a submap's number, sorted by name."""
+    if not folder.is_dir():
+        return ()
+    own = [f for f in sorted(folder.iterdir()) if f.is_dir() and index_of(f.name) == index]
+    return tuple(
+        file
+        for inner in own
+        for file in sorted(inner.iterdir())
+        if file.suffix.lower() in IMAGE_ENDINGS and not file.name.startswith(".")
+    )
+
+
+def index_of(submap_id: str) -> int | None:
+    """Find a submap's index: the last number in its name.
+
+    >>> index_of("submap_007"), index_of("crater")
+    (7, None)
+    """
+    numbers = re.findall(r"[0-9]+", submap_id)
+    return int(numbers[-1]) if numbers else None
+
+
+def _find_clouds(folder: Path) -> tuple[list[Path], list[str]]:
+    """List the clouds in order, and the names of all other files."""
+    # Files whose names start with a dot are the system's, such as .DS_Store and ._000.ply.
+    entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
+    clouds = [e for e in entries if e.is_file() and is_cloud(e)]
+    ignored = [entry.name for entry in entries if entry not in clouds]
+    owners: dict[int | str, Path] = {}
+    for cloud in clouds:
+        index = index_of(cloud.stem)
+        key = cloud.stem if index is None else index
+        if key in owners:
+            what = f"the name {key}" if index is None else f"the number {index}"
+            raise InputError(
+                f"{folder}: {owners[key].name} and {cloud.name} both have {what}; "
+                "rename or remove one"
+            )
+        owners[key] = cloud
+
+    def order(cloud: Path) -> tuple[bool, int, str]:
+        index = index_of(cloud.stem)
+        return index is None, index or 0, cloud.name
+
+    return sorted(clouds, key=order), ignored
+
+
+def _no_clouds(path: Path, *, has_submaps: bool) -> str:
+    message = f"{path / 'submaps' if has_submaps else path}: holds no clouds ({CLOUD_ENDINGS})"
+    inner = sorted(e.name for e in path.iterdir() if (e / "submaps").is_dir())
+    if inner and not has_submaps:
+        message += f"; it holds the datasets {', '.join(inner[:5])}; give one of them"
+    return message
+
+
+def write_dataset(
+    dataset: Dataset,
+    directory: Path | str,
+    progress: Progress = silent,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write a dataset folder; a reader never sees it half-written.
+
+    Args:
+        dataset: The dataset; its submaps' ids become the file names.
+        directory: The folder; it is made with its parents if it does not exist.
+        progress: Called once per cloud.
+        overwrite: Whether to replace a dataset that gpgrad made.
+
+    Raises:
+        InputError: If the directory is taken or cannot be made, if another process is writing it,
+            if an id cannot be a file name, or if a submap has a pose but no number, by which pose
+            files name it.
+    """
+    _check_ids(dataset)
+    with new_folder(Path(directory), overwrite=overwrite) as unfinished:
+        _write_folder(dataset, unfinished, progress)
+
+
+@contextmanager
+def new_folder(directory: Path, *, overwrite: bool = False) -> Generator[Path]:
+    """Give a temporary folder to write to; it gets its name if the block succeeds.
+
+    Args:
+        directory: Where the dataset or the recording will be.
+        overwrite: Whether it may replace what gpgrad made.
+
+    Raises:
+        InputError: As `check_vacant`; or if it cannot be written.
+    """
+    check_vacant(directory, overwrite=overwrite)
+    try:
+        with whole_folder(directory, replace=overwrite) as unfinished:
+            check_vacant(directory, overwrite=overwrite)  # another process may just have ended
+            yield unfinished
+    except OSError as error:
+        if error.strerror is None:  # a process has died
+            raise
+        raise InputError(f"{directory}: cannot be written: {error.strerror}") from None
+
+
+def check_vacant(directory: Path | str, *, overwrite: bool = False) -> None:
+    """Check that a dataset or a recording may be written there; call it before long work.
+
+    Args:
+        directory: The folder; it need not exist.
+        overwrite: Whether it may replace what gpgrad made. Other data are never replaced.
+
+    Raises:
+        InputError: If there is a file, or a folder that is not empty, or if the nearest folder
+            above that exists cannot be written to.
+    """
+    directory = Path(directory)
+    if directory.exists() and not directory.is_dir():
+        raise InputError(f"{directory}: is a file; name a new or empty folder")
+    if directory.exists() and any(directory.iterdir()):
+        if not overwrite:
+            raise InputError(
+                f"{directory}: is not empty; name a new or empty folder, or replace what gpgrad "
+                "made there: --overwrite"
+            )
+        _check_made_here(directory)
+    above = next(folder for folder in directory.absolute().parents if folder.exists())
+    if above.is_dir() and not os.access(above, os.W_OK | os.X_OK):
+        raise InputError(f"{directory}: cannot be written: no permission to write to {above}")
+
+
+def _check_made_here(directory: Path) -> None:
+    """Refuse to replace a folder that holds anything that gpgrad did not make."""
+    others = sorted(e.name for e in directory.iterdir() if e.name not in MADE_ENTRIES)
+    if others:
+        raise InputError(
+            f"{directory}: holds {others[0]}, which is no part of a dataset that gpgrad made; "
+            "move it away, or name another folder"
+        )
+    if (directory / JOURNAL).is_file():
+        return
+    for name in (INFO_FILE, *ODOMETRY_FILES):
+        file = directory / name
+        if file.is_file() and SIMULATED in file.read_text(encoding="utf-8", errors="replace"):
+            return
+    raise InputError(
+        f"{directory}: gpgrad did not make what is there; remove it yourself, or name another "
+        "folder"
+    )
+
+
+def _check_ids(dataset: Dataset) -> None:
+    owners: dict[int | str, str] = {}
+    for submap in dataset.submaps:
+        if Path(submap.id).name != submap.id or submap.id.startswith("."):
+            raise InputError(f"{dataset.name}: the id {submap.id!r} cannot be a file name")
+        index = index_of(submap.id)
+        if index is None and (submap.pose_true or submap.pose_odometry):
+            raise InputError(
+                f"{dataset.name}: submap {submap.id!r} has a pose, but its id has no number by "
+                "which a pose file could name it"
+            )
+        key = submap.id if index is None else index
+        if key in owners:
+            raise InputError(
+                f"{dataset.name}: the ids {owners[key]!r} and {submap.id!r} both have the "
+                f"{'name' if index is None else 'number'} {key}"
+            )
+        owners[key] = submap.id
+
+
+def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
+    (folder / CLOUD_FOLDER).mkdir(parents=True)
+    truth: dict[int, Pose] = {}
+    odometry: dict[int, Pose] = {}
+    for count, submap in enumerate(dataset.submaps, start=1):
+        extras = {"noise_std": submap.noise_std, "range": submap.ranges}
+        numbers = {name: values for name, values in extras.items() if values is not None}
+        write_ply(folder / CLOUD_FOLDER / f"{submap.id}.ply", submap.points, submap.colors, numbers)
+        index = index_of(submap.id)
+        if index is not None and submap.pose_true is not None:
+            truth[index] = submap.pose_true
+        if index is not None and submap.pose_odometry is not None:
+            odometry[index] = submap.pose_odometry
+        progress(count / len(dataset.submaps))
+    write_all_but_clouds(folder, dataset, truth, odometry)
+
+
+def write_all_but_clouds(
+    folder: Path, dataset: Dataset, truth: dict[int, Pose], odometry: dict[int, Pose]
+) -> None:
+    """Write the poses of a dataset and what it is.
+
+    Args:
+        folder: Where to; it must exist.
+        dataset: Its submaps are not asked.
+        truth: True poses by the submaps' numbers; there may be none.
+        odometry: Poses by odometry, likewise.
+    """
+    if dataset.positions_only:
+        places = {number: pose.translation for number, pose in truth.items()}
+        write_positions(folder / POSITIONS_FILE, places)
+    elif truth:
+        write_poses(folder / TRUTH_FILE, truth)
+    if odometry:
+        write_poses(folder / ODOMETRY_FILES[0], odometry)
+    write_dataset_toml(folder / INFO_FILE, dataset)

@@ -1,0 +1,298 @@
+"""Gradient maps as files: arrays (``.npz``), rasters (``.tif``), pictures (``.png``), meshes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.records.files import (
+    check_output,
+    replacing,
+)
+from gpgrad_core.types import Array, GradientMap, Grid
+
+BgrImage = UInt8[NDArray[np.uint8], "height width 3"]
+"""A picture with OpenCV's order of colours: blue, green, red."""
+
+Layer = Float[NDArray[np.floating], "rows columns"]
+
+TILE = 256
+"""Side of a raster's tiles [cells]."""
+MAP_ENDINGS = (".npz", ".tif", ".tiff", ".png", ".ply", ".glb", ".obj")
+
+PANEL_WIDTH, PANEL_HEIGHT = 460, 460
+MARGIN, BAR_WIDTH, HEADER = 12, 14, 30
+GEO_KEYS = (
+    *(1, 1, 0, 3),  # version 1.1.0, three keys
+    *(1024, 0, 1, 32767),  # a user-defined model: a local frame
+    *(1025, 0, 1, 1),  # a value is that of its cell's area
+    *(3076, 0, 1, 9001),  # lengths are in metres
+)
+INK, PAPER, UNSEEN = (40, 40, 40), (255, 255, 255), (205, 205, 205)
+
+
+def write_map(
+    path: Path | str, gradient_map: GradientMap, *, name: str = "", max_std_ratio: float = 0.3
+) -> None:
+    """Write a map in the format of the path's ending.
+
+    Args:
+        path: ``.npz``; ``.tif`` or ``.tiff``; ``.png``; ``.ply``, ``.glb`` or ``.obj`` for a mesh.
+        gradient_map: The map to write.
+        name: The submap's name, for the picture's title.
+        max_std_ratio: Cells with a larger std / signal_std are grey in a picture and left out of a
+            mesh; ``.npz`` and ``.tif`` files have every cell.
+
+    Raises:
+        InputError: If the ending is not one of these, the map is too long and thin for a picture,
+            or the file cannot be written there.
+        OSError: If writing fails.
+    """
+    path = check_output(path, MAP_ENDINGS)
+    with replacing(path) as unfinished:
+        match path.suffix.lower():
+            case ".npz":
+                write_arrays(unfinished, gradient_map.grid, layers_of(gradient_map))
+            case ".png":
+                _write_picture(unfinished, draw_map(gradient_map, name, max_std_ratio))
+            case ".ply" | ".glb" | ".obj":
+                _write_mesh(unfinished, gradient_map, max_std_ratio)
+            case _:
+                write_raster(unfinished, gradient_map.grid, layers_of(gradient_map))
+
+
+def layers_of(gradient_map: GradientMap) -> dict[str, Array]:
+    """Name the layers; the names are the same in every format."""
+    return {
+        "elevation": gradient_map.elevation,
+        "variance": gradient_map.variance,
+        "slope_x": gradient_map.slope[..., 0],
+        "slope_y": gradient_map.slope[..., 1],
+        "gradient": gradient_map.gradient,
+    }
+
+
+UNITS = {"elevation": "m", "variance": "m2", "slope_x": "m/m", "slope_y": "m/m", "gradient": "m/m"}
+
+
+def write_arrays(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
+    """Write layers and their grid as an NPZ; memory-mapped layers are not read into memory."""
+    arrays = {"origin": np.asarray(grid.origin), "resolution": np.asarray(grid.resolution)}
+    entries: dict[str, Any] = {**layers, **arrays}  # none is a keyword of NumPy's own
+    np.savez_compressed(path, **entries)
+
+
+def write_raster(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
+    """Write one band per layer, north up, with GeoTIFF's tags for scale and position.
+
+    The frame is local, so no coordinate system is named. Geographic programs still read the cell
+    size and the corner from the tags, and GDAL also the names of the bands. NaN means no data.
+    Memory-mapped layers are read tile by tile.
+    """
+    import tifffile  # noqa: PLC0415 - for this format only; it would slow down every start
+
+    rows, columns = grid.shape
+    corner_x = grid.origin[0] - grid.resolution / 2
+    corner_y = grid.origin[1] + (rows - 0.5) * grid.resolution
+    items = "".join(
+        f'<Item name="DESCRIPTION" sample="{band}" role="description">{escape(layer)}</Item>'
+        f'<Item name="UNITTYPE" sample="{band}" role="unittype">{UNITS[layer]}</Item>'
+        for band, layer in enumerate(layers)
+    )
+    tiles = (
+        np.ascontiguousarray(layer[::-1][row : row + TILE, column : column + TILE], np.float32)
+        for layer in layers.values()
+        for row in range(0, rows, TILE)
+        for column in range(0, columns, TILE)
+    )
+    tifffile.imwrite(
+        path,
+        tiles,
+        shape=(len(layers), rows, columns),
+        dtype=np.float32,
+        tile=(TILE, TILE),
+        photometric="minisblack",
+        planarconfig="separate",
+        compression="zlib",
+        metadata=None,
+        software="gpgrad",
+        extratags=[
+            (33550, "d", 3, (grid.resolution, grid.resolution, 0.0), True),  # ModelPixelScale
+            (33922, "d", 6, (0.0, 0.0, 0.0, corner_x, corner_y, 0.0), True),  # ModelTiepoint
+            (34735, "H", len(GEO_KEYS), GEO_KEYS, True),  # GeoKeyDirectory
+            (42112, "s", 0, f"<GDALMetadata>{items}</GDALMetadata>", True),
+            (42113, "s", 0, "nan", True),  # GDAL_NODATA
+        ],
+    )
+
+
+def mesh_map(
+    gradient_map: GradientMap, max_std_ratio: float
+) -> tuple[Float[Array, "v 3"], Int[NDArray[np.intp], "f 3"]]:
+    """Make the terrain's surface: one vertex per cell, two triangles per square of trusted cells.
+
+    Returns:
+        The vertices [m], and the vertices' indices of each triangle, anticlockwise from above.
+
+    Raises:
+        InputError: If no four neighbouring cells are trusted.
+    """
+    grid = gradient_map.grid
+    trusted = gradient_map.trusted(max_std_ratio)
+    whole = trusted[:-1, :-1] & trusted[:-1, 1:] & trusted[1:, :-1] & trusted[1:, 1:]
+    if not whole.any():
+        raise InputError(
+            f"nowhere on the map is the standard deviation below {max_std_ratio:g} of signal_std: "
+            "raise features.max_std_ratio, or the length-scale"
+        )
+    row, column = np.nonzero(whole)
+    corner = row * grid.shape[1] + column
+    right, above = corner + 1, corner + grid.shape[1]
+    faces = np.concatenate(  # anticlockwise from above, so that normals point up
+        [np.column_stack([corner, right, above]), np.column_stack([right, above + 1, above])]
+    )
+    vertices = np.column_stack([grid.positions, gradient_map.elevation.ravel()])
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return vertices[used], renumbered.reshape(faces.shape)
+
+
+def _write_mesh(path: Path, gradient_map: GradientMap, max_std_ratio: float) -> None:
+    import trimesh  # noqa: PLC0415 - for this format only; it would slow down every start
+
+    vertices, faces = mesh_map(gradient_map, max_std_ratio)
+    trimesh.Trimesh(vertices, faces, process=False).export(path)
+
+
+def _write_picture(path: Path, picture: BgrImage) -> None:
+    done, png = cv2.imencode(".png", picture)
+    if not done:
+        raise OSError(f"{path}: OpenCV could not encode the picture")
+    path.write_bytes(png.tobytes())
+
+
+def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0.3) -> BgrImage:
+    """Draw the layers with their legends, for a person to look at; north is up.
+
+    Args:
+        gradient_map: The map to draw.
+        name: The submap's name, for the title.
+        max_std_ratio: Cells with a larger std / signal_std are grey.
+
+    Raises:
+        InputError: If the map is too long and thin to draw.
+    """
+    trusted = gradient_map.trusted(max_std_ratio)
+    shown = trusted if trusted.any() else np.ones_like(trusted)
+    panels = [_draw_panel(panel) for panel in _panels(gradient_map, shown)]
+    grid = gradient_map.grid
+    rows, columns = grid.shape
+    title = (
+        f"{name}  {columns * grid.resolution:.4g} m x {rows * grid.resolution:.4g} m, "
+        f"{columns} x {rows} cells of {grid.resolution:g} m; x right, y up; grey: std above "
+        f"{max_std_ratio:g} of signal_std {gradient_map.signal_std:.3g} m"
+    ).strip()
+    body = np.vstack([np.hstack(panels[:3]), np.hstack(panels[3:])])
+    header = np.full((HEADER + MARGIN, body.shape[1], 3), PAPER, np.uint8)
+    _write(header, title, (MARGIN, HEADER), 0.55)
+    return np.vstack([header, body])
+
+
+@dataclass(frozen=True, eq=False)
+class _Panel:
+    """A layer to draw; cells that are not shown are grey, and no colour map means grey shades."""
+
+    title: str
+    unit: str
+    layer: Array
+    limits: tuple[float, float]
+    colour_map: int | None = None
+    shown: Bool[NDArray[np.bool_], "rows columns"] | None = None
+
+
+def _panels(
+    gradient_map: GradientMap, shown: Bool[NDArray[np.bool_], "rows columns"]
+) -> list[_Panel]:
+    """Choose the layers and the limits of their colours."""
+    elevation, std, gradient = gradient_map.elevation, gradient_map.std, gradient_map.gradient
+    low, high = (float(np.quantile(elevation[shown], q)) for q in (0.005, 0.995))
+    steepest = float(np.quantile(gradient[shown], 0.99)) or 1.0
+    slopes = (-steepest, steepest), cv2.COLORMAP_TWILIGHT_SHIFTED, shown
+    slope_x, slope_y = gradient_map.slope[..., 0], gradient_map.slope[..., 1]
+    return [
+        _Panel("shaded relief", "", _shade(gradient_map), (0.0, 1.0), shown=shown),
+        _Panel("elevation", "m", elevation, (low, high), cv2.COLORMAP_VIRIDIS, shown),
+        _Panel("standard deviation", "m", std, (0.0, float(std.max())), cv2.COLORMAP_CIVIDIS),
+        _Panel("gradient", "m/m", gradient, (0.0, steepest), cv2.COLORMAP_MAGMA, shown),
+        _Panel("dz/dx", "m/m", slope_x, *slopes),
+        _Panel("dz/dy", "m/m", slope_y, *slopes),
+    ]
+
+
+def _shade(gradient_map: GradientMap) -> Float[Array, "rows columns"]:
+    """Light the terrain from the north-west, 45 degrees high, as on paper maps."""
+    slope_x, slope_y = gradient_map.slope[..., 0], gradient_map.slope[..., 1]
+    light = np.array([-1.0, 1.0, np.sqrt(2.0)]) / 2.0
+    facing = light[2] - slope_x * light[0] - slope_y * light[1]
+    return facing / np.sqrt(1.0 + gradient_map.gradient**2)
+
+
+def _draw_panel(chosen: _Panel) -> BgrImage:
+    """Draw one layer with its title and legend; all panels have the same size."""
+    title, unit, layer, colour_map = chosen.title, chosen.unit, chosen.layer, chosen.colour_map
+    low, high = chosen.limits
+    span = max(high - low, 1e-12)
+    rows, columns = layer.shape
+    scale = min(PANEL_WIDTH / columns, PANEL_HEIGHT / rows)
+    size = (round(columns * scale), round(rows * scale))
+    if min(size) < 1:
+        raise InputError(
+            f"a map of {columns} x {rows} cells is too long and thin for a picture; "
+            "write .npz or .tif"
+        )
+    colours = _coloured(np.clip((layer - low) / span, 0.0, 1.0), colour_map)
+    if chosen.shown is not None:
+        colours[~chosen.shown] = UNSEEN
+    shrinking = cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST
+    # Row 0 has the lowest y, which is at the bottom of a picture.
+    image = cv2.resize(np.ascontiguousarray(colours[::-1]), size, interpolation=shrinking)
+
+    legend_width = BAR_WIDTH + 90
+    panel = np.full(
+        (HEADER + PANEL_HEIGHT + MARGIN, MARGIN + PANEL_WIDTH + MARGIN + legend_width, 3),
+        PAPER,
+        np.uint8,
+    )
+    _write(panel, f"{title} [{unit}]" if unit else title, (MARGIN, HEADER - 10), 0.55)
+    panel[HEADER : HEADER + size[1], MARGIN : MARGIN + size[0]] = image
+    if unit:
+        bar_x = MARGIN + size[0] + MARGIN
+        height = min(size[1], 240)
+        ramp = np.linspace(1.0, 0.0, height)[:, None].repeat(BAR_WIDTH, axis=1)
+        panel[HEADER : HEADER + height, bar_x : bar_x + BAR_WIDTH] = _coloured(ramp, colour_map)
+        for share in (0.0, 0.5, 1.0):
+            tick_y = HEADER + 10 + round((1.0 - share) * max(height - 10, 0))
+            _write(panel, f"{low + share * span:.3g}", (bar_x + BAR_WIDTH + 6, tick_y), 0.45)
+    return panel
+
+
+def _coloured(shares: Array, colour_map: int | None) -> BgrImage:
+    grey = np.round(shares * 255).astype(np.uint8)
+    coloured = (
+        cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+        if colour_map is None
+        else cv2.applyColorMap(grey, colour_map)
+    )
+    return np.asarray(coloured, dtype=np.uint8)
+
+
+def _write(picture: BgrImage, text: str, corner: tuple[int, int], scale: float) -> None:
+    """Write text into the picture; OpenCV's font has ASCII only."""
+    ascii_text = text.encode("ascii", "replace").decode()
+    cv2.putText(picture, ascii_text, corner, cv2.FONT_HERSHEY_SIMPLEX, scale, INK, 1, cv2.LINE_AA)

@@ -1,0 +1,1 @@
+"""Where submaps lie on a larger elevation model, and the record of it."""

@@ -1,0 +1,1 @@
+"""From a submap to its gradient map, and the parameters fitted to it."""

@@ -1,0 +1,386 @@
+"""Fits the hyperparameters of the terrain to its points by maximum marginal likelihood."""
+
+from collections.abc import Collection, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import Array
+from gpgrad_core.errors import InputError
+from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.likelihood import (
+    PATCH_POINTS,
+    Hyperparameters,
+    Members,
+    Patch,
+    draw_patches,
+    log_marginal_likelihood,
+)
+from gpgrad_core.gp.spacing import MOST_INFORMATION, information
+from gpgrad_core.mapping.gradient_map import (
+    NoiseModel,
+    TerrainParams,
+    few_of,
+    kept_rows,
+    point_noise,
+    signal_std_of,
+)
+from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run.threads import num_workers, single_threaded_libraries
+from gpgrad_core.types import Submap
+
+PATCHES = 16
+"""Number of patches of a single submap. With m submaps each has this number divided by √m."""
+MOST_SUBMAPS = 8
+"""Largest number of submaps that a fit uses; of more, this many are taken, evenly spaced."""
+MOST_POINTS = 300_000
+"""Largest number of points of a submap that a fit uses; of more, as many are drawn at random. Every
+round measures the noise of all of them."""
+MOST_ROUNDS = 4
+"""Largest number of times that patches are drawn; mostly it is one or two."""
+MOST_LENGTH_SCALE = 2.0
+"""Largest length-scale that is accepted, in radii of the patches. If it is longer, wider patches
+are drawn."""
+MOST_EVALUATIONS = 40
+"""Largest number of evaluations of the likelihood in a round; mostly it is about 10."""
+HALF_WAY = 8
+"""Number of evaluations after which the progress is one half; the total is not known beforehand."""
+TOLERANCE = 1e-5
+"""The search stops when a step gains less than this share of the log likelihood per point. For
+8,000 points this is a gain of 0.1 to 0.2 in all. A standard error changes it by 0.5."""
+MOST_INFORMATION_SOLVED = MOST_INFORMATION / 30
+"""The noise is raised until the information is at most this. Only planes that are almost free of
+noise need it. The map, and that of a denser submap too, can then be solved without a loss of
+digits."""
+
+Hyperparameter = Literal["length_scale", "signal_std", "noise"]
+HYPERPARAMETERS: tuple[Hyperparameter, ...] = ("length_scale", "signal_std", "noise")
+"""What a fit searches over, in the order of `Hyperparameters`. The noise is one factor for all
+points."""
+
+NOISE_PARAMETERS: dict[NoiseModel, tuple[str, ...]] = {
+    "constant": ("noise_std",),
+    "range": ("noise_std", "noise_growth"),
+    "measured": ("noise_factor",),
+    "file": ("noise_factor",),
+}
+"""The parameters that multiply the noise of every point, by noise model."""
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """The result of a fit.
+
+    Attributes:
+        params: The fitted parameters: the start, with the length-scale, the signal and the
+            parameters of the noise replaced. If no better ones were found, it is the start.
+        log_likelihood_before: Log likelihood per point of the heights in metres, at the start.
+        log_likelihood_after: The same at the result.
+        num_points: Number of points in all patches; a point in two patches counts twice.
+        num_evaluations: Number of evaluations of the likelihood of all patches.
+        submap_ids: Names of the submaps that were used.
+    """
+
+    params: TerrainParams
+    log_likelihood_before: float
+    log_likelihood_after: float
+    num_points: int
+    num_evaluations: int
+    submap_ids: tuple[str, ...]
+
+
+def fit_parameters(
+    submaps: Sequence[Submap],
+    start: TerrainParams | None = None,
+    *,
+    fixed: Collection[Hyperparameter] = (),
+    seed: int = 0,
+    patch_points: int = PATCH_POINTS,
+    tolerance: float = TOLERANCE,
+    progress: Progress = silent,
+) -> FitResult:
+    """Find the hyperparameters under which the points of all submaps are most likely.
+
+    The log marginal likelihood of n points (Rasmussen & Williams 2006, Sec. 5.4.1, Eq. (5.8))
+    costs n³. So it is summed over patches of points as if they were independent: a composite
+    likelihood. The expected score of each patch is zero at the true parameters, so the estimate
+    is consistent (Varin, Reid & Firth, Statistica Sinica 21, 2011).
+
+    The first patches are as dense as the cloud, and determine the noise and short length-scales
+    best. If the length-scale turns out to be longer than they reach, wider and thinner patches
+    are drawn, and the search continues with those. Heights are relative to each submap's mean, as
+    in `fit_terrain`.
+
+    Args:
+        submaps: One or more submaps. Of many, `MOST_SUBMAPS` evenly spaced ones are used.
+        start: Where the search starts; None takes the defaults. The noise model stays. If the
+            noise differs from point to point, one factor for all of it is searched for.
+        fixed: Hyperparameters that stay as they are in the start.
+        seed: Seed of the random choice of points.
+        patch_points: Number of points of a patch. A submap of no more points is one patch, and its
+            likelihood is the exact one.
+        tolerance: See `TOLERANCE`.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        The fitted parameters and their log likelihood per point.
+
+    Raises:
+        InputError: If there is no submap, or if the noise model is ``file`` and a cloud gives no
+            noise.
+    """
+    if not submaps:
+        raise InputError("nothing to fit to: give one submap or more")
+    start = start or TerrainParams()
+    chosen = [few_of(submaps[k], MOST_POINTS) for k in representative(len(submaps))]
+    with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
+        evaluate = _Evaluate(executor, progress)
+        rng = np.random.default_rng(seed)
+        params, areas = _search(chosen, start, fixed, rng, evaluate, patch_points, tolerance)
+        before, after = (_likelihood(areas, each, evaluate) for each in (start, params))
+    progress(1.0)
+    return FitResult(
+        params if after > before else start,
+        before,
+        max(after, before),
+        sum(area.num_points for area in areas),
+        evaluate.count,
+        tuple(submap.id for submap in chosen),
+    )
+
+
+def _search(
+    submaps: list[Submap],
+    start: TerrainParams,
+    fixed: Collection[Hyperparameter],
+    rng: np.random.Generator,
+    evaluate: "_Evaluate",
+    patch_points: int,
+    tolerance: float,
+) -> tuple[TerrainParams, "list[_Area]"]:
+    """Find the maximum of the likelihood, and the points that it was computed from."""
+    count = int(np.ceil(PATCHES / np.sqrt(len(submaps))))
+    params = replace(start, signal_std=_common_signal_std(submaps, start))
+    areas = [_Area.of(submap, start, count, 0.0, rng, patch_points) for submap in submaps]
+    for rounds_left in reversed(range(MOST_ROUNDS)):
+        params = _maximum(areas, params, fixed, evaluate, tolerance)
+        if "noise" not in fixed:
+            params = _solvable(params, areas)
+        radius = params.length_scale
+        if rounds_left == 0 or radius <= MOST_LENGTH_SCALE * _reach(areas):
+            break
+        areas = [_Area.of(submap, start, count, radius, rng, patch_points) for submap in submaps]
+    return params, areas
+
+
+def fitted_names(params: TerrainParams) -> tuple[str, ...]:
+    """List the names of the parameters that a fit changes; they depend on the noise model."""
+    return ("length_scale", "signal_std", *NOISE_PARAMETERS[params.noise_model])
+
+
+def representative(count: int) -> list[int]:
+    """Choose which of so many submaps a fit uses: up to `MOST_SUBMAPS`, evenly spaced.
+
+    >>> representative(3)
+    [0, 1, 2]
+    """
+    chosen = np.linspace(0, count - 1, min(count, MOST_SUBMAPS))
+    return [int(k) for k in chosen.round()]
+
+
+def _common_signal_std(submaps: list[Submap], start: TerrainParams) -> float:
+    """Compute one signal for all submaps [m]: the root mean square of theirs."""
+    each = [signal_std_of(submap.points, start) for submap in submaps]
+    bounds = bounds_of(TerrainParams)["signal_std"]
+    return float(np.clip(np.sqrt(np.mean(np.square(each))), bounds.low, bounds.high))
+
+
+@dataclass(frozen=True, eq=False)
+class _Area:
+    """A submap, and the patches of its points.
+
+    Attributes:
+        submap: The submap.
+        kept: Indices of the points from which the map is made.
+        patches: Indices into these points, for each patch.
+    """
+
+    submap: Submap
+    kept: Members
+    patches: list[Members]
+
+    @classmethod
+    def of(
+        cls,
+        submap: Submap,
+        start: TerrainParams,
+        count: int,
+        radius: float,
+        rng: np.random.Generator,
+        patch_points: int,
+    ) -> "_Area":
+        kept = kept_rows(submap, start.max_points)
+        xy = submap.points[kept, :2]
+        return cls(submap, kept, draw_patches(xy, count, radius, rng, patch_points))
+
+    @property
+    def points(self) -> Float[Array, "n 3"]:
+        return self.submap.points[self.kept]
+
+    @property
+    def num_points(self) -> int:
+        return sum(map(len, self.patches))
+
+    def noise(self, params: TerrainParams) -> Float[Array, "n"]:
+        without_signal = replace(params, signal_std=None)  # the noise does not depend on it
+        if without_signal not in self._noises:
+            self._noises[without_signal] = point_noise(self.submap, params).std[self.kept]
+        return self._noises[without_signal]
+
+    def with_noise(self, params: TerrainParams) -> list[Patch]:
+        """Make the patches, with the noise that the params give each point."""
+        noise = self.noise(params)
+        drawn = zip(self.patches, self._unit_patches, strict=True)
+        return [patch.with_noise(noise[rows]) for rows, patch in drawn]
+
+    @cached_property
+    def _noises(self) -> dict[TerrainParams, Float[Array, "n"]]:
+        """The noise by parameters; two steps of a fit ask for the same."""
+        return {}
+
+    @cached_property
+    def _unit_patches(self) -> list[Patch]:
+        """The patches with a noise of one; what costs time in them is the same for all noises."""
+        xy, z = self.points[:, :2], self.points[:, 2]
+        heights = z - z.mean()
+        return [Patch(xy[rows], heights[rows], np.ones(len(rows))) for rows in self.patches]
+
+
+def _reach(areas: list[_Area]) -> float:
+    """Compute the median distance from the middle of a patch to its edge [m]."""
+    sides = [np.ptp(area.points[rows, :2], axis=0) for area in areas for rows in area.patches]
+    return float(np.median(np.sqrt(np.prod(sides, axis=1)) / 2))
+
+
+class _Evaluate:
+    """The sum of the patches' log likelihoods, with its gradient.
+
+    Threads share the patches, and the results are added in the patches' order, so the sum does
+    not depend on the number of threads.
+    """
+
+    def __init__(self, executor: Executor, progress: Progress) -> None:
+        self._executor, self._progress = executor, progress
+        self.count = 0
+
+    def __call__(
+        self, patches: list[Patch], at: list[Hyperparameters], *, gradient: bool = True
+    ) -> tuple[float, Array]:
+        """Evaluate each patch at its hyperparameters; errors of the progress hook pass through."""
+        self._progress(self.count / (self.count + HALF_WAY))
+        self.count += 1
+        value, slope = 0.0, np.zeros(3)
+        one_patch = partial(log_marginal_likelihood, gradient=gradient)
+        for one_value, one_slope in self._executor.map(one_patch, patches, at):
+            value += one_value
+            slope += one_slope
+        return value, slope
+
+
+def _likelihood(areas: list[_Area], params: TerrainParams, evaluate: _Evaluate) -> float:
+    """Compute the log likelihood per point; a signal of None is that of each submap's points."""
+    patches: list[Patch] = []
+    at: list[Hyperparameters] = []
+    for area in areas:
+        patches += area.with_noise(params)
+        signal_std = signal_std_of(area.points, params)
+        at += [Hyperparameters(params.length_scale, signal_std, 1.0)] * len(area.patches)
+    return evaluate(patches, at, gradient=False)[0] / sum(map(len, patches))
+
+
+def _maximum(
+    areas: list[_Area],
+    params: TerrainParams,
+    fixed: Collection[Hyperparameter],
+    evaluate: _Evaluate,
+    tolerance: float,
+) -> TerrainParams:
+    """Search from params, whose signal is set, for a maximum of the likelihood of all areas."""
+    # Imported here because it loads slowly and only a fit needs it.
+    from scipy.optimize import Bounds, minimize  # noqa: PLC0415
+
+    patches = [patch for area in areas for patch in area.with_noise(params)]
+    num_points = sum(map(len, patches))
+
+    def descend(logs: Float[Array, "3"]) -> tuple[float, Float[Array, "3"]]:
+        value, gradient = evaluate(patches, [Hyperparameters.from_logs(logs)] * len(patches))
+        return -value / num_points, -gradient / num_points
+
+    limits = _limits(areas, params)
+    start = Hyperparameters(params.length_scale, signal_std_of(areas[0].points, params), 1.0)
+    for k, name in enumerate(HYPERPARAMETERS):
+        if name in fixed:
+            limits[:, k] = (start.length_scale, start.signal_std, start.noise_std)[k]
+    logs_found: Array = minimize(
+        descend,
+        np.clip(start.logs, *np.log(limits)),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=Bounds(*np.log(limits)),
+        options={"ftol": tolerance, "gtol": 1e-3, "maxfun": MOST_EVALUATIONS},
+    ).x
+    # Rounding may move the exponential of a limit beyond the limit.
+    length_scale, signal_std, noise = np.clip(np.exp(logs_found), *limits).tolist()
+    return _with_noise_times(
+        noise, replace(params, length_scale=length_scale, signal_std=signal_std)
+    )
+
+
+def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
+    """Compute the smallest and largest length-scale, signal and factor on the noise.
+
+    All of them respect the bounds of the params. The length-scale is at least half the points'
+    spacing, below which it cannot be separated from noise, and at most half the clouds' width,
+    above which it cannot be separated from a slope.
+    """
+    bounds = bounds_of(TerrainParams)
+    sides = np.array([np.ptp(area.points[:, :2], axis=0) for area in areas])
+    spacings = np.sqrt(sides.prod(axis=1) / [len(area.kept) for area in areas])
+    length, signal = bounds["length_scale"], bounds["signal_std"]
+    shortest, longest = np.clip([spacings.min() / 2, sides.max() / 2], length.low, length.high)
+    scaled = [
+        (getattr(params, name), bounds[name]) for name in NOISE_PARAMETERS[params.noise_model]
+    ]
+    # A parameter of zero stays zero under any factor.
+    least = max(limits.low / value for value, limits in scaled if value > 0)
+    most = min(limits.high / value for value, limits in scaled if value > 0)
+    return np.array([(shortest, signal.low, least), (longest, signal.high, most)])
+
+
+def _with_noise_times(factor: float, params: TerrainParams) -> TerrainParams:
+    """Multiply the noise of every point, within the bounds of the params."""
+    bounds = bounds_of(TerrainParams)
+    changes = {
+        name: float(np.clip(factor * getattr(params, name), bounds[name].low, bounds[name].high))
+        for name in NOISE_PARAMETERS[params.noise_model]
+    }
+    return replace(params, **changes)
+
+
+def _solvable(params: TerrainParams, areas: list[_Area]) -> TerrainParams:
+    """Raise the noise as little as needed for the maps of the areas to be solvable.
+
+    This changes only clouds that are almost free of noise on ground like a plane.
+    """
+    most = 0.0
+    for area in areas:
+        kernel = SquaredExponential(signal_std_of(area.points, params), params.length_scale)
+        noise_variance = np.square(area.noise(params))
+        most = max(most, information(area.points[:, :2], noise_variance, kernel))
+    excess = most / MOST_INFORMATION_SOLVED
+    return params if excess <= 1 else _with_noise_times(float(np.sqrt(excess)), params)

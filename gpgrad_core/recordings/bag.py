@@ -1,0 +1,399 @@
+"""A ROS 1 or ROS 2 bag -> a recording."""
+
+import contextlib
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.georeference import check_place
+from gpgrad_core.io.poses import make_pose
+from gpgrad_core.libraries import load_library
+from gpgrad_core.recordings.conditions import (
+    Condition,
+    Tally,
+)
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.pose_files import (
+    PoseFile,
+    positions_of,
+    read_mount,
+    read_timed_poses,
+    read_truth_file,
+)
+from gpgrad_core.recordings.recording import (
+    Reader,
+    Recording,
+    RecordingSources,
+    check_posed,
+    condition_notes,
+    identify,
+    spelled,
+    truth_at,
+)
+from gpgrad_core.recordings.ros_messages import (
+    FrameRows,
+    FrameTree,
+    Message,
+    plain,
+    points_of,
+    seconds,
+)
+from gpgrad_core.recordings.trajectory import (
+    Located,
+    Poses,
+    Trajectory,
+)
+from gpgrad_core.run.progress import Cancelled
+
+BagReader: TypeAlias = Any
+"""Of rosbags, which makes its types while it runs."""
+CLOUDS = ("sensor_msgs/msg/PointCloud2",)
+ODOMETRY = "nav_msgs/msg/Odometry"
+WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+POSES = (ODOMETRY, WITH_COVARIANCE, "geometry_msgs/msg/PoseStamped")
+GNSS = ("sensor_msgs/msg/NavSatFix",)
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+ENDINGS = (".bag", ".mcap", ".db3")
+
+
+def is_bag(path: Path) -> bool:
+    """Tell whether a path is a bag: a file, a folder of ROS 2, or a folder of ``.bag`` files."""
+    return bool(_files(path))
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path] if path.suffix.lower() in ENDINGS else []
+    if (path / "metadata.yaml").exists():
+        return [path]
+    return sorted(file for file in path.glob("*.bag") if not file.name.startswith("."))
+
+
+def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
+    """Open a bag.
+
+    The clouds are ``PointCloud2`` messages. The poses are ``Odometry``, ``PoseStamped`` or
+    ``PoseWithCovarianceStamped`` messages, or else the transforms from the root of their tree to
+    the clouds' frame. If the poses are of another frame than the clouds, the transforms between
+    the two frames are used. Satellite positions (``NavSatFix``) become the truth unless another is
+    given: their heights are above the ellipsoid WGS 84, and the antenna stands for the body.
+
+    Args:
+        path: A ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or a folder of ``.bag``
+            files, which count as one bag.
+        sources: The topics and frames to use, where there is a choice, and further files.
+        params: How scans and poses are matched.
+
+    Raises:
+        InputError: If the bag is broken, or if the clouds or poses are missing or ambiguous.
+    """
+    with _reading(path) as reader:
+        cloud_topic = _choose(reader, CLOUDS, sources.cloud_topic, "clouds", "--cloud-topic", path)
+        pose_topic = None
+        if sources.poses is None and not _asks_for_transforms(reader, sources.pose_topic):
+            candidates = _topics(reader, POSES)
+            if candidates or sources.pose_topic or not _topics(reader, TRANSFORMS):
+                pose_topic = _choose(
+                    reader, POSES, sources.pose_topic, "poses", "--pose-topic", path
+                )
+        gnss_topic, gnss_notes = _gnss_topic(reader, sources, path)
+        contents = _gather(reader, cloud_topic, pose_topic, gnss_topic, path)
+    stamps = np.array(contents.stamps)
+    placing = _Placing(path, contents, contents.frames.tree(), stamps, sources, params)
+    body, span, notes = placing.body()
+    notes += gnss_notes
+    if contents.unstamped:
+        number = contents.unstamped
+        have = "message has" if number == 1 else "messages have"
+        notes += (f"{number:,} {have} no time: the time of recording is used",)
+    mount, mount_notes = placing.mount()
+    both = body.known & mount.known
+    notes += mount_notes + check_posed(stamps, Located(body.poses, both), span, str(path), params)
+    kept = np.flatnonzero(both)
+    truth, truth_name = contents.truth(), f"{path}, {gnss_topic}"
+    if sources.truth is not None:
+        truth, truth_name = read_truth_file(sources.truth), str(sources.truth)
+    elif truth is not None and not truth.trajectory.at(stamps[kept], params).known.any():
+        notes += (f"{truth_name}: was ignored, for it has no position at the time of a scan",)
+        truth = None
+    true_poses, truth_notes = truth_at(truth and truth.trajectory, stamps[kept], truth_name, params)
+    files = [
+        f for file in _files(path) for f in (sorted(file.iterdir()) if file.is_dir() else [file])
+    ]
+    texts = [file for file in (sources.poses, sources.truth, sources.mount) if file]
+    tally = Tally()
+    return Recording(
+        name=path.resolve().stem,
+        identity=identify([*files, *texts]),
+        stamps=stamps[kept],
+        body=body.poses[kept],
+        mount=mount.poses[kept],
+        read=_reader(path, cloud_topic, np.array(contents.logged), kept, sources.keep, tally),
+        labels=tuple(f"{path.name}, {cloud_topic}, message {k}" for k in kept),
+        covariance=None if body.covariance is None else body.covariance[kept],
+        truth=true_poses,
+        positions_only=truth is not None and truth.positions_only,
+        notes=(*notes, *truth_notes, *condition_notes(sources)),
+        origin=None if truth is None else truth.origin,
+        tally=tally,
+    )
+
+
+@dataclass(eq=False)
+class _Contents:
+    """What the first pass over a bag reads: everything but the points."""
+
+    frame: str = ""  # of the clouds
+    stamps: list[float] = field(default_factory=list[float])  # of the clouds [s]
+    logged: list[int] = field(default_factory=list[int])  # when they were recorded [ns]
+    pose_topic: str | None = None
+    body_frame: str = ""  # the frame whose poses they are, if the messages say
+    rows: list[list[float]] = field(default_factory=list[list[float]])
+    covariances: list[Array] = field(default_factory=list[Array])
+    frames: FrameRows = field(default_factory=FrameRows)
+    unstamped: int = 0  # messages without a time of measurement
+    place_stamps: list[float] = field(default_factory=list[float])  # of satellite positions [s]
+    places: list[list[float]] = field(default_factory=list[list[float]])
+
+    def truth(self) -> PoseFile | None:
+        """Give the satellite positions as a truth; None if there are none."""
+        if not self.places:
+            return None
+        return positions_of(np.array(self.place_stamps), np.array(self.places))
+
+
+def _gnss_topic(
+    reader: BagReader, sources: RecordingSources, path: Path
+) -> tuple[str | None, tuple[str, ...]]:
+    """Choose the topic of satellite positions, if they are to be the truth; also give a note."""
+    if sources.truth is not None:
+        return None, ()
+    topics = _topics(reader, GNSS)
+    if sources.gnss_topic is None and len(topics) != 1:
+        named = ", ".join(topics)
+        note = f"satellite positions of {named} were ignored; name one of them: --gnss-topic"
+        return None, (note,) if topics else ()
+    chosen = _choose(reader, GNSS, sources.gnss_topic, "positions", "--gnss-topic", path)
+    return chosen, (f"{chosen}: its satellite positions are kept as the truth",)
+
+
+def _gather(
+    reader: BagReader, cloud_topic: str, pose_topic: str | None, gnss_topic: str | None, path: Path
+) -> _Contents:
+    contents = _Contents(pose_topic=pose_topic)
+    transforms = _topics(reader, TRANSFORMS)
+    wanted = {cloud_topic, pose_topic, gnss_topic, *transforms}
+    connections = [c for c in reader.connections if c.topic in wanted]
+    for connection, logged, raw in reader.messages(connections):
+        message = reader.deserialize(raw, connection.msgtype)
+        where = f"{path}, {connection.topic}"
+        if connection.topic == cloud_topic:
+            contents.frame = plain(message.header.frame_id)
+            contents.stamps.append(_stamp(contents, message, logged))
+            contents.logged.append(int(logged))
+        elif connection.topic == pose_topic:
+            stamp = _stamp(contents, message, logged)
+            _add_pose(contents, message, connection.msgtype, stamp, where)
+        elif connection.topic == gnss_topic:
+            _add_place(contents, message, logged, where)
+        else:
+            static = connection.topic.endswith("tf_static")
+            contents.frames.add(message, static=static, where=where)
+    if not contents.stamps:
+        raise InputError(f"{path}: its topic {cloud_topic} has no messages")
+    return contents
+
+
+def _stamp(contents: _Contents, message: Message, logged: int) -> float:
+    """Give the time of a message [s], or the time of recording if the message has none."""
+    stamp = seconds(message.header)
+    if stamp > 0:
+        return stamp
+    contents.unstamped += 1
+    return 1e-9 * logged
+
+
+def _add_place(contents: _Contents, message: Message, logged: int, where: str) -> None:
+    """Take a NavSatFix; one without a fix says nothing (its status is below 0)."""
+    place = [float(message.latitude), float(message.longitude), float(message.altitude)]
+    if int(message.status.status) < 0 or not np.isfinite(place).all():
+        return
+    check_place(place, where)
+    contents.place_stamps.append(seconds(message.header) or 1e-9 * logged)
+    contents.places.append(place)
+
+
+def _add_pose(contents: _Contents, message: Message, kind: str, stamp: float, where: str) -> None:
+    pose = message.pose.pose if kind in (ODOMETRY, WITH_COVARIANCE) else message.pose
+    position, turn = pose.position, pose.orientation
+    values = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
+    make_pose([float(value) for value in values], f"{where}, at {stamp:.3f} s")
+    contents.rows.append([stamp, *values])
+    if kind == ODOMETRY:
+        contents.body_frame = plain(message.child_frame_id)
+    if kind in (ODOMETRY, WITH_COVARIANCE):
+        covariance = np.asarray(message.pose.covariance, np.float64).reshape(6, 6)
+        contents.covariances.append(covariance[:3, :3].copy())
+
+
+@dataclass(frozen=True, eq=False)
+class _Placing:
+    """Finds where the body and the sensor were at each scan of a bag."""
+
+    path: Path
+    contents: _Contents
+    tree: FrameTree
+    stamps: Float[Array, "n"]  # of the scans [s]
+    sources: RecordingSources
+    params: BuildParams
+
+    def body(self) -> tuple[Located, str, tuple[str, ...]]:
+        """Find the body's pose at each scan; also give the poses' time span in words, and notes."""
+        if self.sources.poses is None and self.contents.pose_topic is None:
+            return self._body_by_transforms()
+        trajectory = self._trajectory()
+        span = f"from {spelled(trajectory.stamps)}"
+        return trajectory.at(self.stamps, self.params), span, ()
+
+    def _trajectory(self) -> Trajectory:
+        """Read the poses of the file that was given, or else of the bag's messages."""
+        if self.sources.poses is not None:
+            return read_timed_poses(self.sources.poses)
+        if not self.contents.rows:
+            raise InputError(f"{self.path}: its topic {self.contents.pose_topic} has no messages")
+        table = np.array(self.contents.rows)
+        covariances = np.array(self.contents.covariances)
+        return Trajectory.in_order(
+            table[:, 0],
+            Poses(table[:, 1:4], Rotation.from_quat(table[:, 4:])),
+            # In ROS, a covariance of zeros means that it is not known.
+            covariances if len(covariances) and np.any(covariances) else None,
+        )
+
+    def _body_by_transforms(self) -> tuple[Located, str, tuple[str, ...]]:
+        tree, frame = self.tree, self.contents.frame
+        world = self.sources.world_frame or tree.root(frame)
+        located = tree.between(plain(world), frame, self.stamps, self.params)
+        if located is None or plain(world) == frame:
+            raise InputError(
+                f"{self.path}: its transforms do not join the clouds' frame {frame!r} to "
+                f"{world!r}; they have {_listed(tree.parents)}"
+            )
+        moving = [edge.stamps for edge in tree.edges.values() if not edge.fixed]
+        span = f"from {spelled(np.concatenate(moving))}" if moving else "fixed"
+        return located, span, (f"poses are the transforms from {world} to {frame}",)
+
+    def mount(self) -> tuple[Located, tuple[str, ...]]:
+        """Find the sensor's pose on the body at each scan, and note what was assumed."""
+        if self.sources.mount is not None:
+            return self._fixed(read_mount(self.sources.mount).pose), ()
+        body, frame = self.contents.body_frame, self.contents.frame
+        if not body:
+            itself = self._fixed(Poses.identity())
+            if self.sources.poses is None and self.contents.pose_topic is None:
+                return itself, ()
+            return itself, (
+                f"the poses are used as those of the clouds' frame {frame!r}; if they are of "
+                "another frame, say where the sensor sits on it: --mount FILE",
+            )
+        between = self.tree.between(body, frame, self.stamps, self.params)
+        if between is None:
+            raise InputError(
+                f"{self.path}: no transforms join {body!r}, the frame of the poses, to the clouds' "
+                f"frame {frame!r}; say where the sensor sits: --mount FILE with "
+                "tx ty tz qx qy qz qw"
+            )
+        return between, ()
+
+    def _fixed(self, pose: Poses) -> Located:
+        return Trajectory(np.zeros(1), pose, fixed=True).at(self.stamps, self.params)
+
+
+def _reader(
+    path: Path,
+    topic: str,
+    logged: Int[NDArray[np.int64], "n"],
+    kept: Int[NDArray[np.intp], "m"],
+    keep: Sequence[Condition],
+    tally: Tally,
+) -> Reader:
+    def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
+        wanted = kept[start:stop]
+        if not len(wanted):
+            return
+        # If the bag is in order, the messages before the first wanted one are skipped unread.
+        in_order = bool(np.all(logged[1:] >= logged[:-1]))
+        since = int(logged[wanted[0]]) if in_order else None
+        number = int(np.searchsorted(logged, since)) if since is not None else 0
+        chosen = {int(k) for k in wanted}
+        with _reading(path) as reader:
+            connections = [c for c in reader.connections if c.topic == topic]
+            for connection, _, raw in reader.messages(connections, start=since):
+                if number in chosen:
+                    message = reader.deserialize(raw, connection.msgtype)
+                    yield points_of(message, f"{path}, {topic}, message {number}", keep, tally)
+                if number >= wanted[-1]:
+                    return
+                number += 1
+
+    return read
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Generator[BagReader]:
+    """Open a bag's reader; every error of the bag becomes an InputError of one line."""
+    try:
+        highlevel: Any = load_library("rosbags.highlevel", "gpgrad[ros]")
+        typesys: Any = load_library("rosbags.typesys", "gpgrad[ros]")
+    except InputError as error:
+        raise InputError(f"{path}: to read bags, {error}") from None
+    # Bags of early ROS 2 releases do not define their message types.
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    try:
+        with highlevel.AnyReader(_files(path), default_typestore=store) as reader:
+            yield reader
+    except (InputError, Cancelled):
+        raise
+    except Exception as error:  # rosbags, sqlite, lz4 and zstd each raise their own
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: is not a complete bag: {said}") from None
+
+
+def _topics(reader: BagReader, kinds: Sequence[str]) -> dict[str, int]:
+    """Find the topics of some message types, with the number of their messages."""
+    topics = {name: info for name, info in reader.topics.items() if info.msgtype in kinds}
+    return {name: int(info.msgcount) for name, info in topics.items()}
+
+
+def _asks_for_transforms(reader: BagReader, topic: str | None) -> bool:
+    return topic is not None and topic in _topics(reader, TRANSFORMS)
+
+
+def _choose(
+    reader: BagReader, kinds: Sequence[str], wanted: str | None, what: str, flag: str, path: Path
+) -> str:
+    topics = _topics(reader, kinds)
+    listed = ", ".join(f"{name} ({count:,})" for name, count in sorted(topics.items()))
+    if wanted is not None:
+        if wanted not in topics:
+            raise InputError(
+                f"{path}: {flag} {wanted}: is not a topic of {what} there; it has "
+                f"{listed or 'none'}"
+            )
+        return wanted
+    if len(topics) != 1:
+        names = ", ".join(kind.split("/")[-1] for kind in kinds)
+        has = f"has {len(topics)} topics of {what}, {listed}: choose one with {flag}"
+        raise InputError(f"{path}: {has if topics else f'has no topic of {what} ({names})'}")
+    return next(iter(topics))
+
+
+def _listed(parents: dict[str, str]) -> str:
+    return ", ".join(f"{parent} > {child}" for child, parent in parents.items()) or "none"

@@ -1,0 +1,440 @@
+"""Recording -> dataset: level, cut, accumulate, write; one scan and one submap in memory."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds.ply import write_ply
+from gpgrad_core.io.cpet import find_posed_scans
+from gpgrad_core.io.folder import (
+    check_vacant,
+    write_all_but_clouds,
+)
+from gpgrad_core.io.poses import pose_row
+from gpgrad_core.reading.text import write_lines
+from gpgrad_core.recordings.bag import (
+    is_bag,
+    open_bag,
+)
+from gpgrad_core.recordings.cloud_folder import (
+    is_scan_folder,
+    open_folder,
+    open_posed_scans,
+)
+from gpgrad_core.recordings.cutting import cut
+from gpgrad_core.recordings.gravity import (
+    estimate_up,
+    ground_normal,
+    turned_upright,
+    up_axis,
+)
+from gpgrad_core.recordings.journal import (
+    Entry,
+    Journal,
+    open_journal,
+)
+from gpgrad_core.recordings.katwijk import (
+    is_katwijk,
+    open_katwijk,
+)
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.pds import (
+    find_products,
+    open_products,
+)
+from gpgrad_core.recordings.recording import (
+    Reader,
+    Recording,
+    RecordingSources,
+)
+from gpgrad_core.recordings.trajectory import (
+    Located,
+    Poses,
+)
+from gpgrad_core.recordings.voxels import (
+    Voxels,
+    VoxelSums,
+    reach,
+)
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.se2 import Pose, level_pose
+from gpgrad_core.types import Dataset, Submap
+from gpgrad_core.version import VERSION
+
+LOOKED_AT = 24
+"""Number of scans, spread over the recording, whose ground gives the direction up."""
+TRAJECTORIES = "trajectory"
+COUNTED = ("measured", "not_finite", "too_close", "too_far", "empty_scans")
+
+
+@dataclass(frozen=True, eq=False)
+class BuildReport:
+    """The result of a build.
+
+    Attributes:
+        num_submaps: Number of submaps written.
+        num_scans: Number of scans in them.
+        num_resumed: Number of submaps that an earlier, unfinished run had written.
+        notes: What was left out or assumed, one line each.
+    """
+
+    num_submaps: int
+    num_scans: int
+    num_resumed: int
+    notes: tuple[str, ...]
+
+
+def is_recording(path: Path | str) -> bool:
+    """Tell whether a path holds scans, of which `build_dataset` makes a dataset."""
+    path = Path(path)
+    return is_bag(path) or is_katwijk(path) or bool(find_products(path)) or is_scan_folder(path)
+
+
+def open_recording(
+    path: Path | str, sources: RecordingSources | None = None, params: BuildParams | None = None
+) -> Recording:
+    """Open a folder of clouds with poses, scans with a pose each, or a ROS bag.
+
+    Args:
+        path: The folder or the bag; what lies in it says which it is.
+        sources: Where the parts of the recording are, if they are not to be found automatically.
+        params: How scans and poses are matched.
+
+    Raises:
+        InputError: If the recording cannot be used; the message says what is wrong and what to do.
+    """
+    path = Path(path)
+    sources, params = sources or RecordingSources(), params or BuildParams()
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    try:
+        if is_bag(path):
+            return open_bag(path, sources, params)
+        if path.is_file():
+            raise InputError(
+                f"{path}: is one file; give a folder of clouds, or a bag (.bag .mcap .db3)"
+            )
+        if is_katwijk(path):
+            return open_katwijk(path, sources, params)
+        if labels := find_products(path):
+            return open_products(path, labels, sources)
+        if scans := find_posed_scans(path):
+            return open_posed_scans(path, scans, sources)
+        return open_folder(path, sources, params)
+    except OSError as error:
+        place = error.filename or path
+        raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
+
+
+def build_dataset(
+    scans: Path | str,
+    directory: Path | str,
+    params: BuildParams | None = None,
+    *,
+    sources: RecordingSources | None = None,
+    restart: bool = False,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> BuildReport:
+    """Build a dataset of submaps from scans and poses.
+
+    Each submap's frame is level. Its origin is the robot's body at the first scan, and its x axis
+    is the body's x axis there as seen from above. The points are the means of voxels, each with
+    the standard deviation of its height, the range from which it was seen and the number of its
+    points. ``trajectory/`` has the sensor's pose at each scan in the submap's frame.
+
+    If a build was stopped or killed, the same call resumes it, and the result is the same byte for
+    byte. Until it is finished, its folder is called ``DATASET.partial``.
+
+    Args:
+        scans: A folder of clouds with poses, or a ROS bag.
+        directory: The dataset to make; it must not exist or be empty.
+        params: Where to cut, which direction is up, and how points are put together.
+        sources: Where the parts of the recording are, if they are not to be found automatically.
+        restart: Whether to delete an unfinished build and begin again.
+        overwrite: Whether to replace a dataset that gpgrad made, once the new one is finished.
+        progress: Called once per scan; may raise Cancelled.
+
+    Returns:
+        What was built, and notes on what was left out.
+
+    Raises:
+        InputError: If the recording cannot be used, or the directory is not empty; the message
+            says what is wrong and what to do.
+    """
+    directory = Path(directory)
+    sources, params = sources or RecordingSources(), params or BuildParams()
+    check_vacant(directory, overwrite=overwrite)  # before the recording is read
+    recording = open_recording(scans, sources, params)
+    recording, notes = _levelled(recording, params)
+    if params.max_time is not None and recording.stamps is None:
+        raise InputError(f"{scans}: max_time needs the scans' times: --times FILE")
+    stamps = np.zeros(len(recording)) if recording.stamps is None else recording.stamps
+    pieces = cut(stamps, recording.body, params, recording.covariance)
+    header = {
+        "made_by": f"gpgrad {VERSION}",
+        "recording": recording.name,
+        "identity": recording.identity,
+        "params": asdict(params),
+        "topics": [
+            sources.cloud_topic,
+            sources.pose_topic,
+            sources.world_frame,
+            sources.gnss_topic,
+        ],
+    }
+    if sources.keep:
+        header["keep"] = [str(condition) for condition in sources.keep]
+    with open_journal(directory, header, restart=restart, overwrite=overwrite) as begun:
+        resumed = len(begun.entries)
+        whole = _add_submaps(begun, recording, pieces, params, progress)
+        written = [entry for entry in whole.entries if entry.hash is not None]
+        if not written:
+            whole.abandon()
+            measured = sum(entry.measured for entry in whole.entries)
+            raise InputError(
+                f"{scans}: no submap has {params.min_points} points or more: "
+                f"the {len(recording):,} scans have {measured:,} points together"
+            )
+        _write_rest(whole, recording, pieces, params)
+        whole.finish(overwrite=overwrite)
+    progress(1.0)
+    return BuildReport(
+        num_submaps=len(written),
+        num_scans=sum(entry.scans[1] - entry.scans[0] for entry in written),
+        num_resumed=resumed,
+        notes=(*recording.notes, *notes, *_left_out(whole.entries, params)),
+    )
+
+
+def _levelled(recording: Recording, params: BuildParams) -> tuple[Recording, tuple[str, ...]]:
+    """Turn the world so that z points up, and bring the points into the sensor's frame."""
+    if params.points_frame == "world":
+        recording = replace(recording, read=_seen_by_sensor(recording))
+    named = up_axis(recording.up if params.up == "auto" else params.up)
+    turn = true_turn = turned_upright(named)
+    notes: tuple[str, ...] = ()
+    if params.gravity == "cloud":
+        normals = _ground_normals(recording, params)
+        estimate = estimate_up(normals, recording.name)
+        off = np.arccos(np.clip(estimate.up @ named, -1.0, 1.0))
+        notes = (
+            f"the direction up, by the ground of {len(normals)} scans, is {np.degrees(off):.1f} "
+            "degrees off that of the poses; half of the scans are within "
+            f"{np.degrees(estimate.spread):.1f} degrees",
+        )
+        turn = turned_upright(estimate.up)
+    covariance, truth = recording.covariance, recording.truth
+    if covariance is not None:
+        matrix = turn.as_matrix()
+        covariance = matrix @ covariance @ matrix.T
+    if truth is not None and not recording.positions_only:
+        truth = Located(_turned(true_turn, truth.poses), truth.known)
+    body = _turned(turn, recording.body)
+    return replace(recording, body=body, covariance=covariance, truth=truth), notes
+
+
+def _turned(turn: Rotation, poses: Poses) -> Poses:
+    return Poses(turn.apply(poses.translation), turn * poses.rotation)
+
+
+def _seen_by_sensor(recording: Recording) -> Reader:
+    def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
+        for k, points in zip(range(start, stop), recording.read(start, stop), strict=True):
+            back = recording.sensor(k).inverse()
+            yield back.rotation.apply(points) + back.translation
+
+    return read
+
+
+def _ground_normals(recording: Recording, params: BuildParams) -> list[Array]:
+    """Find the normals of the ground in some scans of the recording, in the poses' frame."""
+    normals: list[Array] = []
+    for k in np.unique(np.linspace(0, len(recording) - 1, LOOKED_AT).astype(int)).tolist():
+        (points,) = recording.read(k, k + 1)
+        kept, _ = _usable(points, params)
+        turned = recording.sensor(k).rotation.apply(kept) if len(kept) else kept
+        normal = ground_normal(turned)
+        normals += [] if normal is None else [normal]
+    return normals
+
+
+def _usable(
+    points: Float[NDArray[np.floating], "n 3"], params: BuildParams
+) -> tuple[Float[Array, "m 3"], dict[str, int]]:
+    """Drop the points that are not finite, too close or too far, and count them."""
+    measured = np.asarray(points, np.float64)
+    finite = np.isfinite(measured).all(axis=1)
+    kept = measured[finite]
+    ranges = np.linalg.norm(kept, axis=1)
+    # Without a given limit, the keys of the voxels still limit the range.
+    furthest = min(params.max_range or np.inf, 0.5 * reach(params.voxel_size))
+    close, far = ranges < params.min_range, ranges > furthest
+    counts = {
+        "measured": len(measured),
+        "not_finite": int(np.sum(~finite)),
+        "too_close": int(np.sum(close)),
+        "too_far": int(np.sum(far)),
+    }
+    return kept[~close & ~far], counts
+
+
+def _add_submaps(
+    journal: Journal,
+    recording: Recording,
+    pieces: list[range],
+    params: BuildParams,
+    progress: Progress,
+) -> Journal:
+    """Make the submaps that are not in the journal yet."""
+    for number in range(len(journal.entries), len(pieces)):
+        piece = pieces[number]
+        ends = piece.start / len(recording), piece.stop / len(recording)
+        journal = _add_submap(journal, recording, piece, number, params, part(progress, *ends))
+    return journal
+
+
+def _add_submap(
+    journal: Journal,
+    recording: Recording,
+    scans: range,
+    number: int,
+    params: BuildParams,
+    progress: Progress,
+) -> Journal:
+    """Make one submap, write its cloud and add it to the journal."""
+    submap_id = f"{number:03d}"
+    from_world = Poses.of(level_pose(recording.body.one(scans.start))).inverse()
+    sums = VoxelSums(params.voxel_size)
+    counts = Counter[str](dict.fromkeys(COUNTED, 0))
+    tally, read, met = recording.tally, recording.tally.read, recording.tally.kept
+    for k, points in zip(scans, recording.read(scans.start, scans.stop), strict=True):
+        kept, dropped = _usable(points, params)
+        counts.update(dropped)
+        counts["empty_scans"] += not len(kept)
+        sensor = from_world @ recording.sensor(k)
+        if len(kept):
+            placed = sensor.rotation.apply(kept) + sensor.translation
+            sums.add(placed, np.linalg.norm(kept, axis=1))
+        progress((k + 1 - scans.start) / len(scans))
+    voxels = sums.total()
+    cloud = None
+    if len(voxels.keys) >= params.min_points and _is_terrain(voxels):
+        cloud = journal.clouds / f"{submap_id}.ply"
+        extras = {
+            "noise_std": voxels.noise_std,
+            "range": voxels.ranges,
+            "count": voxels.counts,
+        }
+        write_ply(cloud, voxels.points, extras=extras)
+    asked = tally.read > read
+    entry = Entry(
+        id=submap_id,
+        scans=(scans.start, scans.stop),
+        before_keep=tally.read - read if asked else None,
+        kept=tally.kept - met if asked else None,
+        points=len(voxels.keys),
+        measured=counts["measured"],
+        not_finite=counts["not_finite"],
+        too_close=counts["too_close"],
+        too_far=counts["too_far"],
+        empty_scans=counts["empty_scans"],
+    )
+    return journal.added(entry, cloud)
+
+
+def _is_terrain(voxels: Voxels) -> bool:
+    """Tell whether the points span an area; a submap that does not would spoil the dataset."""
+    try:
+        Submap.from_points(voxels.points)
+    except InputError:
+        return False
+    return True
+
+
+def _write_rest(
+    journal: Journal, recording: Recording, pieces: list[range], params: BuildParams
+) -> None:
+    """Write the poses, the trajectories and ``dataset.toml``."""
+    odometry: dict[int, Pose] = {}
+    truth: dict[int, Pose] = {}
+    trajectories = journal.folder / TRAJECTORIES
+    trajectories.mkdir(exist_ok=True)
+    for number, (scans, entry) in enumerate(zip(pieces, journal.entries, strict=True)):
+        if entry.hash is None:
+            continue
+        first = slice(scans.start, scans.start + 1)
+        level = Poses.of(level_pose(recording.body.one(scans.start)))
+        odometry[number] = level.one(0)
+        if recording.truth is not None and recording.truth.known[scans.start]:
+            in_body = recording.body[first].inverse() @ level
+            true = recording.truth.poses[first]
+            truth[number] = (true if recording.positions_only else true @ in_body).one(0)
+        rows = ["# timestamp tx ty tz qx qy qz qw   (p_submap = R p_sensor + t)"]
+        for k in scans:
+            stamp = f"{k}" if recording.stamps is None else f"{recording.stamps[k]:.6f}"
+            rows.append(pose_row(stamp, (level.inverse() @ recording.sensor(k)).one(0)))
+        write_lines(trajectories / f"{entry.id}.txt", rows)
+    # The antenna's place stands for that of the body: its mount is not known.
+    dataset = Dataset(
+        journal.directory.name,
+        (),
+        description=(
+            f"{len(odometry)} submap{'s' * (len(odometry) != 1)} of {len(recording):,} scans of "
+            f"{recording.name}, cut "
+            f"{_limits(params)} (gpgrad build)."
+        ),
+        positions_only=recording.positions_only and bool(truth),
+        origin=recording.origin,
+    )
+    write_all_but_clouds(journal.folder, dataset, truth, odometry)
+
+
+def _limits(params: BuildParams) -> str:
+    limits = {
+        "after {:g} m": params.max_length,
+        "at an uncertainty of {:g} m": params.max_uncertainty,
+        "at a turn of {:g} rad": params.max_turn,
+        "after {:g} s": params.max_time,
+    }
+    return " or ".join(text.format(limit) for text, limit in limits.items() if limit is not None)
+
+
+def _left_out(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
+    """Report what was left out."""
+    total = {key: sum(getattr(entry, key) for entry in entries) for key in COUNTED}
+    before = sum(entry.before_keep or 0 for entry in entries)
+    kept = sum(entry.kept or 0 for entry in entries)
+    if before:
+        yield f"{kept:,} of {before:,} points ({kept / before:.1%}) meet --keep and are kept"
+    reasons = {
+        "not_finite": "not finite",
+        "too_close": f"closer than {params.min_range:g} m to the sensor",
+        "too_far": (
+            f"further than {params.max_range:g} m from the sensor"
+            if params.max_range
+            else f"further from the sensor than voxels of {params.voxel_size:g} m reach"
+        ),
+    }
+    for key, reason in reasons.items():
+        if total[key]:
+            yield f"{total[key]:,} of {total['measured']:,} points are {reason}: left out"
+    if total["empty_scans"]:
+        number = total["empty_scans"]
+        have = "scan has" if number == 1 else "scans have"
+        yield f"{number:,} {have} no usable point"
+    for entry in entries:
+        if entry.hash is None:
+            first, stop = entry.scans
+            yield (
+                f"submap {entry.id} of {stop - first:,} scans was left out: its "
+                f"{entry.points:,} points are fewer than {params.min_points:,}, or lie on one "
+                "line"
+            )

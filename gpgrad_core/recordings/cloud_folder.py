@@ -1,0 +1,348 @@
+"""A folder of clouds with a file of poses, or with a pose each -> a recording.
+
+`gpgrad_core.io.cpet` has the form of scans with a pose each.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds import (
+    CLOUD_ENDINGS,
+    is_cloud,
+    read_cloud,
+)
+from gpgrad_core.io.cpet import PosedScan
+from gpgrad_core.recordings.conditions import (
+    Condition,
+    Tally,
+    kept_points,
+)
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.pose_files import (
+    Mount,
+    PoseFile,
+    read_mount,
+    read_pose_file,
+    read_times,
+    read_truth_file,
+)
+from gpgrad_core.recordings.recording import (
+    Reader,
+    Recording,
+    RecordingSources,
+    check_posed,
+    condition_notes,
+    identify,
+    spelled,
+    truth_at,
+)
+from gpgrad_core.recordings.trajectory import (
+    Located,
+    Poses,
+    Trajectory,
+)
+from gpgrad_core.run.folders import is_unfinished
+
+CLOUD_FOLDERS = ("", "scans", "velodyne", "velodyne_points", "clouds")
+POSE_NAMES = ("poses.txt", "poses.tum", "poses_odom.txt", "odometry.txt", "trajectory.txt")
+TRUTH_NAMES = ("poses_gt.txt", "positions_gt.txt")
+TIME_NAMES = ("times.txt", "timestamps.txt")
+MOUNT_NAMES = ("mount.txt",)
+KITTI_CALIBRATION = "calib.txt"
+
+
+def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
+    """Open a folder of clouds.
+
+    The clouds lie in the folder itself, or in ``scans/``, ``velodyne/`` or ``clouds/``. The
+    folder also has ``poses.txt``, and may have ``poses_gt.txt``, ``times.txt``, ``mount.txt`` or
+    KITTI's ``calib.txt``. Without ``times.txt``, a scan's time is the number in its file's name.
+
+    Args:
+        path: The folder.
+        sources: Files that are in other places.
+        params: How scans and poses are matched.
+
+    Raises:
+        InputError: If there are no clouds or no poses, or they do not belong together.
+    """
+    if is_unfinished(path.resolve()):
+        raise InputError(f"{path}: is a recording that is not finished; make it again")
+    clouds, scans_folder = _find_clouds(path)
+    files = _read_files(path, scans_folder, sources)
+    times = files.times
+    if times is not None and len(times) != len(clouds) and not files.poses.numbered:
+        raise InputError(
+            f"{files.times_path}: holds {len(times):,} times for {len(clouds):,} scans; "
+            "the recording is not complete, or they do not belong together"
+        )
+    keys, stamps, notes = _stamps(clouds, files.poses, times, path)
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
+    located = files.poses.trajectory.at(keys, params)
+    notes += check_posed(keys, located, _span(files.poses), str(path), params)
+    posed = np.flatnonzero(located.known)
+    kept = [clouds[k] for k in order[posed]]
+    true_poses, truth_notes = truth_at(
+        files.true_trajectory, keys[posed], str(files.truth_path), params
+    )
+    tally = Tally()
+    return Recording(
+        name=path.resolve().name,
+        identity=identify([*kept, *files.paths]),
+        stamps=None if stamps is None else stamps[order[posed]],
+        body=located.poses[posed],
+        mount=files.mount.pose,
+        read=_reader(kept, sources.keep, tally),
+        labels=tuple(cloud.name for cloud in kept),
+        up="-y" if files.mount.on_camera else "z",
+        covariance=None if located.covariance is None else located.covariance[posed],
+        truth=true_poses,
+        positions_only=files.truth is not None and files.truth.positions_only,
+        notes=(*notes, *files.mount_notes, *truth_notes, *condition_notes(sources)),
+        origin=None if files.truth is None else files.truth.origin,
+        tally=tally,
+    )
+
+
+def open_posed_scans(
+    path: Path, scans: Sequence[PosedScan], sources: RecordingSources
+) -> Recording:
+    """Open scans with a pose each.
+
+    Args:
+        path: The folder of their folders.
+        scans: The scans, as `find_posed_scans` finds them.
+        sources: Must name no file.
+
+    Raises:
+        InputError: If a pose cannot be read, or the sources name other files.
+    """
+    each = f"the scans of {path} have a pose each, in NAME.gt"
+    sources.refuse(each, "poses", "truth", "times", "mount")
+    sources.refuse(f"the scans of {path} have x, y and z only", "keep")
+    body = Poses.of(*(scan.read_pose() for scan in scans))
+    return Recording(
+        name=path.resolve().name,
+        identity=identify([file for scan in scans for file in (scan.cloud, scan.truth)]),
+        stamps=None,
+        body=body,
+        mount=Poses.identity(),
+        read=_reader([scan.cloud for scan in scans]),
+        labels=tuple(scan.cloud.name for scan in scans),
+        truth=Located(body, np.ones(len(scans), bool)),
+        notes=("the poses of the scans are the true ones; there is no odometry",),
+    )
+
+
+def is_scan_folder(path: Path) -> bool:
+    """Tell whether clouds are scans rather than submaps: by their folder, or by their poses.
+
+    Scans lie in ``scans/``, ``velodyne/`` or the like, or beside poses by time or by KITTI's rows;
+    the poses of submaps name them by whole numbers.
+    """
+    if not path.is_dir() or (path / "submaps").is_dir():
+        return False
+    try:
+        _, folder = _find_clouds(path)
+        pose_path = _find([path] if folder == path else [path, folder], POSE_NAMES)
+        if pose_path is None or folder != path:
+            return folder != path
+        poses = read_pose_file(pose_path)
+    except InputError:
+        return False
+    stamps = poses.trajectory.stamps
+    return poses.numbered or bool((stamps != np.floor(stamps)).any())
+
+
+@dataclass(frozen=True, eq=False)
+class _Files:
+    """The text files that belong to a folder of clouds, and what they hold."""
+
+    pose_path: Path
+    poses: PoseFile
+    truth_path: Path | None
+    truth: PoseFile | None
+    times_path: Path | None
+    times: Float[Array, "t"] | None
+    mount_path: Path | None
+    mount: Mount
+    mount_notes: tuple[str, ...]
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files that there are."""
+        paths = (self.pose_path, self.truth_path, self.times_path, self.mount_path)
+        return [path for path in paths if path is not None]
+
+    @property
+    def true_trajectory(self) -> Trajectory | None:
+        """The true poses by time, or by KITTI's row."""
+        return None if self.truth is None else self.truth.trajectory
+
+
+def _read_files(path: Path, scans_folder: Path, sources: RecordingSources) -> _Files:
+    """Find and read the files beside the clouds, unless the sources name others."""
+    places = [path] if scans_folder == path else [path, scans_folder]
+    pose_path = sources.poses or _find(places, POSE_NAMES)
+    if pose_path is None:
+        raise InputError(
+            f"{path}: has no file of poses ({', '.join(POSE_NAMES)}); say where it is: --poses FILE"
+        )
+    poses = read_pose_file(pose_path)
+    truth_path = sources.truth or _find(places, TRUTH_NAMES)
+    truth = None if truth_path is None else read_truth_file(truth_path)
+    if truth is not None and truth.positions_only and poses.numbered:
+        raise InputError(
+            f"{truth_path}: has positions by time, which the KITTI poses of {pose_path.name} do "
+            "not have; give TUM poses"
+        )
+    if truth is not None and truth.numbered != poses.numbered:
+        raise InputError(
+            f"{truth_path}: {pose_path.name} and the true poses must both be TUM or KITTI rows"
+        )
+    times_path = sources.times or _find(places, TIME_NAMES)
+    times = None if times_path is None else read_times(times_path)
+    mount_path, mount, mount_notes = _find_mount(sources, places, poses)
+    return _Files(
+        *(pose_path, poses),
+        *(truth_path, truth),
+        *(times_path, times),
+        *(mount_path, mount, mount_notes),
+    )
+
+
+def _find_clouds(path: Path) -> tuple[list[Path], Path]:
+    """List the clouds, sorted by name, and the folder that they lie in."""
+    for name in CLOUD_FOLDERS:
+        folder = path / name
+        if not folder.is_dir():
+            continue
+        clouds = sorted(
+            entry
+            for entry in folder.iterdir()
+            if is_cloud(entry) and not entry.name.startswith(".")
+        )
+        if clouds:
+            return clouds, folder
+    raise InputError(
+        f"{path}: holds no scans: neither it nor its {', '.join(CLOUD_FOLDERS[1:])} have clouds "
+        f"({CLOUD_ENDINGS}), and it is not a bag"
+    )
+
+
+def _find(places: Sequence[Path], names: Sequence[str]) -> Path | None:
+    return next(
+        (place / name for place in places for name in names if (place / name).exists()), None
+    )
+
+
+def _find_mount(
+    sources: RecordingSources, places: Sequence[Path], poses: PoseFile
+) -> tuple[Path | None, Mount, tuple[str, ...]]:
+    """Find the file of the sensor's pose on the body; give its path, its content and a note."""
+    # Other tools have a calib.txt too; beside KITTI's poses it is KITTI's.
+    names = (*MOUNT_NAMES, KITTI_CALIBRATION) if poses.numbered else MOUNT_NAMES
+    path = sources.mount or _find(places, names)
+    if path is None:
+        return None, Mount(Poses.identity()), ()
+    mount = read_mount(path)
+    if mount.on_camera:
+        return path, mount, (f"{path.name}: is KITTI's, so the poses are of a camera: up is -y",)
+    note = f"{path.name}: was found and is used as the sensor's pose on the body"
+    return path, mount, () if sources.mount else (note,)
+
+
+def _span(poses: PoseFile) -> str:
+    stamps = poses.trajectory.stamps
+    if poses.numbered:
+        return f"of rows 0 to {len(stamps) - 1:,}"
+    return f"from {spelled(stamps)}"
+
+
+def _stamps(
+    clouds: list[Path], poses: PoseFile, times: Float[Array, "t"] | None, path: Path
+) -> tuple[Array, Float[Array, "n"] | None, tuple[str, ...]]:
+    """Find the key by which each scan is looked up among the poses, and its time.
+
+    Returns:
+        The keys: times [s], or KITTI's row numbers; the times [s], None if they are not known; and
+        notes.
+
+    Raises:
+        InputError: If the keys cannot be found.
+    """
+    numbers = [number_in(cloud.stem) for cloud in clouds]
+    if poses.numbered:
+        rows = _row_of_each(numbers, len(poses.trajectory.stamps), path)
+        if times is not None and int(rows.max()) >= len(times):
+            raise InputError(f"{path}: has a scan {int(rows.max())}, but only {len(times):,} times")
+        return rows.astype(np.float64), None if times is None else times[rows], ()
+    if times is not None:
+        return times, times, ()
+    times_in_names = [number for number in numbers if number is not None]
+    if len(times_in_names) < len(numbers):
+        first = clouds[numbers.index(None)].name
+        raise InputError(
+            f"{path}: the name {first} holds no time; give the scans' times: --times FILE"
+        )
+    stamps = np.array(times_in_names)
+    spans = poses.trajectory.stamps[[0, -1]] + [-1.0, 1.0]
+    middle = float(np.median(stamps))
+    for scale, unit in ((1.0, ""), (1e-9, "nanoseconds"), (1e-6, "microseconds"), (1e-3, "ms")):
+        if spans[0] <= scale * middle <= spans[1]:
+            note = (f"the numbers in the scans' names are read as {unit}",) if unit else ()
+            return scale * stamps, scale * stamps, note
+    return stamps, stamps, ()
+
+
+def _row_of_each(
+    numbers: list[float | None], num_rows: int, path: Path
+) -> Int[NDArray[np.int64], "n"]:
+    """Find the KITTI row of each scan: by the number in its name, or else by its place in order."""
+    whole = [int(number) for number in numbers if number is not None and number.is_integer()]
+    if len(whole) == len(numbers) and max(whole) < num_rows:
+        return np.array(whole)
+    if len(numbers) != num_rows:
+        raise InputError(
+            f"{path}: {len(numbers):,} scans and {num_rows:,} KITTI poses, and the names do not "
+            "number the rows from 0; give as many poses as scans"
+        )
+    return np.arange(num_rows)
+
+
+def number_in(stem: str) -> float | None:
+    """Find the last number in a file's name.
+
+    Seconds and nanoseconds that a point or an underscore separates, as ROS tools write them, count
+    as one number.
+
+    >>> number_in("scan_000012"), number_in("1311868164.363181"), number_in("ground")
+    (12.0, 1311868164.363181, None)
+    >>> number_in("cloud_1311868164_363181000")
+    1311868164.363181
+    """
+    parts = re.search(r"(\d{9,10})[._](\d{9})$", stem)
+    if parts:
+        return float(f"{parts[1]}.{parts[2]}")
+    numbers = re.findall(r"\d+(?:\.\d+)?", stem)
+    return float(numbers[-1]) if numbers else None
+
+
+def _reader(
+    clouds: list[Path], keep: Sequence[Condition] = (), tally: Tally | None = None
+) -> Reader:
+    def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
+        for cloud in clouds[start:stop]:
+            content = read_cloud(cloud, {condition.field for condition in keep})
+            mask = kept_points(keep, content.numbers.get, str(cloud), tally)
+            yield content.points if mask is None else content.points[mask]
+
+    return read

@@ -1,0 +1,249 @@
+"""An unfinished dataset, which a later run can resume and which nobody mistakes for a finished one.
+
+Everything is written to ``DATASET.partial``, and the clouds to a folder in it that no reader of
+datasets looks at. The journal has one line per finished submap, with the hash of its cloud. What a
+killed run left after its last complete line is made again. At the end the folder is renamed in one
+step.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from msgspec import Struct, structs, to_builtins
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.folder import (
+    JOURNAL,
+    check_vacant,
+)
+from gpgrad_core.reading.json_files import parse_json
+from gpgrad_core.reading.records import as_record
+from gpgrad_core.reading.text import lines_of, read_text, write_lines
+from gpgrad_core.run.folders import alone, empty, put_in_place, recover
+
+UNFINISHED_CLOUDS, CLOUDS = "unfinished", "submaps"
+
+
+class Entry(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A line of the journal: what became of the scans of a submap.
+
+    Attributes:
+        id: The submap's name.
+        scans: Its first scan, and the one after its last.
+        before_keep: Number of points before conditions were asked, if there are any.
+        kept: Number of points that met them.
+        points: Number of points of the submap.
+        measured: Number of points of its scans.
+        not_finite: Number of those that were not finite.
+        too_close: Number of those that were too close to the sensor.
+        too_far: Number of those that were too far from it.
+        empty_scans: Number of scans without a usable point.
+        hash: Hash of the submap's cloud; None if it was left out.
+    """
+
+    id: str
+    scans: tuple[int, int]
+    before_keep: int | None = None
+    kept: int | None = None
+    points: int
+    measured: int
+    not_finite: int
+    too_close: int
+    too_far: int
+    empty_scans: int
+    hash: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Journal:
+    """An unfinished dataset."""
+
+    directory: Path  # where the finished dataset will be
+    folder: Path  # where the unfinished dataset is
+    entries: tuple[Entry, ...]  # one entry per finished submap
+
+    @property
+    def clouds(self) -> Path:
+        """Folder of the submaps' clouds."""
+        return self.folder / UNFINISHED_CLOUDS
+
+    def added(self, entry: Entry, cloud: Path | None) -> "Journal":
+        """Add a submap to the journal, after its cloud has been written to the disk.
+
+        Args:
+            entry: What the journal is to say about the submap.
+            cloud: The file of its cloud; None if it has none.
+        """
+        if cloud is not None:
+            _to_disk(cloud)
+            entry = structs.replace(entry, hash=_hash(cloud))
+        with (self.folder / JOURNAL).open("a", encoding="utf-8", newline="\n") as file:
+            file.write(_line(entry) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        return Journal(self.directory, self.folder, (*self.entries, entry))
+
+    def abandon(self) -> None:
+        """Remove the unfinished dataset."""
+        shutil.rmtree(self.folder)
+
+    def finish(self, *, overwrite: bool = False) -> None:
+        """Give the dataset its name; from then on it is finished.
+
+        Args:
+            overwrite: Whether to replace what has the name now.
+        """
+        self.clouds.rename(self.folder / CLOUDS)
+        _to_disk(self.folder)
+        put_in_place(self.folder, self.directory, replace=overwrite)
+        _to_disk(self.directory.parent)
+
+
+@contextlib.contextmanager
+def open_journal(
+    directory: Path,
+    header: Mapping[str, object],
+    *,
+    restart: bool = False,
+    overwrite: bool = False,
+) -> Generator[Journal]:
+    """Begin a dataset, or resume an unfinished one with the same header.
+
+    Args:
+        directory: Where the dataset will be; it must not exist or be empty.
+        header: What the dataset is made of: the recording's identity and all parameters.
+        restart: Whether to delete an unfinished dataset and begin again.
+        overwrite: Whether to replace a dataset that gpgrad made, once the new one is finished.
+
+    Raises:
+        InputError: If the directory is not empty, the unfinished dataset has another header, or
+            another process is working on it.
+    """
+    directory = directory.resolve()
+    folder = directory.with_name(f"{directory.name}.partial")
+    try:
+        directory.parent.mkdir(parents=True, exist_ok=True)
+        recover(directory)
+        with alone(folder):
+            try:
+                check_vacant(directory, overwrite=overwrite)
+                if restart:
+                    empty(folder)
+                begun = any(folder.iterdir())
+                yield (_taken_up if begun else _begun)(directory, folder, header)
+            finally:
+                with contextlib.suppress(OSError):
+                    folder.rmdir()  # if nothing was begun
+    except OSError as error:
+        place = error.filename or directory
+        raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
+
+
+def _begun(directory: Path, folder: Path, header: Mapping[str, object]) -> Journal:
+    (folder / UNFINISHED_CLOUDS).mkdir(parents=True)
+    write_lines(folder / JOURNAL, [json.dumps(header)])
+    _to_disk(folder / JOURNAL)
+    return Journal(directory, folder, ())
+
+
+def _taken_up(directory: Path, folder: Path, header: Mapping[str, object]) -> Journal:
+    path = folder / JOURNAL
+    lines = lines_of(read_text(path)) if path.is_file() else []
+    if not lines:
+        if any(entry.name not in (JOURNAL, UNFINISHED_CLOUDS) for entry in folder.iterdir()):
+            raise InputError(
+                f"{folder}: is in the way and is not an unfinished build; move it away"
+            )
+        empty(folder)  # the run was killed before it wrote a line
+        return _begun(directory, folder, header)
+    begun = _parsed(lines[0])
+    if begun is None or begun != json.loads(json.dumps(header)):
+        raise InputError(
+            f"{folder}: holds an unfinished build with {_difference(begun, header)}; "
+            "use the same to resume it, or delete it with --restart"
+        )
+    if (folder / CLOUDS).exists():  # the run was killed while the folder was renamed
+        (folder / CLOUDS).rename(folder / UNFINISHED_CLOUDS)
+    clouds = folder / UNFINISHED_CLOUDS
+    clouds.mkdir(exist_ok=True)
+    entries: list[Entry] = []
+    for line in lines[1:]:
+        entry = _read_entry(line)
+        if entry is None or not _is_whole(entry, clouds):
+            break
+        entries.append(entry)
+    kept = [lines[0], *map(_line, entries)]
+    unfinished = path.with_suffix(".new")
+    write_lines(unfinished, kept)
+    _to_disk(unfinished)
+    unfinished.replace(path)
+    made = {f"{entry.id}.ply" for entry in entries}
+    for cloud in clouds.iterdir():
+        if cloud.name not in made:
+            cloud.unlink()
+    return Journal(directory, folder, tuple(entries))
+
+
+def _line(entry: Entry) -> str:
+    return json.dumps(to_builtins(entry))
+
+
+def _parsed(line: str) -> object:
+    try:
+        return parse_json(line, JOURNAL)
+    except InputError:
+        return None  # the run was killed while it wrote this line
+
+
+def _read_entry(line: str) -> Entry | None:
+    try:
+        return as_record(_parsed(line), Entry, JOURNAL)
+    except InputError:
+        return None
+
+
+def _is_whole(entry: Entry, clouds: Path) -> bool:
+    if Path(entry.id).name != entry.id:
+        return False
+    cloud = clouds / f"{entry.id}.ply"
+    return entry.hash is None or (cloud.is_file() and _hash(cloud) == entry.hash)
+
+
+def _difference(begun: object, header: Mapping[str, object]) -> str:
+    """Name the first thing in which two headers differ."""
+    if not isinstance(begun, dict):
+        return "something else"
+    table = cast("dict[str, object]", begun)
+    for key, value in header.items():
+        before, now = table.get(key), json.loads(json.dumps(value))
+        if before == now:
+            continue
+        if isinstance(before, dict) and isinstance(now, dict):
+            pairs = cast("dict[str, object]", before), cast("dict[str, object]", now)
+            name = next((n for n in pairs[1] if pairs[0].get(n) != pairs[1][n]), key)
+            return f"{name} = {pairs[0].get(name)}, not {pairs[1].get(name)}"
+        return f"another {key}"
+    return "something else"
+
+
+def _hash(file: Path) -> str:
+    return hashlib.blake2b(file.read_bytes(), digest_size=16).hexdigest()
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until a file, or the names in a folder, would survive a power cut."""
+    if path.is_dir() and os.name == "nt":
+        return  # Windows cannot open folders
+    # Windows can only flush files that are open for writing.
+    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

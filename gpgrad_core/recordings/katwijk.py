@@ -1,0 +1,250 @@
+"""A traverse of the Katwijk beach planetary rover dataset -> a recording.
+
+The dataset is that of Hewitt et al., *The Katwijk beach planetary rover dataset* (IJRR 2018). In
+the folder of a part of a traverse, ``Velodyne/`` has three images for each turn of a VLP-16:
+``Velodyne_TIME_range.png`` [mm], ``…_azimuth.png`` [0.01 degrees] and ``…_intensity.png``, each of
+16 rows and 1808 columns; a range of 0 is no return. TIME is year, month, day, hours, minutes,
+seconds and milliseconds, joined by underscores. ``gps-latlong.txt`` has a row for each position:
+time, a number that says how it was found, latitude and longitude [degrees], height [m], and their
+standard deviations. The specification here was what two programs read: mpkuse/
+katwijk_dataset_to_rosbag (the names, the units, the lasers' elevations from 15 down to -15 degrees
+and x = r cos cos, y = r cos sin) and plusk01/katwijk_tools (the time, the columns, and that
+``gps-utm31.txt`` holds latitudes too).
+
+Unverified, as nothing could be downloaded: the sense in which the azimuth turns, the place and the
+turn of the LiDAR on the rover (give them with a mount file), and the clock's time zone, which is
+taken as UTC in both kinds of files. The rover's heading is that of its track; its pitch and roll
+are taken as 0.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt16
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.georeference import check_place
+from gpgrad_core.reading.images import read_grey_png
+from gpgrad_core.reading.text import parse_numbers, split_rows
+from gpgrad_core.recordings.conditions import (
+    Condition,
+    Tally,
+    kept_points,
+)
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.pose_files import (
+    PoseFile,
+    positions_of,
+    read_mount,
+    read_timed_poses,
+)
+from gpgrad_core.recordings.recording import (
+    Reader,
+    Recording,
+    RecordingSources,
+    check_posed,
+    condition_notes,
+    identify,
+    spelled,
+    truth_at,
+)
+from gpgrad_core.recordings.trajectory import (
+    Poses,
+    Trajectory,
+)
+
+FOLDER, POSITIONS = "Velodyne", ("gps-latlong.txt", "gps-utm31.txt")
+LASERS, COLUMNS = 16, 1808
+ELEVATIONS = np.radians(np.arange(15.0, -16.0, -2.0))
+NAME = re.compile(r"Velodyne_(\d{4}(?:_\d{2}){5}_\d{3})_range\.png")
+KINDS = ("range", "azimuth", "intensity")
+STRIDE = 0.5
+"""Distance on either side of a place from which its heading is found [m]."""
+LEAST_WAY = 1.0
+"""A traverse that is shorter has no heading [m]."""
+
+
+def is_katwijk(path: Path) -> bool:
+    """Tell whether a folder is a part of a traverse of Katwijk."""
+    folder = path / FOLDER
+    return folder.is_dir() and any(NAME.fullmatch(entry.name) for entry in folder.iterdir())
+
+
+def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
+    """Open a part of a traverse.
+
+    Args:
+        path: Its folder, with ``Velodyne/`` and ``gps-latlong.txt``.
+        sources: May name poses, whose truth are then the positions, a mount, and conditions on
+            ``range`` [m], ``azimuth`` [degrees] and ``intensity``.
+        params: How scans and poses are matched.
+
+    Raises:
+        InputError: If an image of a triple is missing, the positions are missing or wrong, or the
+            sources name what such a recording does not have.
+    """
+    sources.refuse("a recording of Katwijk has its own times and truth", "truth", "times")
+    scans = sorted(
+        (name[1], entry)
+        for entry in (path / FOLDER).iterdir()
+        if (name := NAME.fullmatch(entry.name))
+    )
+    for _, file in scans:
+        for kind in KINDS:
+            if not _image(file, kind).is_file():
+                raise InputError(f"{_image(file, kind)}: no such file; {file.name} needs it")
+    stamps = np.array([_time(stamp, str(file)) for stamp, file in scans])
+    positions = next((path / name for name in POSITIONS if (path / name).is_file()), None)
+    measured = None if positions is None else read_places(positions)
+    notes: tuple[str, ...] = ()
+    truth = None
+    if sources.poses is not None:
+        trajectory = read_timed_poses(sources.poses)
+        truth = None if measured is None else measured.trajectory
+    elif positions is None or measured is None:
+        raise InputError(f"{path}: has no {POSITIONS[0]}; say where the poses are: --poses FILE")
+    else:
+        trajectory = _along_track(measured.trajectory, positions)
+        notes = (
+            f"{positions.name}: its positions are used with the heading of the track; pitch and "
+            "roll are taken as 0",
+        )
+    located = trajectory.at(stamps, params)
+    notes += check_posed(stamps, located, f"from {spelled(trajectory.stamps)}", str(path), params)
+    posed = np.flatnonzero(located.known)
+    true_poses, truth_notes = truth_at(truth, stamps[posed], str(positions), params)
+    kept = [scans[k][1] for k in posed]
+    mount = Poses.identity() if sources.mount is None else read_mount(sources.mount).pose
+    if sources.mount is None:
+        notes += (
+            "the LiDAR is taken to sit level at the antenna; say where it sits: --mount FILE",
+        )
+    images = [_image(file, kind) for file in kept for kind in KINDS]
+    texts = [file for file in (sources.poses, positions, sources.mount) if file is not None]
+    tally = Tally()
+    return Recording(
+        name=path.resolve().name,
+        identity=identify([*images, *texts]),
+        stamps=stamps[posed],
+        body=located.poses[posed],
+        mount=mount,
+        read=_reader(kept, sources.keep, tally),
+        labels=tuple(file.name for file in kept),
+        truth=true_poses,
+        positions_only=truth is not None,
+        notes=(*notes, *truth_notes, *condition_notes(sources)),
+        tally=tally,
+        origin=None if measured is None else measured.origin,
+    )
+
+
+def _image(file: Path, kind: str) -> Path:
+    return file.with_name(file.name.removesuffix("range.png") + f"{kind}.png")
+
+
+def _time(text: str, where: str) -> float:
+    """Read a time of the dataset [s since 1970]."""
+    try:
+        return datetime.strptime(f"{text} +0000", "%Y_%m_%d_%H_%M_%S_%f %z").timestamp()
+    except ValueError:
+        raise InputError(f"{where}: {text!r:.40} is no time year_month_day_h_m_s_ms") from None
+
+
+def read_places(path: Path) -> PoseFile:
+    """Read ``gps-latlong.txt``.
+
+    Returns:
+        Positions east, north and up of the first place.
+
+    Raises:
+        InputError: If a row has fewer than five columns, no time or no place on the Earth, or there
+            are fewer than two rows; the message names the line.
+    """
+    stamps: list[float] = []
+    places: list[list[float]] = []
+    for where, words in split_rows(path, comment=None):
+        if len(words) < 5:
+            raise InputError(
+                f"{where}: has {len(words)} columns; a position has 5 or more: time, kind, "
+                "latitude, longitude, height"
+            )
+        stamps.append(_time(words[0], where))
+        places.append(parse_numbers(words[2:5], where))
+        check_place(places[-1], where)
+    if len(stamps) < 2:
+        raise InputError(f"{path}: holds {len(stamps)} positions; a track needs two or more")
+    return positions_of(np.array(stamps), np.array(places))
+
+
+def _along_track(track: Trajectory, path: Path) -> Trajectory:
+    """Give positions the heading of the track: from half a metre before to half a metre after."""
+    positions = track.poses.translation
+    steps = np.linalg.norm(np.diff(positions[:, :2], axis=0), axis=1)
+    # The noise of a standing receiver is no way: it is passed over in steps that are shorter.
+    along = np.concatenate([[0.0], np.cumsum(np.where(steps < 0.01, 0.0, steps))])
+    if along[-1] < LEAST_WAY:
+        raise InputError(f"{path}: is {along[-1]:.2f} m long; a heading needs a track of 1 m")
+    ahead, behind = (
+        np.column_stack([np.interp(along + way, along, positions[:, k]) for k in range(2)])
+        for way in (STRIDE, -STRIDE)
+    )
+    way = ahead - behind
+    yaw = np.arctan2(way[:, 1], way[:, 0])
+    turns = Rotation.from_euler("z", yaw[:, None])
+    return Trajectory.in_order(track.stamps, Poses(positions, turns))
+
+
+def _reader(files: Sequence[Path], keep: Sequence[Condition], tally: Tally) -> Reader:
+    def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
+        for file in files[start:stop]:
+            images = [read_grey_png(_image(file, kind), LASERS, COLUMNS) for kind in KINDS]
+            yield points_of_images(*images, keep=keep, where=str(file), tally=tally)
+
+    return read
+
+
+def points_of_images(
+    ranges: UInt16[NDArray[np.uint16], "16 columns"],
+    azimuth: UInt16[NDArray[np.uint16], "16 columns"],
+    intensity: UInt16[NDArray[np.uint16], "16 columns"],
+    *,
+    keep: Sequence[Condition] = (),
+    tally: Tally | None = None,
+    where: str = "",
+) -> Float[Array, "n 3"]:
+    """Turn a triple of images into points in the LiDAR's frame [m]; no returns are left out.
+
+    Args:
+        ranges: Ranges [mm].
+        azimuth: Azimuths [0.01 degrees].
+        intensity: Strengths of the returns.
+        keep: Conditions on ``range`` [m], ``azimuth`` [degrees] and ``intensity``.
+        tally: Counts the points that meet them, if it is given.
+        where: The scan, for error messages.
+
+    Raises:
+        InputError: If an azimuth is beyond 360 degrees, or a condition names another number.
+    """
+    returned = ranges > 0
+    if (azimuth[returned] > 36_000).any():
+        raise InputError(
+            f"{where}: an azimuth is {azimuth[returned].max() / 100:g} degrees; 360 is the most"
+        )
+    numbers = {
+        "range": 0.001 * ranges[returned].astype(np.float64),
+        "azimuth": 0.01 * azimuth[returned].astype(np.float64),
+        "intensity": intensity[returned].astype(np.float64),
+    }
+    elevation = np.broadcast_to(ELEVATIONS[:, None], ranges.shape)[returned]
+    turn = np.radians(numbers["azimuth"])
+    level = numbers["range"] * np.cos(elevation)
+    points = np.column_stack(
+        [level * np.cos(turn), level * np.sin(turn), numbers["range"] * np.sin(elevation)]
+    )
+    mask = kept_points(keep, numbers.get, where, tally)
+    return points if mask is None else points[mask]

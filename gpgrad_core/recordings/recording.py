@@ -1,0 +1,187 @@
+"""A recording: scans with poses, whatever files they came from."""
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.recordings.conditions import (
+    Condition,
+    Tally,
+)
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.trajectory import (
+    Located,
+    Poses,
+    Trajectory,
+)
+
+Reader: TypeAlias = Callable[[int, int], Iterator[Float[NDArray[np.floating], "n 3"]]]
+
+
+@dataclass(frozen=True)
+class RecordingSources:
+    """Where the parts of a recording are, if they are not to be found automatically.
+
+    Attributes:
+        poses: File of poses: TUM or KITTI rows.
+        truth: File of true poses, which the dataset keeps for evaluation.
+        times: File of the scans' times [s], one per row.
+        mount: File of the sensor's pose on the body whose poses are recorded.
+        cloud_topic: Topic of the clouds in a bag.
+        pose_topic: Topic of the poses in a bag.
+        gnss_topic: Topic of the satellite positions in a bag, which become the truth.
+        world_frame: Frame of a bag's transforms in which the map is built.
+        keep: Conditions that a point must meet to be kept, such as ``intensity>3``.
+    """
+
+    poses: Path | None = None
+    truth: Path | None = None
+    times: Path | None = None
+    mount: Path | None = None
+    cloud_topic: str | None = None
+    pose_topic: str | None = None
+    gnss_topic: str | None = None
+    world_frame: str | None = None
+    keep: tuple[Condition, ...] = ()
+
+    def refuse(self, reason: str, *names: str) -> None:
+        """Refuse some of the sources, which a kind of recording cannot have.
+
+        Raises:
+            InputError: If one of them is given; the message has its flag and the reason.
+        """
+        for name in names:
+            given = getattr(self, name)
+            if given:
+                shown = given[0] if isinstance(given, tuple) else given
+                raise InputError(f"--{name} {shown}: {reason}")
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Scans with one pose each; scans without a pose were left out, as the notes report.
+
+    Attributes:
+        name: The name that people see.
+        identity: Hash by which the same recording is recognised.
+        stamps: Time of each scan [s]; None if the times are not known.
+        body: Pose of the robot's body at each scan, ``T_world_body``.
+        mount: Pose of the sensor on the body, ``T_body_sensor``: one for all scans, or one each.
+        read: ``read(start, stop)`` yields the points (n, 3) [m] of scans start to stop - 1; only
+            one scan is in memory at a time.
+        labels: Name of each scan, for messages.
+        up: Axis of the world that points up, as far as the kind of recording tells.
+        covariance: Covariance of each position [m²], where the source gives it.
+        truth: True poses of the body at the scans, where the source gives them.
+        positions_only: Whether the truth has positions only, with z up, and its turns mean nothing.
+        notes: What was left out or assumed, one line each.
+        origin: Latitude, longitude [degrees] and height [m] of the frame of the truth, or else
+            of the poses, whose x points east and y north; None if unknown.
+        tally: Counts the points of the scans that were read, and those that conditions kept.
+    """
+
+    name: str
+    identity: str
+    stamps: Float[Array, "n"] | None
+    body: Poses
+    mount: Poses
+    read: Reader
+    labels: tuple[str, ...]
+    up: str = "z"
+    covariance: Float[Array, "n 3 3"] | None = None
+    truth: Located | None = None
+    positions_only: bool = False
+    notes: tuple[str, ...] = ()
+    origin: tuple[float, float, float] | None = None
+    tally: Tally = field(default_factory=Tally)
+
+    def __len__(self) -> int:
+        """Number of scans."""
+        return len(self.body)
+
+    def sensor(self, index: int) -> Poses:
+        """Pose of the sensor at a scan, ``T_world_sensor``."""
+        row = slice(index, index + 1)
+        return self.body[row] @ (self.mount if len(self.mount) == 1 else self.mount[row])
+
+
+def identify(files: Iterable[Path]) -> str:
+    """Hash the names, sizes and modification times of files; the contents would take minutes."""
+    digest = hashlib.blake2b(digest_size=16)
+    for file in files:
+        status = file.stat()
+        digest.update(f"{file.name}\0{status.st_size}\0{status.st_mtime_ns}\n".encode())
+    return digest.hexdigest()
+
+
+def check_posed(
+    stamps: Float[Array, "n"], located: Located, trajectory: str, where: str, params: BuildParams
+) -> tuple[str, ...]:
+    """Check which scans have a pose.
+
+    Args:
+        stamps: Times of the scans [s].
+        located: The poses that were found for them.
+        trajectory: The time span of the poses, in words.
+        where: Name of the recording, for messages.
+        params: Gives the largest time difference between a scan and a pose.
+
+    Returns:
+        A note if some scans have no pose.
+
+    Raises:
+        InputError: If no scan has a pose.
+    """
+    missing = int(np.sum(~located.known))
+    if missing == len(stamps):
+        raise InputError(
+            f"{where}: no scan has a pose within {params.max_time_difference:g} s: the scans are "
+            f"from {spelled(stamps)}, the poses are {trajectory}; give the poses of this "
+            "recording, or raise max_time_difference"
+        )
+    if not missing:
+        return ()
+    have = "has" if missing == 1 else "have"
+    return (
+        f"{missing:,} of {len(stamps):,} scans {have} no pose within "
+        f"{params.max_time_difference:g} s and {'was' if missing == 1 else 'were'} left out",
+    )
+
+
+def condition_notes(sources: RecordingSources) -> tuple[str, ...]:
+    """Say which points are left out by conditions, if there are any."""
+    said = " and ".join(str(condition) for condition in sources.keep)
+    return (f"only points with {said} are kept",) if said else ()
+
+
+def spelled(stamps: Float[Array, "n"]) -> str:
+    """Describe a time span.
+
+    >>> spelled(np.array([1.0, 2.5]))
+    '1.000 to 2.500 s'
+    """
+    return f"{stamps.min():.3f} to {stamps.max():.3f} s"
+
+
+def truth_at(
+    truth: Trajectory | None, stamps: Float[Array, "n"], where: str, params: BuildParams
+) -> tuple[Located | None, tuple[str, ...]]:
+    """Find the true poses of scans, and make a note if some have none.
+
+    Raises:
+        InputError: If no scan has a true pose.
+    """
+    if truth is None:
+        return None, ()
+    located = truth.at(stamps, params)
+    check_posed(stamps, located, f"from {spelled(truth.stamps)}", where, params)
+    missing = int(np.sum(~located.known))
+    note = f"{missing:,} of {len(stamps):,} scans have no true pose"
+    return located, (note,) if missing else ()

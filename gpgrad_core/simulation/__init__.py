@@ -1,0 +1,1 @@
+"""Datasets with known truth: terrain, a rover that drives over it, and its scans."""

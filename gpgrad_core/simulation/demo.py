@@ -1,0 +1,72 @@
+"""The built-in demo dataset: how it is made, and where it is."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.simulation.params import SimulationParams
+from gpgrad_core.types import Dataset
+
+
+def demo_params() -> SimulationParams:
+    """Give the parameters with which ``assets/demo`` was simulated.
+
+    The dataset is small enough to ship. The camera's mast is taller than by default, so that a
+    rock field has fewer blind spots, and the heading drifts enough to be seen on a short drive.
+    """
+    return SimulationParams(
+        seed=13,
+        num_submaps=10,
+        route="winding",
+        extent=38.0,
+        relief=0.35,
+        roughness=0.3,
+        crater_density=0.045,
+        dune_height=0.1,
+        rock_density=2.2,
+        camera_height=1.3,
+        heading_drift=0.02,
+        max_points=25_000,
+    )
+
+
+def simulate_demo(progress: Progress = silent) -> Dataset:
+    """Simulate the demo dataset.
+
+    ``write_dataset(simulate_demo(), "assets/demo")`` writes the one that is shipped.
+
+    Args:
+        progress: Called once per submap.
+    """
+    from gpgrad_core.simulation.simulate import simulate_dataset  # noqa: PLC0415 - loads slowly
+
+    return replace(
+        simulate_dataset(demo_params(), progress),
+        name="demo",
+        description=(
+            "Synthetic ground with craters, ripples and rocks, seen by a rover's stereo camera. "
+            "The rover drove out (000 to 004), turned, and came back in the opposite direction "
+            "(005 to 009)."
+        ),
+        licence="MIT",
+        # The same ground, seen out and back, so that the first view shows a loop closure.
+        preferred={"query": "007", "database": "001"},
+    )
+
+
+def demo_path() -> Path:
+    """Find the built-in demo dataset, in an installed package or in a checkout.
+
+    Returns:
+        The folder of the dataset.
+
+    Raises:
+        InputError: If neither has it, because the installation is incomplete.
+    """
+    here = Path(__file__).resolve()
+    places = (here.parent / "demo", here.parents[2] / "assets" / "demo")
+    for place in places:
+        if (place / "submaps").is_dir():
+            return place
+    raise InputError(f"the built-in demo is in none of {', '.join(map(str, places))}; reinstall")

@@ -1,0 +1,182 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.viewer.features.all_pairs import judging
+from app.viewer.features.all_pairs.judging import (
+    RULES,
+    UNKNOWN,
+    compare_pairs,
+    gather_all,
+    judge,
+)
+from app.viewer.session.decisions import (
+    ACCEPTED,
+    MISSED,
+    NO_OVERLAP,
+    REFUSED,
+    RIGHT,
+    WRONG_MOTION,
+)
+from app.viewer.session.state import open_dataset
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.evaluation import measure_pairs
+from gpgrad_core.evaluation.rules import Rule
+from gpgrad_core.mapping.gradient_map import MapParams
+from gpgrad_core.run import parallel
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.run.store import Store
+from gpgrad_core.types import Dataset
+from tests.support.synthetic import (
+    MISPLACED,
+    PAIR_SCORES,
+    make_compared,
+    make_dataset,
+)
+
+BOX = next(iter(RULES.values()))
+COMPARED = make_compared()
+"""Four submaps; 003 truly lies on 000, and the boxes of some others touch."""
+
+
+def outcomes(min_score: float, rule: Rule = BOX) -> dict[tuple[str, str], str]:
+    judged = judge(COMPARED, ClosureParams(min_inliers=0, min_score=min_score), rule)
+    return {
+        (closure.query_id, closure.database_id): outcome
+        for closure, outcome in zip(judged.closures, judged.outcomes, strict=True)
+    }
+
+
+def test_thresholds_turn_verdicts_without_registering_anew() -> None:
+    few = judge(COMPARED, ClosureParams(min_inliers=0, min_score=4.5), BOX)
+    many = judge(COMPARED, ClosureParams(min_inliers=0, min_score=0.5), BOX)
+    none = judge(COMPARED, ClosureParams(min_inliers=500, min_score=0.0), BOX)
+    assert [judged.num_accepted for judged in (few, many, none)] == [1, 5, 0]
+    for was, now in zip(COMPARED.result.closures, few.closures, strict=True):
+        assert now.registration is was.registration
+
+
+def test_outcomes_by_the_truth() -> None:
+    accepting = outcomes(0.5)
+    assert accepting["003", "000"] == RIGHT
+    assert accepting["002", "000"] == NO_OVERLAP  # accepted, and truly far away
+    assert accepting[MISPLACED] == WRONG_MOTION
+    assert outcomes(5.5)["003", "000"] == MISSED
+    assert outcomes(5.5)["002", "000"] == REFUSED
+
+
+def test_the_operating_point_lies_on_the_curve() -> None:
+    for min_score in (0.5, 2.5, 4.5):
+        for min_inliers in (0, 12):
+            check = judge(COMPARED, ClosureParams(min_inliers, min_score), BOX).check
+            assert check is not None
+            assert check.curve is not None
+            at = np.flatnonzero(check.curve.thresholds >= min_score)[-1]
+            assert check.precision == check.curve.precision[at]
+            assert check.recall == check.curve.recall[at]
+
+
+def test_figures_by_hand() -> None:
+    check = judge(COMPARED, ClosureParams(0, 0.5), BOX).check
+    assert check is not None
+    # Of the pairs that the box rule judges only 003 -> 000 is true, and it has the highest score.
+    assert check.recall == 1.0
+    assert check.average_precision == 1.0
+    judged = {
+        (COMPARED.truth.ids[q], COMPARED.truth.ids[d])  # type: ignore[union-attr]
+        for q, d, counts in zip(
+            COMPARED.truth.query,  # type: ignore[union-attr]
+            COMPARED.truth.database,  # type: ignore[union-attr]
+            check.labels.judged,
+            strict=True,
+        )
+        if counts
+    }
+    accepted = {pair for pair, score in PAIR_SCORES.items() if score >= 0.5}
+    assert check.precision == 1 / len(judged & accepted)
+
+
+def test_nothing_accepted_has_no_precision() -> None:
+    check = judge(COMPARED, ClosureParams(0, 1000.0), BOX).check
+    assert check is not None
+    assert np.isnan(check.precision)
+    assert check.recall == 0.0
+
+
+def test_a_rule_that_no_pair_meets_has_no_curve() -> None:
+    check = judge(COMPARED, ClosureParams(), Rule("box", 0.98)).check
+    assert check is not None
+    assert check.curve is None
+
+
+def test_without_truth_there_are_verdicts_only() -> None:
+    judged = judge(replace(COMPARED, truth=None), ClosureParams(0, 0.5), BOX)
+    assert judged.check is None
+    assert set(judged.outcomes) == {ACCEPTED, REFUSED}
+    assert set(judged.truths) == {UNKNOWN}
+    assert np.isnan(gather_all(judged).overlaps).all()
+
+
+def test_scores_lie_below_the_diagonal_and_overlaps_above() -> None:
+    judged = judge(COMPARED, ClosureParams(), BOX)
+    cells = gather_all(judged)
+    overlaps = cells.overlaps
+    assert cells.cells[3, 0].score == PAIR_SCORES["003", "000"]
+    assert all(row > column for row, column in cells.cells)
+    assert overlaps[0, 3] > BOX.threshold
+    assert np.isnan(overlaps[np.tril_indices(4)]).all()
+
+
+def test_it_is_of_a_state_whatever_the_thresholds() -> None:
+    state = open_dataset(COMPARED.dataset, COMPARED.params)
+    assert COMPARED.is_of(state)
+    other = replace(COMPARED.params, closure=ClosureParams(20, 9.0))
+    assert COMPARED.is_of(replace(state, params=other))
+    smoother = replace(COMPARED.params, map=replace(COMPARED.params.map, length_scale=0.5))
+    assert not COMPARED.is_of(replace(state, params=smoother))
+    assert not COMPARED.is_of(open_dataset(make_dataset(), COMPARED.params))
+
+
+def test_a_comparison_registers_all_pairs_and_measures_the_truth() -> None:
+    map_params = MapParams(length_scale=0.5, noise_std=0.05, resolution=0.2)
+    submaps = tuple(
+        replace(submap, pose_true=submap.pose_odometry)
+        for submap in make_dataset(num_points=200).submaps[:3]
+    )
+    dataset, told = Dataset("three", submaps), list[float]()
+    compared = compare_pairs(dataset, PipelineParams(map=map_params), Memo(), told.append)
+    assert len(compared.result.closures) == 3
+    assert compared.truth is not None
+    np.testing.assert_array_equal(compared.truth.box_iou, measure_pairs(dataset).box_iou)
+    assert told == sorted(told)
+    assert told[-1] == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.slow
+def test_many_pairs_are_compared_in_processes_and_kept(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    params = PipelineParams(map=replace(PipelineParams().map, resolution=0.1))
+    here = compare_pairs(COMPARED.dataset, params, Memo())
+    monkeypatch.setattr(judging, "MANY_PAIRS", 6)
+    monkeypatch.setattr(parallel, "WORTH_PROCESSES", 6)
+    memo = Memo(store=Store(tmp_path / "store"))
+    there = compare_pairs(COMPARED.dataset, params, memo)
+    for closure, other in zip(here.result.closures, there.result.closures, strict=True):
+        assert (closure.query_id, closure.database_id) == (other.query_id, other.database_id)
+        assert closure.registration.score == pytest.approx(other.registration.score)
+    num_kept = sum(path.is_file() for path in (tmp_path / "store").rglob("*"))
+    assert num_kept >= 6
+    assert memo.num_bytes < 10_000_000  # the maps stay in the processes
+
+
+def test_a_comparison_can_be_cancelled() -> None:
+    def stop(fraction: float) -> None:  # noqa: ARG001
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        compare_pairs(COMPARED.dataset, PipelineParams(), Memo(), stop)

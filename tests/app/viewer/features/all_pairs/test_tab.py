@@ -1,0 +1,282 @@
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+import viser
+
+from app.viewer.features.all_pairs import tab as all_pairs_module
+from app.viewer.features.all_pairs.judging import ComparedPairs
+from app.viewer.features.all_pairs.panel import NO_CHOICE
+from app.viewer.features.all_pairs.tab import AllPairsTab
+from app.viewer.features.desk import Desk
+from app.viewer.session.methods import MethodName
+from app.viewer.session.state import (
+    ViewState,
+    open_dataset,
+    with_pair,
+    with_params,
+)
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection.shortlist import (
+    Candidate,
+    Candidates,
+)
+from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress
+from gpgrad_core.types import Dataset
+from tests.support.desk import make_desk
+from tests.support.synthetic import (
+    make_compared,
+    make_dataset,
+)
+from tests.support.widgets import (
+    find,
+    html_says,
+    said,
+    user_presses,
+    user_sets,
+)
+
+COMPARED = make_compared()
+STATE = open_dataset(COMPARED.dataset, PipelineParams(closure=ClosureParams(0, 4.5)))
+
+SHORTLISTS = {
+    submap.id: (Candidate("another <one>", 40, 0.5), Candidate(STATE.database_id, 12, 0.25))
+    for submap in STATE.dataset.submaps
+}
+
+
+class Comparer:
+    """Stands in for `compare_pairs`: an answer by hand, when it is let go."""
+
+    def __init__(self) -> None:
+        self.go = threading.Event()
+        self.go.set()
+        self.error: Exception | None = None
+
+    def __call__(
+        self,
+        dataset: Dataset,
+        params: PipelineParams,
+        memo: Memo,  # noqa: ARG002
+        progress: Progress,
+        candidates: Candidates,
+        method: MethodName,
+    ) -> ComparedPairs:
+        self.candidates = candidates
+        progress(0.25)
+        while not self.go.wait(0.005):
+            progress(0.5)
+        if self.error is not None:
+            raise self.error
+        shortlists = {} if candidates in ("automatic", "all") else SHORTLISTS
+        result = replace(COMPARED.result, shortlists=shortlists)
+        return replace(COMPARED, dataset=dataset, params=params, result=result, method=method)
+
+
+@pytest.fixture
+def comparer(monkeypatch: pytest.MonkeyPatch) -> Comparer:
+    fake = Comparer()
+    monkeypatch.setattr(all_pairs_module, "compare_pairs", fake)
+    return fake
+
+
+@pytest.fixture
+def desk(server: viser.ViserServer) -> Desk:
+    return make_desk(server, STATE)
+
+
+@pytest.fixture
+def tab(
+    desk: Desk,
+    comparer: Comparer,  # noqa: ARG001
+) -> Iterator[AllPairsTab]:
+    made = desk.join(AllPairsTab(desk))
+    yield made
+    made.close()
+
+
+def run(tab: AllPairsTab, server: viser.ViserServer) -> None:
+    user_presses(find(server, "Run all pairs"))
+    assert tab.wait_idle(120)
+
+
+def shown(desk: Desk) -> tuple[str, str]:
+    return desk.state.query_id, desk.state.database_id
+
+
+def test_all_pairs_are_run_and_told(tab: AllPairsTab, server: viser.ViserServer) -> None:
+    assert not find(server, "Pair").visible
+    run(tab, server)
+    assert "1 loop closure in 6 pairs: 1 with the right motion, 0 with a wrong motion, " in said(
+        server
+    )
+    assert "precision is 1.000 and recall 1.000" in said(server)
+    assert "affinity" in said(server)
+    assert find(server, "Run all pairs").visible
+    assert not find(server, "Cancel").visible
+    assert find(server, "Pair").value == "003 → 000 · 5.0 · right"  # the pair that is open
+
+
+def test_thresholds_and_rules_are_followed(tab: AllPairsTab, server: viser.ViserServer) -> None:
+    run(tab, server)
+    tab.follow(with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
+    assert tab.wait_idle(120)
+    assert "5 loop closures in 6 pairs" in said(server)
+    assert "run again" not in said(server)
+    user_sets(find(server, "True if"), "surface overlap > 0.2")
+    assert tab.wait_idle(120)
+    assert "10 cm cells" in said(server)
+
+
+def test_other_parameters_are_told_as_such(tab: AllPairsTab, server: viser.ViserServer) -> None:
+    run(tab, server)
+    smoother = replace(STATE.params, map=replace(STATE.params.map, length_scale=0.5))
+    tab.follow(with_params(STATE, smoother))
+    assert tab.wait_idle(120)
+    assert "run again" in said(server)
+
+
+def test_pairs_are_chosen_and_stepped_through(
+    tab: AllPairsTab, desk: Desk, server: viser.ViserServer
+) -> None:
+    def choose(label: str, value: str) -> tuple[str, str]:
+        user_sets(find(server, label), value)
+        assert tab.wait_idle(120)
+        return shown(desk)
+
+    run(tab, server)
+    pair = find(server, "Pair")
+    assert choose("Step pair", "next") == ("001", "000")  # of the second-highest score
+    assert choose("Pair", pair.options[-1]) == ("003", "002")
+    assert choose("Step pair", "next") == ("003", "000")  # round the end
+    choose("List", "right")
+    assert pair.options[1:] == ("003 → 000 · 5.0 · right",)
+    desk.change(pair=("002", "001"))
+    assert tab.wait_idle(120)
+    assert pair.value == NO_CHOICE  # not in the list
+    assert 'data-row="2" data-column="1"' in said(server)  # yet in the matrix
+
+
+def test_a_click_in_a_picture_opens_its_pair_and_nothing_else_does(
+    tab: AllPairsTab, desk: Desk, server: viser.ViserServer
+) -> None:
+    run(tab, server)
+
+    def click(picture: str, **data: object) -> None:
+        html_says(desk.bridge, picture, **data)
+
+    click("matrix", name="all", row=2.0, column=1.0)
+    assert shown(desk) == ("002", "001")
+    click("matrix", name="all", row=0.0, column=3.0)  # above the diagonal
+    assert shown(desk) == ("003", "000")
+    click("pair", query="001", database="000")
+    assert shown(desk) == ("001", "000")
+    before = desk.state
+    for wrong in (
+        {"name": "block", "row": 0.0, "column": 0.0},
+        {"name": "all", "row": 0.5, "column": 0.0},
+        {"name": "all", "row": "2", "column": 1.0},
+        {"name": "all", "row": True, "column": 0.0},
+        {"name": "all", "row": 9e9, "column": 1.0},
+        {},
+    ):
+        click("matrix", **wrong)
+    for half in ({"query": "001"}, {"query": 1.0, "database": "000"}):
+        click("pair", **half)
+    assert desk.state is before
+    click("pair", query="gone", database="000")  # of another dataset
+    assert shown(desk) == ("001", "000")
+
+
+def test_a_drawn_threshold_is_taken_within_its_bounds(
+    tab: AllPairsTab, desk: Desk, server: viser.ViserServer
+) -> None:
+    run(tab, server)
+    html_says(desk.bridge, "threshold", score=0.512)
+    assert desk.state.params.closure.min_score == 0.5
+    assert desk.state.params.map == STATE.params.map
+    assert tab.wait_idle(120)
+    assert "5 loop closures in 6 pairs" in said(server)
+    assert "(0.5)" in tab.panel.html["threshold"].content
+    before = desk.state
+    for wrong in (-1.0, 1e12, "3", True, None):
+        html_says(desk.bridge, "threshold", score=wrong)
+    assert desk.state is before
+
+
+def test_the_histogram_is_not_drawn_anew_while_the_threshold_moves(
+    tab: AllPairsTab, server: viser.ViserServer
+) -> None:
+    run(tab, server)
+    before = tab.panel.html["scores"].content
+    assert "data-scores" in before
+    tab.follow(with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
+    assert tab.wait_idle(120)
+    assert tab.panel.html["scores"].content is before
+
+
+def test_a_run_is_cancelled_and_the_next_one_is_not(
+    tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
+) -> None:
+    comparer.go.clear()
+    user_presses(find(server, "Run all pairs"))
+    assert find(server, "Cancel").visible
+    assert "Running all pairs" in said(server)
+    user_presses(find(server, "Cancel"))
+    assert tab.wait_idle(120)
+    assert "Cancelled" in said(server)
+    assert find(server, "Run all pairs").visible
+    comparer.go.set()
+    run(tab, server)
+    assert "loop closure in 6 pairs" in said(server)
+
+
+def test_an_error_is_told(tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer) -> None:
+    comparer.error = InputError("002 spans 10,000 m: raise the resolution")
+    run(tab, server)
+    assert "raise the resolution" in said(server)
+    assert find(server, "Run all pairs").visible
+
+
+def test_another_dataset_forgets_what_was_found_and_ends_what_runs(
+    tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
+) -> None:
+    run(tab, server)
+    comparer.go.clear()
+    user_presses(find(server, "Run all pairs"))
+    other: ViewState = open_dataset(make_dataset(), PipelineParams())
+    tab.follow(other)
+    assert tab.wait_idle(120)
+    assert "loop closure" not in said(server)
+    assert "affinity" not in said(server)
+    assert not find(server, "Pair").visible
+
+
+def test_why_a_pair_was_looked_at_is_shown(
+    tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
+) -> None:
+    run(tab, server)
+    assert comparer.candidates == "automatic"
+    assert tab.panel.html["reasons"].content == ""  # all were compared
+    user_sets(find(server, "Compare with"), "the 10 best")
+    run(tab, server)
+    assert comparer.candidates == 10
+    shown = tab.panel.html["reasons"].content
+    assert "Why was this pair looked at?" in shown
+    assert f"{STATE.database_id} is number 2 among the candidates" in shown
+    assert "another &lt;one&gt;" in shown
+    other = next(
+        submap.id
+        for submap in STATE.dataset.submaps
+        if submap.id not in (STATE.query_id, STATE.database_id)
+    )
+    tab.follow(with_pair(STATE, query_id=STATE.query_id, database_id=other))
+    assert tab.wait_idle(120)
+    assert (
+        f"{other} is not among them, so this pair was not compared"
+        in tab.panel.html["reasons"].content
+    )

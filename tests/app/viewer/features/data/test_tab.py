@@ -1,0 +1,286 @@
+import io
+import threading
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import viser
+
+from app.viewer.features.data import tab as opening_module
+from app.viewer.features.data.folders import recent_datasets
+from app.viewer.features.data.tab import DataTab
+from app.viewer.server.permissions import Permissions
+from app.viewer.session.session_file import (
+    Opened,
+    SavedSession,
+)
+from app.viewer.session.state import open_dataset
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.io.folder import (
+    load_dataset,
+    write_dataset,
+)
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.types import Dataset
+from tests.support.desk import (
+    Recorder,
+    make_desk,
+)
+from tests.support.synthetic import make_dataset
+from tests.support.widgets import (
+    find,
+    user_presses,
+    user_sets,
+)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of two datasets."""
+    root = tmp_path_factory.mktemp("data")
+    for name in ("hills", "others"):
+        write_dataset(make_dataset(num_points=60, name=name), root / name)
+    return root
+
+
+@pytest.fixture
+def recorder() -> Recorder:
+    return Recorder()
+
+
+@pytest.fixture
+def opened(recorder: Recorder) -> list[Opened]:
+    return recorder.datasets
+
+
+STATE = open_dataset(make_dataset(num_points=60), PipelineParams())
+Make = Callable[..., DataTab]
+
+
+@pytest.fixture
+def make(server: viser.ViserServer, tmp_path: Path, recorder: Recorder) -> Iterator[Make]:
+    made: list[DataTab] = []
+
+    def start(**places: Any) -> DataTab:
+        (tmp_path / "uploads").mkdir(exist_ok=True)
+        given = Permissions(config=tmp_path / "config", uploads=tmp_path / "uploads")
+        desk = make_desk(server, STATE, recorder, replace(given, **places))
+        made.append(DataTab(desk))
+        return made[-1]
+
+    yield start
+    for opening in made:
+        opening.close()
+    assert list((tmp_path / "uploads").iterdir()) == []  # nothing stays
+
+
+def said(opening: DataTab) -> str:
+    return opening.panel.work_bar.said
+
+
+def upload(server: viser.ViserServer, opening: DataTab, name: str, content: bytes) -> None:
+    file: Any = viser.UploadedFile(name, content)
+    user_sets(find(server, "Upload clouds"), file)
+    assert opening.wait_idle(120)
+
+
+def zipped(folder: Path) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(folder.rglob("*.*")):
+            archive.write(path, path.relative_to(folder.parent))
+    return buffer.getvalue()
+
+
+def assert_no_place_is_told(message: str, tmp_path: Path) -> None:
+    """Check that a message about an upload does not say where its files lie for a while."""
+    assert str(tmp_path) not in message
+
+
+def test_a_path_is_opened_and_remembered(
+    make: Make, server: viser.ViserServer, data: Path, tmp_path: Path, opened: list[Opened]
+) -> None:
+    opening = make()
+    user_sets(find(server, "Folder"), str(data / "hills"))
+    user_sets(find(server, "Open"), "Load")
+    assert opening.wait_idle(120)
+    assert (opened[0].dataset.name, opened[0].source) == ("hills", str(data / "hills"))
+    assert recent_datasets(tmp_path / "config") == (str(data / "hills"),)
+    user_sets(find(server, "Recent"), str(data / "hills"))
+    assert opening.wait_idle(120)
+    assert len(opened) == 2
+    user_sets(find(server, "Folder"), "  ")
+    user_sets(find(server, "Open"), "Load")
+    assert "Type the path of a dataset folder first." in said(opening)
+
+
+def test_below_a_root_folders_are_browsed_and_nothing_else_is_opened(
+    make: Make, server: viser.ViserServer, data: Path, opened: list[Opened]
+) -> None:
+    opening = make(root=data / "hills")
+    assert "hills" in opening.panel.place.content
+    user_sets(find(server, "Browse"), "submaps/")
+    assert find(server, "Browse").options == ("choose …", "↑ up", *SUBMAPS)
+    user_sets(find(server, "Browse"), SUBMAPS[1])
+    assert opening.wait_idle(120)
+    assert [submap.id for submap in opened[-1].dataset.submaps] == ["001"]
+    user_sets(find(server, "Browse"), "↑ up")
+    user_presses(find(server, "Use this folder"))
+    assert opening.wait_idle(120)
+    assert opened[-1].dataset.name == "hills"
+    for path in (str(data / "others"), "../others", "/etc"):
+        user_sets(find(server, "Folder"), path)
+        user_sets(find(server, "Open"), "Load")
+        assert opening.wait_idle(120)
+        assert "outside of" in said(opening)
+    opening.restore(SavedSession(dataset=data / "others"))
+    assert opening.wait_idle(120)
+    assert "outside of" in said(opening)
+    assert len(opened) == 2
+
+
+SUBMAPS = ("000.ply", "001.ply", "002.ply", "003.ply")
+
+
+@pytest.mark.slow
+def test_a_zipped_dataset_is_uploaded(
+    make: Make, server: viser.ViserServer, data: Path, tmp_path: Path, opened: list[Opened]
+) -> None:
+    opening = make()
+    upload(server, opening, "my hills.zip", zipped(data / "hills"))
+    assert opened[0].dataset.name == "hills"
+    assert len(opened[0].dataset.submaps) == 4
+    assert Path(opened[0].source).is_relative_to(tmp_path / "uploads")
+    assert recent_datasets(tmp_path / "config") == ()  # it will be gone
+    user_sets(find(server, "Open"), "Load demo")
+    assert opening.wait_idle(60)
+    assert not Path(opened[0].source).exists()  # it is no longer open
+    upload(server, opening, "broken.zip", b"PK\x03\x04")
+    assert "broken.zip: is not a complete zip archive" in said(opening)
+    assert_no_place_is_told(said(opening), tmp_path)
+    broken = io.BytesIO()
+    with zipfile.ZipFile(broken, "w") as archive:
+        archive.writestr("hills/submaps/000.ply", b"ply\nbroken")
+        archive.writestr("hills/dataset.toml", b"")
+    upload(server, opening, "two hills.zip", broken.getvalue())
+    assert "two hills.zip: submaps/000.ply: " in said(opening)
+    assert_no_place_is_told(said(opening), tmp_path)
+
+
+def test_clouds_gather_in_one_dataset(
+    make: Make, server: viser.ViserServer, data: Path, tmp_path: Path, opened: list[Opened]
+) -> None:
+    opening = make()
+    clouds = data / "hills" / "submaps"
+    upload(server, opening, "000.ply", (clouds / "000.ply").read_bytes())
+    upload(server, opening, "001.ply", b"ply\nbroken")
+    assert ">001.ply: " in said(opening)
+    assert_no_place_is_told(said(opening), tmp_path)
+    upload(server, opening, "C:\\some\\where\\001.ply", (clouds / "001.ply").read_bytes())
+    assert [[submap.id for submap in dataset.dataset.submaps] for dataset in opened] == [
+        ["000"],
+        ["000", "001"],
+    ]
+    upload(server, opening, "001.ply", (clouds / "001.ply").read_bytes())
+    assert "was uploaded before" in said(opening)
+    upload(server, opening, "evil.exe", b"MZ")
+    assert "neither a zipped dataset" in said(opening)
+    assert len(opened) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [
+        ("a\0.ply", "control character"),
+        ("a" * 300 + ".ply", "longer than 200 bytes"),
+        ("a/" * 2000 + "\x1b.ply", "control character"),
+        ("..", "outside of its folder"),
+    ],
+)
+def test_names_that_no_file_can_have_are_refused(
+    name: str, rule: str, make: Make, server: viser.ViserServer, tmp_path: Path
+) -> None:
+    opening = make()
+    upload(server, opening, name, b"ply\n")
+    assert rule in said(opening)
+    assert "\n" not in said(opening)
+    assert not [file for file in tmp_path.rglob("*.ply") if "uploads" in file.parts]
+
+
+def test_the_clouds_together_have_a_bound(
+    make: Make, server: viser.ViserServer, data: Path, opened: list[Opened]
+) -> None:
+    cloud = (data / "hills" / "submaps" / "000.ply").read_bytes()
+    opening = make(max_upload=len(cloud) // 4 + 1)  # eight times as much may lie there
+    for number in range(3):
+        upload(server, opening, f"{number:03}.ply", cloud)
+    assert len(opened) == 2
+    assert "together" in said(opening)
+
+
+def test_a_file_that_was_not_taken_is_told(make: Make, opened: list[Opened]) -> None:
+    opening = make()
+    opening.refuse("big.ply: has 3 MB; up to 1 MB can be uploaded")
+    assert "up to 1 MB can be uploaded" in said(opening)
+    assert opened == []
+
+
+def test_loading_is_told_and_cancelled(
+    make: Make,
+    server: viser.ViserServer,
+    data: Path,
+    opened: list[Opened],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begun, go = threading.Event(), threading.Event()
+
+    def slow(path: Path, progress: Progress = silent, *, most_bytes: int) -> Dataset:
+        begun.set()
+        while not go.wait(0.005):
+            progress(0.3)
+        return load_dataset(path, most_bytes=most_bytes)
+
+    monkeypatch.setattr(opening_module, "load_dataset", slow)
+    opening = make()
+    user_sets(find(server, "Folder"), str(data / "hills"))
+    user_sets(find(server, "Open"), "Load")
+    assert begun.wait(120)
+    assert find(server, "Cancel loading").visible
+    user_presses(find(server, "Cancel loading"))
+    assert opening.wait_idle(120)
+    assert "Cancelled" in said(opening)
+    assert not find(server, "Cancel loading").visible
+    assert opened == []
+    go.set()
+    user_sets(find(server, "Open"), "Load")
+    assert opening.wait_idle(120)
+    assert len(opened) == 1
+
+
+def test_a_saved_session_is_restored_or_refused(
+    make: Make, data: Path, opened: list[Opened]
+) -> None:
+    opening = make()
+    opening.restore(SavedSession(dataset=data / "hills", query_id="002"))
+    assert opening.wait_idle(120)
+    assert opened[0].saved is not None
+    assert opened[0].saved.query_id == "002"
+    opening.restore(SavedSession(dataset=data / "hills", query_id="999"))
+    assert opening.wait_idle(120)
+    assert "no submap" in said(opening)
+    assert len(opened) == 1
+
+
+def test_a_recording_is_told_to_be_built_first(
+    make: Make, tmp_path: Path, opened: list[Opened]
+) -> None:
+    bag = tmp_path / "drive.bag"
+    bag.write_bytes(b"#ROSBAG V2.0\n")
+    tab = make()
+    tab.open(str(bag))
+    assert tab.wait_idle(60)
+    assert "build its submaps first" in said(tab)
+    assert opened == []

@@ -1,0 +1,201 @@
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.features.desk import Desk
+from app.viewer.features.inspect.flat_picture import WIDTH
+from app.viewer.features.inspect.panel import SEEN
+from app.viewer.features.inspect.tab import (
+    InspectTab,
+    key_of,
+    match_figures,
+    reading_rows,
+    title_of,
+)
+from app.viewer.scene.readout import reading_of
+from app.viewer.scene.ruler import Ruler
+from app.viewer.session.state import (
+    Probe,
+    ViewOptions,
+    ViewState,
+    open_dataset,
+    with_match,
+    with_options,
+    with_probe,
+)
+from gpgrad_core.detection import PipelineParams
+from tests.support.desk import (
+    Recorder,
+    make_desk,
+)
+from tests.support.synthetic import (
+    make_dataset,
+    make_result,
+)
+from tests.support.widgets import (
+    find,
+    html_says,
+    said,
+    user_presses,
+    user_sets,
+)
+
+STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
+RESULT = make_result(STATE)
+MAPS = RESULT.query_map, RESULT.database_map
+
+
+@pytest.fixture
+def recorder() -> Recorder:
+    return Recorder()
+
+
+def asked(recorder: Recorder) -> list[int]:
+    return [state.match for state in recorder.states]
+
+
+@pytest.fixture
+def desk(server: viser.ViserServer, recorder: Recorder) -> Desk:
+    return make_desk(server, STATE, recorder)
+
+
+@pytest.fixture
+def inspection(desk: Desk) -> Iterator[InspectTab]:
+    made = InspectTab(desk, pick=lambda _: None, show_ruler=lambda _: None)
+    yield made
+    made.close()
+
+
+def seeing(**options: Any) -> ViewState:
+    return with_options(STATE, replace(ViewOptions(), **options))
+
+
+def test_the_flat_picture_is_drawn_with_its_legend(
+    server: viser.ViserServer, desk: Desk, inspection: InspectTab
+) -> None:
+    image = inspection.matches.image
+    assert not image.visible
+    inspection.show(STATE, RESULT)
+    assert inspection.wait_idle(120)
+    assert not image.visible  # nobody has it in view
+    html_says(desk.bridge, SEEN, seen=True)
+    assert inspection.wait_idle(120)
+    assert image.visible
+    assert image.image.shape[1] == WIDTH
+    for words in (
+        "query 003",
+        "database 000",
+        "12 inliers",
+        "5 outliers (lines are off)",
+        "masked",
+    ):
+        assert words in said(server)
+    assert "2 keypoints without an association" in said(server)
+
+
+def test_an_association_is_chosen_by_number_and_by_step(
+    server: viser.ViserServer, inspection: InspectTab, recorder: Recorder
+) -> None:
+    user_sets(find(server, "Step association"), "next")
+    assert asked(recorder) == []  # nothing is shown yet
+    inspection.show(STATE, RESULT)
+    user_sets(find(server, "Association"), 14)
+    user_sets(find(server, "Step association"), "next")
+    inspection.show(with_match(STATE, 12), RESULT)
+    assert find(server, "Association").value == 12
+    user_sets(find(server, "Step association"), "next")  # round the end: outliers are not shown
+    user_sets(find(server, "Step association"), "previous")
+    user_sets(find(server, "Step association"), "none")
+    inspection.show(with_match(seeing(outlier_lines=True), 12), RESULT)
+    inspection.step(1)
+    assert asked(recorder) == [14, 1, 1, 11, 0, 13]
+
+
+def test_the_figures_of_an_association_have_their_units(
+    server: viser.ViserServer, inspection: InspectTab
+) -> None:
+    distances = np.linspace(0.9, 0.1, len(RESULT.matches))
+    result = replace(RESULT, matches=replace(RESULT.matches, distances=distances))
+    inspection.show(with_match(STATE, 14), result)
+    html = said(server, "match")
+    assert "Association 14 of 17: outlier" in html
+    assert "0.250 (rank 4)" in html
+    assert "1.414 m (at most 0.3 m for an inlier)" in html
+    title, rows = match_figures(with_match(STATE, 2), result)
+    assert title == "Association 2 of 17: inlier"
+    assert dict(rows)["residual"].startswith("0.000 m")
+    inspection.show(with_match(STATE, 99), result)
+    assert "Association 99" not in said(server)
+
+
+def test_without_a_motion_there_is_no_residual() -> None:
+    lost = replace(RESULT, registration=replace(RESULT.registration, T_database_query=None))
+    _, rows = match_figures(with_match(STATE, 1), lost)
+    assert dict(rows)["residual"] == "unknown: no motion was found"
+    assert "above the database" not in title_of(
+        seeing(layout="registered", layer="difference"), lost
+    )
+
+
+def test_a_place_is_read_with_all_its_values(
+    server: viser.ViserServer, inspection: InspectTab, recorder: Recorder
+) -> None:
+    state = with_probe(STATE, Probe("query", 0.4, -0.6))
+    inspection.show(state, RESULT)
+    html = said(server)
+    for words in ("query 003", "0.400 m, -0.600 m", " ± ", "slope", "°", "query minus database"):
+        assert words in html
+    reading = reading_of(state, MAPS)
+    assert reading is not None
+    assert dict(reading_rows(reading))["aspect"].startswith("falls towards")
+    user_presses(find(server, "Clear the reading"))
+    assert [state.probe for state in recorder.states] == [None]
+    inspection.show(STATE, RESULT)
+    assert "Hold Shift and click" in said(server)
+    page: Any = None
+    up = viser.SceneClickEvent(page, 1, (0.0, 0.0, 9.0), (0.0, 0.0, 1.0), (0.5, 0.5), "shift")
+    inspection.clicked(up)
+    assert "There is no surface" in said(server)
+
+
+def test_clicks_read_a_place_or_measure_between_two(server: viser.ViserServer, desk: Desk) -> None:
+    probes = [Probe("database", x, 0.2) for x in (-0.5, -0.5, 0.5)]
+    clicks, rulers = iter(probes), list[Ruler | None]()
+    tab = desk.join(InspectTab(desk, pick=lambda _: next(clicks), show_ruler=rulers.append))
+    tab.show(STATE, RESULT)
+    page: Any = None
+    click = viser.SceneClickEvent(page, 1, (0.0, 0.0, 9.0), (0.0, 0.0, -1.0), (0.5, 0.5), "shift")
+    tab.clicked(click)
+    assert desk.state.probe == probes[0]
+    user_sets(find(server, "Ruler"), True)
+    tab.clicked(click)
+    assert "click the second place" in said(server)
+    tab.clicked(click)
+    assert desk.state.probe == probes[0]  # while the ruler is on, nothing is read
+    ruler = rulers[-1]
+    assert ruler is not None
+    assert ruler.length == pytest.approx(1.0)
+    for words in ("1.000 m, in the plane", "height difference", 'data-testid="profile"'):
+        assert words in said(server, "ruler")
+    user_presses(find(server, "Clear the ruler"))
+    assert rulers[-1] is None
+    assert said(server, "ruler") == ""
+    tab.close()
+
+
+def test_a_masked_place_is_told(server: viser.ViserServer, inspection: InspectTab) -> None:
+    inspection.show(with_probe(STATE, Probe("database", 2.3, 2.3)), RESULT)
+    assert "variance mask rejects this place" in said(server)
+    assert "only one of them saw" in said(server)
+
+
+@pytest.mark.parametrize("compare", ["both", "query", "database", "swipe", "blink"])
+def test_every_picture_says_what_it_is(compare: str) -> None:
+    state = seeing(layout="registered", compare=compare)
+    assert title_of(state, RESULT) != title_of(STATE, RESULT)
+    colors = [color for color, _ in key_of(state, RESULT)]
+    assert len(colors) == len(set(colors))

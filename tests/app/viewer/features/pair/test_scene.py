@@ -1,0 +1,426 @@
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.features.pair import nodes as nodes_module
+from app.viewer.features.pair import scene as scene_module
+from app.viewer.features.pair.scene import PairScene
+from app.viewer.scene.associations import ARC_PIECES
+from app.viewer.scene.colors import UNTRUSTED_GREY
+from app.viewer.scene.picking import Ray
+from app.viewer.scene.ruler import measure
+from app.viewer.session.state import (
+    Probe,
+    ViewOptions,
+    ViewState,
+    open_dataset,
+    with_match,
+    with_options,
+    with_pair,
+    with_probe,
+)
+from gpgrad_core.detection import PipelineParams
+from tests.support.synthetic import (
+    T_DATABASE_QUERY,
+    make_dataset,
+    make_map,
+    make_result,
+    needing,
+)
+from tests.support.waiting import until
+from tests.support.widgets import node
+
+STATE = open_dataset(make_dataset(), PipelineParams())
+RESULT = make_result(STATE)
+
+
+def seeing(**options: object) -> ViewState:
+    return with_options(STATE, replace(ViewOptions(), **options))
+
+
+def test_a_pair_is_shown_with_names_and_sizes(server: viser.ViserServer) -> None:
+    shown = PairScene(server).show(STATE, RESULT)
+    assert shown.num_surfels == sum(
+        len(node(server, f"/pair/{role}/surface").points) for role in ("query", "database")
+    )
+    assert shown.num_points == 0
+    assert shown.scale is not None
+    assert shown.scale.unit == "m"
+    assert "query 003 · 5.0 m x 5.0 m" in node(server, "/pair/query/label").text
+    assert "database 000" in node(server, "/pair/database/label").text
+    assert node(server, "/pair/scale/label").text == "1 m"
+
+
+@pytest.fixture
+def conversions(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the conversions made, as they are made."""
+    made: list[str] = []
+    for module, name in (
+        (scene_module, "make_surfels"),
+        (nodes_module, "match_lines"),
+        (nodes_module, "keypoint_dots"),
+    ):
+        original = getattr(module, name)
+
+        def watched(*args: Any, _name: str = name, _original: Any = original, **kwargs: Any) -> Any:
+            made.append(_name)
+            return _original(*args, **kwargs)
+
+        monkeypatch.setattr(module, name, watched)
+    return made
+
+
+def test_nothing_is_made_twice(server: viser.ViserServer, conversions: list[str]) -> None:
+    scene = PairScene(server)
+    scene.show(STATE, RESULT)
+    assert sorted(set(conversions)) == ["keypoint_dots", "make_surfels", "match_lines"]
+    conversions.clear()
+    scene.show(seeing(), RESULT)
+    assert conversions == []
+
+
+def test_moving_an_inlier_slider_leaves_the_surfaces_alone(
+    server: viser.ViserServer, conversions: list[str]
+) -> None:
+    scene = PairScene(server)
+    scene.show(STATE, RESULT)
+    conversions.clear()
+    state = open_dataset(STATE.dataset, needing(20))
+    other = replace(make_result(state, num_inliers=3), query_map=RESULT.query_map)
+    other = replace(other, database_map=RESULT.database_map)
+    scene.show(state, other)
+    assert "make_surfels" not in conversions
+    assert len(node(server, "/pair/matches/inliers").points) == 3 * ARC_PIECES
+
+
+def test_the_association_pointed_at_stands_out_and_the_others_step_back(
+    server: viser.ViserServer,
+) -> None:
+    scene = PairScene(server)
+    ground = scene.show(STATE, RESULT).ground
+    lines = node(server, "/pair/matches/inliers")
+    bold, colors = lines.thickness, np.array(lines.colors)
+    scene.show(with_match(STATE, 2), RESULT)
+    chosen = node(server, "/pair/match/line")
+    assert chosen.visible
+    assert len(chosen.points) == ARC_PIECES
+    assert node(server, "/pair/match/label").text == "association 2: inlier, residual 0.000 m"
+    assert lines.thickness < bold < chosen.thickness
+    assert not np.array_equal(lines.colors, colors)
+    ends = node(server, "/pair/match/ends").points
+    start = ground.placements[0].apply(np.append(RESULT.matches.query_xy[1], 0.0)[None])[0]
+    np.testing.assert_allclose(ends[0, :2], start[:2], atol=1e-4)
+    scene.show(with_match(STATE, 13), RESULT)
+    assert "association 13: outlier, residual 1.414 m" in node(server, "/pair/match/label").text
+    for number in (0, 99):  # none, and none of that number
+        scene.show(with_match(STATE, number), RESULT)
+        assert not chosen.visible
+        assert lines.thickness == bold
+
+
+def test_a_place_is_marked_with_its_values_in_both_layouts(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    for layout in ("side by side", "registered"):
+        state = with_probe(seeing(layout=layout), Probe("query", 0.5, -0.25))
+        placement = scene.show(state, RESULT).ground.placements[0]
+        point = node(server, "/pair/probe/point")
+        assert point.visible
+        np.testing.assert_allclose(
+            point.points[0, :2], placement.apply(np.array([[0.5, -0.25, 0.0]]))[0, :2], atol=1e-4
+        )
+        assert " m · slope " in node(server, "/pair/probe/label").text
+    scene.show(STATE, RESULT)
+    assert not point.visible
+
+
+@pytest.mark.parametrize("layout", ["side by side", "registered"])
+def test_a_click_is_the_place_that_is_seen_there(server: viser.ViserServer, layout: str) -> None:
+    scene = PairScene(server)
+    assert scene.pick(Ray(np.array([0.0, 0.0, 9.0]), np.array([0.0, 0.0, -1.0]))) is None
+    ground = scene.show(seeing(layout=layout), RESULT).ground
+    for role, placement in zip(("query", "database"), ground.placements, strict=True):
+        above = placement.apply(np.array([[0.3, 0.4, 0.0]]))[0] + np.array([0.0, 0.0, 9.0])
+        probe = scene.pick(Ray(above, np.array([0.0, 0.0, -1.0])))
+        assert probe is not None
+        if layout == "side by side":
+            assert (probe.role, probe.x, probe.y) == (role, pytest.approx(0.3), pytest.approx(0.4))
+    scene.visible = False
+    assert scene.pick(Ray(above, np.array([0.0, 0.0, -1.0]))) is None
+
+
+def test_each_way_of_comparing_shows_what_it_says(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    frames = node(server, "/pair/query"), node(server, "/pair/database")
+    surfaces = (
+        lambda: node(server, "/pair/query/surface").points,
+        lambda: node(server, "/pair/database/surface").points,
+    )
+
+    def show(**options: Any) -> tuple[bool, bool]:
+        scene.show(seeing(layout="registered", **options), RESULT)
+        return tuple(frame.visible for frame in frames)  # type: ignore[return-value]
+
+    assert show() == (True, True)
+    whole = [len(points()) for points in surfaces]
+    assert show(compare="query") == (True, False)
+    assert show(compare="database") == (False, True)
+    swiped = seeing(layout="registered", compare="swipe", swipe=0.5)
+    ground = scene.show(swiped, RESULT).ground
+    assert all(frame.visible for frame in frames)
+    line = float(node(server, "/pair/swipe").points[0, 0, 0])
+    for index, (points, count) in enumerate(zip(surfaces, whole, strict=True)):
+        assert 0 < len(points()) < count
+        x = ground.placements[index].apply(points().astype(np.float64))[:, 0]
+        assert (x <= line).all() if index == 0 else (x > line).all()
+    assert show() == (True, True)
+    assert [len(points()) for points in surfaces] == whole
+    assert not node(server, "/pair/swipe").visible
+    scene.show(seeing(compare="query"), RESULT)  # side by side there is nothing to compare
+    assert all(frame.visible for frame in frames)
+
+
+def test_blinking_shows_one_after_the_other_until_it_ends(
+    server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(nodes_module, "PERIOD", 0.02)
+    scene = PairScene(server)
+    frames = node(server, "/pair/query"), node(server, "/pair/database")
+    scene.show(seeing(layout="registered", compare="blink"), RESULT)
+    seen: set[tuple[bool, bool]] = set()
+
+    def both_seen() -> bool:
+        seen.add((frames[0].visible, frames[1].visible))
+        return {(True, False), (False, True)} <= seen
+
+    until(both_seen, "one after the other")
+    scene.show(seeing(layout="registered"), RESULT)
+    assert all(frame.visible for frame in frames)
+    scene.show(seeing(layout="registered", compare="blink"), RESULT)
+    scene.close()
+    scene.close()
+
+
+def test_the_height_difference_colours_both_maps_alike_and_grey_where_only_one_saw(
+    server: viser.ViserServer,
+) -> None:
+    scene = PairScene(server)
+    shown = scene.show(seeing(layout="registered", layer="difference"), RESULT)
+    assert shown.scale is not None
+    assert shown.scale.unit == "m"
+    assert shown.scale.low == -shown.scale.high
+    assert shown.ground.comparison is not None
+    assert "root mean square 0.00" in shown.ground.comparison.in_words  # the true motion
+    colors = node(server, "/pair/query/surface").colors
+    grey = (colors == UNTRUSTED_GREY).all(axis=-1)
+    assert 0 < grey.sum() < len(grey)
+    kept = shown.ground.comparison
+    again = scene.show(seeing(layout="registered", layer="difference", keypoints=False), RESULT)
+    assert again.ground.comparison is kept
+    lost = replace(RESULT, registration=replace(RESULT.registration, T_database_query=None))
+    scene.show(seeing(layer="difference"), lost)
+    assert (node(server, "/pair/query/surface").colors == UNTRUSTED_GREY).all()
+
+
+def test_from_above_both_show_the_gradient_and_the_matched_place(
+    server: viser.ViserServer,
+) -> None:
+    scene = PairScene(server)
+    above = seeing(layout="gradient from above", layer="mask", clouds=True)
+    shown = scene.show(above, RESULT)
+    assert shown.scale is not None
+    assert shown.scale.unit == "m/m"
+    assert shown.num_points == 0
+    assert not shown.registered
+    camera = scene.camera(above)
+    across = np.hypot(*(np.array(camera.position) - camera.look_at)[:2])
+    assert across < 0.01 * (camera.position[2] - camera.look_at[2])
+    place = Probe("database", 0.4, -0.3)
+    here, there = scene.spots(place)
+    x, y = T_DATABASE_QUERY.inverse().apply(np.array([[0.4, -0.3]]))[0]
+    at_query, at_database = shown.ground.placements
+    np.testing.assert_allclose(here[:2], at_database.apply(np.array([[0.4, -0.3, 0.0]]))[0, :2])
+    np.testing.assert_allclose(there[:2], at_query.apply(np.array([[x, y, 0.0]]))[0, :2])
+    assert scene.spots(Probe("database", 99.0, 0.0)) == ()
+    scene.show(with_probe(above, place), RESULT)
+    assert node(server, "/pair/probe/other").visible
+    scene.show(with_probe(seeing(layout="registered"), place), RESULT)
+    assert not node(server, "/pair/probe/other").visible
+
+
+def test_a_ruler_lies_on_the_ground_of_both(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    scene.show(STATE, RESULT)
+    ends = Probe("database", -0.5, 0.2), Probe("database", 0.5, 0.2)
+    maps = RESULT.query_map, RESULT.database_map
+    ruler = measure(maps, ends, T_DATABASE_QUERY, 0.0, 0.5)
+    scene.show_ruler(ruler)
+    for role in ("query", "database"):
+        assert node(server, f"/pair/ruler/{role}").visible
+    assert node(server, "/pair/ruler/label").text == "1.00 m"
+    scene.show_ruler(None)
+    assert not node(server, "/pair/ruler/database").visible
+    assert not node(server, "/pair/ruler/label").visible
+
+
+def test_without_a_canvas_over_it_only_a_scene_of_its_own_says_what_it_is(
+    server: viser.ViserServer,
+) -> None:
+    PairScene(server, standalone=False).show(STATE, RESULT)
+    assert not node(server, "/pair/scale/label").visible
+    assert not node(server, "/pair/verdict").visible
+
+
+@pytest.mark.parametrize("standalone", [False, True])
+def test_no_label_without_a_word_is_seen(server: viser.ViserServer, standalone: bool) -> None:
+    """It would be a white bar."""
+    PairScene(server, standalone=standalone).show(STATE, RESULT)
+    names = ("verdict", "scale/label", "match/label", "probe/label", "ruler/label", "query/label")
+    labels = [node(server, f"/pair/{name}") for name in names]
+    assert all(label.text for label in labels if label.visible)
+
+
+def test_in_a_tall_canvas_names_stand_apart(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    scene.tall = True
+    scene.show(STATE, RESULT)
+    query, database = (node(server, f"/pair/{role}/label") for role in ("query", "database"))
+    assert query.anchor.startswith("bottom")
+    assert database.anchor.startswith("top")
+
+
+def test_the_nodes_of_a_surface_are_changed_in_place(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    scene.show(STATE, RESULT)
+    handle = node(server, "/pair/query/surface")
+    colors = handle.colors.copy()  # viser writes into it
+    scene.show(seeing(layer="std"), RESULT)
+    assert node(server, "/pair/query/surface") is handle
+    assert not np.array_equal(handle.colors, colors)
+    assert handle.precision == "float32"
+    assert handle.point_shading == "flat"
+
+
+def test_registering_moves_the_frame_and_not_what_hangs_on_it(
+    server: viser.ViserServer,
+) -> None:
+    scene = PairScene(server)
+    state = seeing(layer="gradient")
+    scene.show(state, RESULT)
+    points = node(server, "/pair/query/surface").points.copy()
+    assert tuple(node(server, "/pair/query").wxyz) == (1.0, 0.0, 0.0, 0.0)
+    shown = scene.show(seeing(layer="gradient", layout="registered"), RESULT)
+    assert shown.registered
+    frames = node(server, "/pair/query"), node(server, "/pair/database")
+    assert 2 * np.arctan2(frames[0].wxyz[3], frames[0].wxyz[0]) == pytest.approx(
+        T_DATABASE_QUERY.yaw
+    )
+    offset = np.array(frames[0].position) - np.array(frames[1].position)
+    np.testing.assert_allclose(offset[:2], (T_DATABASE_QUERY.x, T_DATABASE_QUERY.y))
+    assert np.array_equal(node(server, "/pair/query/surface").points, points)
+
+
+def test_each_switch_hides_and_shows_its_nodes(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    everything = {"clouds": True, "outlier_lines": True}
+    scene.show(seeing(**everything), RESULT)
+    nodes = {
+        "surfaces": "/pair/query/surface",
+        "clouds": "/pair/database/cloud",
+        "keypoints": "/pair/query/keypoints",
+        "inlier_lines": "/pair/matches/inliers",
+        "outlier_lines": "/pair/matches/outliers",
+    }
+    for option, name in nodes.items():
+        assert node(server, name).visible
+        scene.show(seeing(**(everything | {option: False})), RESULT)
+        assert not node(server, name).visible, option
+        scene.show(seeing(**everything), RESULT)
+        assert node(server, name).visible, option
+
+
+def test_no_association_is_no_error(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    state = seeing(outlier_lines=True)
+    scene.show(state, make_result(STATE, num_inliers=4, num_outliers=3))
+    scene.show(state, make_result(STATE, num_inliers=0, num_outliers=0))
+    assert not node(server, "/pair/matches/inliers").visible
+    assert not node(server, "/pair/matches/outliers").visible
+
+
+def test_a_mask_that_hides_everything_is_no_error(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    scene.show(STATE, RESULT)
+    params = replace(STATE.params, features=replace(STATE.params.features, max_std_ratio=0.01))
+    shown = scene.show(replace(STATE, params=params), RESULT)
+    assert 0 < shown.num_surfels < 100  # the true maps are sure in the very middle only
+    sure = replace(RESULT.query_map, variance=RESULT.query_map.variance + 1.0)
+    shown = scene.show(STATE, replace(RESULT, query_map=sure, database_map=sure))
+    assert shown.num_surfels == 0
+    assert not node(server, "/pair/query/surface").visible
+
+
+def test_without_a_motion_registered_falls_back_to_side_by_side(
+    server: viser.ViserServer,
+) -> None:
+    lost = replace(RESULT, registration=replace(RESULT.registration, T_database_query=None))
+    assert not PairScene(server).show(seeing(layout="registered"), lost).registered
+
+
+def test_new_pages_begin_with_both_submaps_in_view(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    camera = scene.camera(STATE)
+    scene.start_camera(camera)
+    np.testing.assert_allclose(server.initial_camera.position, camera.position)
+    np.testing.assert_allclose(server.initial_camera.look_at, camera.look_at)
+
+
+def test_a_preview_brings_surfaces_and_leaves_what_was_found(
+    server: viser.ViserServer, conversions: list[str]
+) -> None:
+    scene = PairScene(server)
+    assert not scene.knows_motion(STATE)
+    scene.show(seeing(layout="registered"), RESULT)
+    assert scene.knows_motion(STATE)
+    frame = np.array(node(server, "/pair/query").position)
+    lines = len(node(server, "/pair/matches/inliers").points)
+    conversions.clear()
+    coarse = make_map(STATE.query, 0.3), make_map(STATE.database, 0.3)
+    shown = scene.preview(seeing(layout="registered"), coarse)
+    assert shown.registered
+    assert shown.num_surfels == sum(int(m.trusted(0.3).sum()) for m in coarse)
+    assert conversions == ["make_surfels", "make_surfels"]
+    np.testing.assert_allclose(node(server, "/pair/query").position, frame, atol=0.05)
+    assert node(server, "/pair/matches/inliers").visible
+    assert len(node(server, "/pair/matches/inliers").points) == lines
+
+
+def test_a_preview_of_another_pair_hides_what_was_found_on_the_last(
+    server: viser.ViserServer,
+) -> None:
+    scene = PairScene(server)
+    scene.show(STATE, RESULT)
+    other = with_pair(STATE, query_id="001")
+    assert not scene.knows_motion(other)
+    maps = make_map(other.query, 0.3), make_map(other.database, 0.3)
+    shown = scene.preview(with_options(other, ViewOptions(layout="registered")), maps)
+    assert not shown.registered
+    drawn = ("/pair/query/keypoints", "/pair/database/keypoints", "/pair/matches/inliers")
+    assert not any(node(server, name).visible for name in drawn)
+    assert not node(server, "/pair/verdict").visible
+    assert "query 001" in node(server, "/pair/query/label").text
+    scene.show(STATE, RESULT)
+    assert all(node(server, name).visible for name in drawn)
+
+
+def test_the_pair_goes_out_of_sight_and_comes_back_as_it_was(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    scene.show(STATE, RESULT)
+    points = node(server, "/pair/query/surface").points
+    scene.visible = False
+    assert not node(server, "/pair").visible
+    scene.visible = True
+    assert node(server, "/pair").visible
+    assert node(server, "/pair/query/surface").points is points

@@ -1,0 +1,139 @@
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+import viser
+
+from app.viewer.features.desk import Desk
+from app.viewer.features.params import fit as fit_module
+from app.viewer.features.params.fit import (
+    FitTool,
+    with_fitted,
+)
+from app.viewer.session.state import open_dataset
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.errors import InputError
+from gpgrad_core.mapping.fitting import FitResult
+from gpgrad_core.mapping.gradient_map import (
+    MapParams,
+    TerrainParams,
+)
+from gpgrad_core.run.progress import Progress
+from gpgrad_core.types import Submap
+from tests.support.desk import make_desk
+from tests.support.synthetic import make_dataset
+from tests.support.widgets import (
+    find,
+    said,
+    user_presses,
+)
+
+STATE = open_dataset(make_dataset(), PipelineParams())
+
+
+class Fitter:
+    """Stands in for `fit_parameters`: an answer by hand, when it is let go."""
+
+    def __init__(self) -> None:
+        self.go = threading.Event()
+        self.go.set()
+        self.error: Exception | None = None
+        self.calls: list[tuple[str, ...]] = []
+
+    def __call__(
+        self, submaps: Sequence[Submap], start: TerrainParams, *, progress: Progress
+    ) -> FitResult:
+        ids = tuple(submap.id for submap in submaps)
+        self.calls.append(ids)
+        progress(0.25)
+        while not self.go.wait(0.005):
+            progress(0.5)
+        if self.error is not None:
+            raise self.error
+        fitted = replace(start, length_scale=0.4123, noise_std=0.0307, signal_std=0.3)
+        return FitResult(fitted, -0.25, 0.5, 4096, 11, ids)
+
+
+@pytest.fixture
+def fitter(monkeypatch: pytest.MonkeyPatch) -> Fitter:
+    fake = Fitter()
+    monkeypatch.setattr(fit_module, "fit_parameters", fake)
+    return fake
+
+
+@pytest.fixture
+def desk(server: viser.ViserServer) -> Desk:
+    return make_desk(server, STATE)
+
+
+def run(desk: Desk) -> str:
+    """Fit to the submaps that are shown, and give what is told."""
+    (tool,) = (feature for feature in desk.features if isinstance(feature, FitTool))
+    user_presses(find(desk.host, "Fit to these submaps"))
+    assert tool.wait_idle(120)
+    tool.close()
+    return said(desk.host, "fit") + said(desk.host, "fit-message") + said(desk.host, "fit-error")
+
+
+def test_the_result_is_handed_on_and_told_before_and_after(desk: Desk, fitter: Fitter) -> None:
+    desk.join(FitTool(desk))
+    told = run(desk)
+    assert fitter.calls == [("003", "000")]
+    # To the digits that the sliders show.
+    fitted = {"length_scale": 0.412, "signal_std": 0.3, "noise_std": 0.0307}
+    assert desk.state.params == replace(STATE.params, map=with_fitted(STATE.params.map, fitted))
+    for words in (
+        "4,096 points of 003 and 000",
+        "0.3 → 0.412 m",
+        "0.05 → 0.0307 m",
+        "automatic → 0.3 m",
+        "-0.250 → 0.500",
+    ):
+        assert words in told
+    assert with_fitted(MapParams(resolution=0.07), fitted).resolution == 0.07
+
+
+def test_a_submap_alone_counts_once(server: viser.ViserServer, fitter: Fitter) -> None:
+    lone = replace(STATE.dataset, submaps=STATE.dataset.submaps[:1])
+    desk = make_desk(server, open_dataset(lone, PipelineParams()))
+    desk.join(FitTool(desk))
+    run(desk)
+    assert fitter.calls == [("000",)]
+
+
+@pytest.mark.parametrize("by", ["a hand", "another pair"])
+def test_it_is_cancelled(desk: Desk, fitter: Fitter, by: str) -> None:
+    tool = desk.join(FitTool(desk))
+    fitter.go.clear()
+    user_presses(find(desk.host, "Fit to these submaps"))
+    assert find(desk.host, "Cancel fit").visible
+    if by == "a hand":
+        user_presses(find(desk.host, "Cancel fit"))
+    else:
+        desk.change(pair=("001", None))
+    assert tool.wait_idle(120)
+    if by == "a hand":
+        assert "Cancelled" in said(desk.host, "fit-message")
+    assert find(desk.host, "Fit to these submaps").visible
+    assert desk.state.params == STATE.params
+    fitter.go.set()
+    run(desk)
+    assert fitter.calls[-1] == (("003", "000") if by == "a hand" else ("001", "000"))
+
+
+def test_an_error_is_told(desk: Desk, fitter: Fitter) -> None:
+    desk.join(FitTool(desk))
+    fitter.error = InputError("submap 003 gives no noise_std for its points")
+    assert "gives no noise_std" in run(desk)
+
+
+def test_the_real_fit_is_called_as_it_wants(server: viser.ViserServer) -> None:
+    desk = make_desk(server, open_dataset(make_dataset(num_points=300), PipelineParams()))
+    desk.join(FitTool(desk))
+    assert "Fitted to" in run(desk)
+    # The hills are smooth and measured with a noise of 1 cm.
+    fitted = desk.state.params.map
+    assert fitted.noise_std == pytest.approx(0.01, abs=0.005)
+    assert fitted.length_scale is not None
+    assert fitted.length_scale > 0.3

@@ -1,0 +1,165 @@
+from collections.abc import Iterator
+
+import pytest
+import viser
+
+from app.viewer.features.desk import Desk
+from app.viewer.features.params import sensitivity as module
+from app.viewer.features.params.sensitivity import (
+    SensitivityTool,
+    Tried,
+    summary,
+    sweep_html,
+    values_of,
+)
+from app.viewer.features.params.tab import (
+    MAIN_PARAMETERS,
+    SWEPT,
+)
+from app.viewer.session.state import (
+    ViewState,
+    open_dataset,
+)
+from app.viewer.widgets.commands import Commands
+from gpgrad_core.detection import (
+    PairResult,
+    PipelineParams,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.params.fields import parameters_of, with_path
+from tests.support.desk import make_desk
+from tests.support.synthetic import (
+    FakePipeline,
+    make_dataset,
+    make_result,
+)
+from tests.support.widgets import (
+    find,
+    html_says,
+    user_presses,
+    user_sets,
+)
+
+FIELDS = {field.path: field for field in parameters_of(PipelineParams)}
+START = with_path(with_path(PipelineParams(), "map.length_scale", 0.3), "map.noise_std", 0.02)
+STATE = open_dataset(make_dataset(), START)
+
+
+def judge(state: ViewState) -> PairResult:
+    """More inliers for a longer length-scale."""
+    return make_result(state, num_inliers=int(20 * (state.params.map.length_scale or 0)))
+
+
+@pytest.fixture
+def pipeline(monkeypatch: pytest.MonkeyPatch) -> FakePipeline:
+    fake = FakePipeline(judge)
+    monkeypatch.setattr(module, "register_pair", fake)
+    return fake
+
+
+@pytest.fixture
+def desk(server: viser.ViserServer) -> Desk:
+    return make_desk(server, STATE)
+
+
+@pytest.fixture
+def tool(desk: Desk, pipeline: FakePipeline) -> Iterator[SensitivityTool]:
+    del pipeline
+    names = {path: MAIN_PARAMETERS[path] for path in SWEPT}
+    made = desk.join(SensitivityTool(desk, Commands(desk.host), names))
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("path", SWEPT)
+def test_values_span_the_slider_and_hold_the_present_one(path: str) -> None:
+    bounds = FIELDS[path].bounds
+    assert bounds is not None
+    current = 0.1234
+    values = values_of(FIELDS[path], current)
+    assert values == tuple(sorted(set(values)))
+    assert current in values
+    assert 10 <= len(values) <= 16
+    assert values[0] == pytest.approx(bounds.slider_range[0], abs=bounds.step)
+    assert values[-1] == pytest.approx(bounds.slider_range[1], abs=bounds.step)
+    for value in values:
+        bounds.check(path, value)
+    assert values_of(FIELDS[path], None)
+
+
+def test_over_decades_the_values_are_spaced_in_their_logarithm() -> None:
+    values = values_of(FIELDS["map.length_scale"], 0.3)
+    assert values[1] - values[0] < 0.05 < values[-1] - values[-2]
+
+
+def test_the_summary_says_where_it_is_a_closure() -> None:
+    tried = [Tried(v, s, 5, s > 3) for v, s in ((0.1, 1.0), (0.2, 4.0), (0.3, 5.0), (0.4, 2.0))]
+    assert summary(tried, "m") == (
+        "It is a loop closure at 0.2 to 0.3 m. The highest score is 5.0, at 0.3 m."
+    )
+    assert summary(tried[:1], "").startswith("No value makes it a loop closure.")
+    assert summary(tried[1:3], "m").startswith("It is a loop closure at every value.")
+
+
+def test_the_picture_says_each_value_in_words_and_escapes_names() -> None:
+    tried = [Tried(0.1, 1.0, 3, False), Tried(0.2, 4.0, 9, True)]
+    content = sweep_html(FIELDS["map.noise_std"], "<i>Noise", tried, current=0.15, threshold=3.0)
+    assert "<i>Noise" not in content
+    assert "0.1 m: score 1.0, 3 inliers, no loop closure. Click to set it." in content
+    assert 'data-testid="sweep-now"' in content
+    assert content.count("<circle") == 2
+
+
+def test_no_verdict_on_all_values_before_all_were_tried() -> None:
+    tried = [Tried(0.1, 4.0, 3, True), Tried(0.2, 4.0, 9, True)]
+    field = FIELDS["map.noise_std"]
+    content = sweep_html(field, "Noise", tried, current=None, threshold=3.0, num_left=13)
+    assert "2 of 15 values so far." in content
+    assert "at every value" not in content
+
+
+def test_a_sweep_is_drawn_and_a_click_sets_the_value(
+    tool: SensitivityTool, desk: Desk, server: viser.ViserServer, pipeline: FakePipeline
+) -> None:
+    user_presses(find(server, "Sweep"))
+    assert tool.wait_idle(120)
+    picture = tool.picture
+    assert "loop closure" in picture.content
+    assert {params.map.noise_std for params in pipeline.calls} == {0.02}
+    assert len({params.map.length_scale for params in pipeline.calls}) == len(pipeline.calls) >= 10
+    value = pipeline.calls[-1].map.length_scale
+    assert value is not None
+    html_says(desk.bridge, "sweep-value", value=value)
+    assert desk.state.params.map.length_scale == value
+    assert "Sweep again" not in picture.content  # the others are as they were
+    html_says(desk.bridge, "sweep-value", value=123.0)
+    html_says(desk.bridge, "sweep-value", value="1")
+    assert desk.state.params.map.length_scale == value
+
+
+def test_what_changes_meanwhile_is_told(
+    tool: SensitivityTool, desk: Desk, server: viser.ViserServer
+) -> None:
+    user_presses(find(server, "Sweep"))
+    assert tool.wait_idle(120)
+    desk.change(params=with_path(desk.state.params, "map.noise_std", 0.05))
+    assert "Sweep again" in tool.picture.content
+    desk.change(pair=(STATE.database_id, STATE.query_id))
+    assert tool.picture.content == ""
+
+
+def test_another_parameter_begins_anew(tool: SensitivityTool, server: viser.ViserServer) -> None:
+    user_presses(find(server, "Sweep"))
+    assert tool.wait_idle(120)
+    user_sets(find(server, "Of"), "Noise")
+    assert tool.picture.content == ""
+
+
+def test_a_failure_is_told(
+    tool: SensitivityTool, desk: Desk, server: viser.ViserServer, pipeline: FakePipeline
+) -> None:
+    pipeline.error = InputError("000: too few points")
+    user_presses(find(server, "Sweep"))
+    assert tool.wait_idle(120)
+    assert "000: too few points" in tool.work_bar.said
+    assert STATE.params == desk.state.params

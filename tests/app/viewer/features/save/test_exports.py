@@ -1,0 +1,186 @@
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, TypeAlias
+
+import cv2
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.features.desk import Desk
+from app.viewer.features.save import tab as save_module
+from app.viewer.features.save.tab import (
+    CLOSURES,
+    MAPS,
+    PICTURE_PIXELS,
+    Exports,
+)
+from app.viewer.scene.layers import Scale
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import open_dataset
+from gpgrad_core.detection import (
+    DetectionResult,
+    PipelineParams,
+)
+from gpgrad_core.detection.verdict import classify
+from gpgrad_core.run.progress import Progress
+from gpgrad_core.types import Dataset
+from tests.support.desk import make_desk
+from tests.support.page import FakePage
+from tests.support.synthetic import (
+    make_compared,
+    make_dataset,
+    make_map,
+)
+from tests.support.widgets import (
+    find,
+    said,
+    user_presses,
+    user_sets,
+)
+
+Order: TypeAlias = Callable[..., FakePage]
+STATE = open_dataset(make_dataset(), PipelineParams())
+
+
+@pytest.fixture
+def go(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Detection by hand, when it is let go."""
+    go = threading.Event()
+    go.set()
+
+    def detect(dataset: Dataset, params: PipelineParams, **given: Any) -> DetectionResult:
+        progress: Progress = given["progress"]
+        while not go.wait(0.005):
+            progress(0.3)
+        result = make_compared().result
+        closures = tuple(
+            classify(
+                one.registration,
+                params.closure,
+                query_id=one.query_id,
+                database_id=one.database_id,
+            )
+            for one in result.closures
+        )
+        del dataset
+        return DetectionResult(closures, result.seconds)
+
+    monkeypatch.setattr(save_module, "detect_loop_closures", detect)
+    monkeypatch.setattr(
+        save_module,
+        "infer_map",
+        lambda submap, params, memo, progress: make_map(submap),  # noqa: ARG005
+    )
+    return go
+
+
+@pytest.fixture
+def desk(server: viser.ViserServer) -> Desk:
+    return make_desk(server, STATE)
+
+
+@pytest.fixture
+def exports(desk: Desk, go: threading.Event) -> Iterator[Exports]:
+    made = Exports(desk)
+    yield made
+    go.set()
+    made.close()
+
+
+@pytest.fixture
+def order(server: viser.ViserServer, exports: Exports) -> Order:
+    """Choose from lists and press a button, as a page does; gives the page with its file."""
+
+    def press(button: str, page: FakePage | None = None, **choices: str) -> FakePage:
+        page = page or FakePage()
+        for label, choice in choices.items():
+            user_sets(find(server, label.replace("_", " ")), choice)
+        user_presses(find(server, f"Export {button}"), page)
+        assert exports.wait_idle(120)
+        return page
+
+    return press
+
+
+def test_closures_in_every_format(server: viser.ViserServer, order: Order) -> None:
+    page = FakePage()
+    for kind in CLOSURES:
+        order("closures", page, Closures_as=kind)
+        assert CLOSURES[kind] in said(server, "export-message")
+    assert set(page.files) == set(CLOSURES.values())
+    assert b'"num_inliers": 16' in page.files["closures.json"]
+    rows = page.files["closures.csv"].decode().splitlines()
+    assert rows[0].startswith("query,database,accepted,score,num_inliers")
+    assert len(rows) == 7
+    assert rows[4].startswith("003,000,true,5,20,10,0.5,1,-0.5,1.57079633,")
+    poses = page.files["poses_corrected.txt"].decode().splitlines()
+    assert [row.split()[0] for row in poses] == ["#", "0", "1", "2", "3"]
+    assert page.files["graph.g2o"].startswith(b"VERTEX_SE3:QUAT 0 ")
+
+
+def test_maps_in_every_format(order: Order) -> None:
+    page = FakePage()
+    for kind in MAPS:
+        order("map", page, Map_as=kind)
+    order("map", page, Map_as="NPZ", Map_of="database")
+    starts = {name: content[:4] for name, content in page.files.items()}
+    assert starts == {
+        "map_003.npz": b"PK\x03\x04",
+        "map_003.tif": b"II*\x00",
+        "map_003.ply": b"ply\n",
+        "map_003.png": b"\x89PNG",
+        "map_000.npz": b"PK\x03\x04",
+    }
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_picture_is_fit_for_a_slide(desk: Desk, order: Order, dark: bool) -> None:
+    desk.change(options=replace(desk.state.options, dark=dark))
+    desk.canvases.caption = {"title": "Query 003 → database 000", "line": "Loop closure"}
+    desk.canvases.scales["pair"] = Scale("Elevation", "m", "viridis", -1.0, 2.0)
+    page = order("picture")
+    png = np.frombuffer(page.files["view.png"], np.uint8)
+    picture = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
+    assert picture is not None
+    assert max(picture.shape) >= PICTURE_PIXELS
+    assert picture.shape[2] == 3 or (picture[..., 3] == 255).all()
+    rows, columns = picture.shape[:2]
+    blue, green, red = (int(value) for value in picture[rows // 2, columns // 3, :3])
+    assert (blue, green, red) == (0, 0, 255)  # what the page draws
+    corner = int(picture[0, -1, 0])
+    assert corner < 40 if dark else corner == 255
+    view = (picture[..., :3] == (0, 0, 255)).all(axis=2)
+    assert view.sum() >= 0.9 * PICTURE_PIXELS * PICTURE_PIXELS * 30 / 40
+    top, left = (int(np.flatnonzero(view.any(axis=axis))[0]) for axis in (1, 0))
+    bottom, right = (int(np.flatnonzero(view.any(axis=axis))[-1]) for axis in (1, 0))
+    for strip in (picture[:top], picture[bottom + 1 :], picture[:, right + 1 :]):
+        assert np.ptp(strip[..., 0]) > 150  # title, scale bar and colour bar
+    assert np.ptp(picture[top:bottom, :left, 0]) == 0
+
+
+def test_a_page_that_gives_no_picture_is_told_of(server: viser.ViserServer, order: Order) -> None:
+    assert order("picture", FakePage(draws=False)).files == {}
+    assert "bring its window to the front" in said(server, "export-error")
+
+
+def test_an_export_is_cancelled(
+    exports: Exports, server: viser.ViserServer, go: threading.Event
+) -> None:
+    page = FakePage()
+    go.clear()
+    user_presses(find(server, "Export closures"), page)
+    assert find(server, "Cancel export").visible
+    user_presses(find(server, "Cancel export"))
+    assert exports.wait_idle(120)
+    assert page.files == {}
+    assert "Cancelled" in said(server, "export-message")
+
+
+def test_what_cannot_be_exported_is_told(
+    server: viser.ViserServer, desk: Desk, order: Order
+) -> None:
+    desk.open(Opened(Dataset("one", STATE.dataset.submaps[:1]), PipelineParams(), ""))
+    assert order("closures").files == {}
+    assert "needs two submaps" in said(server, "export-error")

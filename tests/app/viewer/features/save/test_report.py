@@ -1,0 +1,95 @@
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.features.save import tab as save_module
+from app.viewer.features.save.report_page import (
+    lines_below,
+    report_html,
+)
+from app.viewer.features.save.tab import (
+    ENDINGS,
+    ReportTool,
+    write_report,
+)
+from app.viewer.session.state import open_dataset
+from app.viewer.widgets.commands import Commands
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import silent
+from tests.support.desk import make_desk
+from tests.support.page import FakePage
+from tests.support.synthetic import (
+    make_dataset,
+    make_result,
+)
+from tests.support.widgets import html_says
+
+STATE = open_dataset(make_dataset(), PipelineParams(), source="/maps/hills")
+RESULT = make_result(STATE)
+LINK = "http://127.0.0.1:8080/#query=003&database=000"
+
+
+@pytest.fixture(autouse=True)
+def known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(save_module, "register_pair", lambda *_, **__: RESULT)
+
+
+def test_the_page_has_all_of_it_and_asks_no_server(tmp_path: Path) -> None:
+    write_report(STATE, Memo(), LINK, "Accepted by hand.", tmp_path / "report.html", silent)
+    page = (tmp_path / "report.html").read_text()
+    for words in (
+        "hills: query 003, database 000",
+        "Loop closure · score",
+        "Accepted by hand.",
+        "gpgrad detect /maps/hills --out closures.json --pair 003 000",
+        "map.length_scale",
+        "overlap",
+        LINK.replace("&", "&amp;"),
+    ):
+        assert words in page
+    assert set(re.findall(r'(?:src|href)="([a-z]+:)', page)) == {"data:", "http:"}
+    assert page.count("http") == 2  # the link, and nothing that a browser would load
+
+
+def test_the_picture_is_opaque_and_twice_as_fine(tmp_path: Path) -> None:
+    write_report(STATE, Memo(), LINK, "", tmp_path / "report.png", silent)
+    picture = cv2.imread(str(tmp_path / "report.png"), cv2.IMREAD_UNCHANGED)
+    assert picture is not None
+    assert picture.shape[1] == 2640
+    assert picture.shape[2] == 3 or (picture[..., 3] == 255).all()
+    assert np.ptp(picture[:2000]) > 200
+
+
+def test_what_a_person_wrote_is_text() -> None:
+    page = report_html(STATE, RESULT, b"", decided="Note: <script>alert(1)</script>")
+    assert "<script>" not in page
+    assert "&lt;script&gt;" in page
+    assert "Link" not in page
+
+
+def test_lines_below_a_picture_fit_on_it() -> None:
+    below = lines_below(STATE, RESULT, link=LINK + "&x=" + "y" * 500)
+    assert max(map(len, below.splitlines())) <= 140
+    assert "Command: gpgrad detect" in below
+
+
+@pytest.mark.slow
+def test_a_page_is_asked_for_its_address_and_gets_the_file(server: viser.ViserServer) -> None:
+    desk, page = make_desk(server, STATE), FakePage()
+    tool = desk.join(ReportTool(desk, Commands(server)))
+    for kind in ENDINGS:
+        html_says(desk.bridge, "here", page, kind=kind, link=LINK)
+        assert tool.wait_idle(60)
+    assert set(page.files) == {"report_003_000.html", "report_003_000.png"}
+    assert b"query=003" in page.files["report_003_000.html"]
+    for data in ({}, {"kind": "EXE", "link": LINK}, {"kind": "HTML", "link": 3.0}):
+        html_says(desk.bridge, "here", page, **data)
+    html_says(desk.bridge, "here", page, kind="HTML", link="javascript:alert(1)")
+    assert tool.wait_idle(60)
+    assert b"javascript" not in page.files["report_003_000.html"]
+    tool.close()

@@ -1,0 +1,88 @@
+from dataclasses import replace
+
+import pytest
+import viser
+
+from app.viewer.features.desk import Feature
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import (
+    Probe,
+    open_dataset,
+    registered,
+)
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.errors import InputError
+from tests.support.desk import (
+    Recorder,
+    make_desk,
+)
+from tests.support.synthetic import (
+    make_dataset,
+    needing,
+)
+
+STATE = open_dataset(make_dataset(num_points=100), PipelineParams())
+
+
+def test_each_change_reaches_every_feature_once_and_in_order(server: viser.ViserServer) -> None:
+    first, second = Recorder(), Recorder()
+    desk = make_desk(server, STATE, first)
+    assert desk.join(second) is second
+    desk.change(pair=("002", "001"))
+    desk.change(params=needing(7))
+    desk.change(match=3, probe=Probe("query", 0.0, 0.0))
+    desk.change(probe=None)
+    desk.change(options=registered(STATE.options))
+    assert first.states == second.states
+    assert [state.query_id for state in first.states] == ["002"] * 5
+    assert [state.asked == needing(7) for state in first.states] == [False] + [True] * 4
+    assert [state.match for state in first.states] == [0, 0, 3, 3, 3]
+    assert [state.probe is None for state in first.states] == [True, True, False, True, True]
+    assert desk.state is first.states[-1]
+    assert desk.state.options.layout == "registered"
+
+
+def test_a_refused_change_changes_nothing(server: viser.ViserServer) -> None:
+    recorder = Recorder()
+    desk = make_desk(server, STATE, recorder)
+    with pytest.raises(InputError, match="no submap"):
+        desk.change(pair=("999", "000"))
+    assert desk.state is STATE
+    assert recorder.states == []
+
+
+def test_a_pair_of_a_dataset_that_has_gone_changes_nothing_and_is_told(
+    server: viser.ViserServer,
+) -> None:
+    recorder = Recorder()
+    desk = make_desk(server, STATE, recorder)
+    desk.choose("999", "000")
+    assert desk.state is STATE
+    desk.choose("000", "999")
+    assert recorder.states == [STATE, STATE]
+    desk.choose("002", "001")
+    assert (desk.state.query_id, desk.state.database_id) == ("002", "001")
+
+
+def test_another_dataset_keeps_the_view(server: viser.ViserServer) -> None:
+    recorder = Recorder()
+    desk = make_desk(server, STATE, recorder)
+    desk.change(options=replace(STATE.options, dark=True))
+    opened = Opened(make_dataset(num_points=100, name="other"), needing(3), "/data/other")
+    desk.open(opened)
+    assert recorder.datasets == [opened]
+    assert (desk.state.dataset.name, desk.state.asked) == ("other", needing(3))
+    assert desk.state.options.dark
+
+
+def test_a_feature_may_leave_all_news_alone(server: viser.ViserServer) -> None:
+    desk = make_desk(server, STATE)
+    feature = desk.join(Feature())
+    desk.tell(lambda feature: feature.comparing(0.5, ""))
+    desk.tell(lambda feature: feature.judged(STATE.dataset, ()))
+    desk.tell(lambda feature: feature.turned("world"))
+    desk.tell(lambda feature: feature.resized())
+    desk.choose("001", "000")
+    assert (desk.state.query_id, desk.state.database_id) == ("001", "000")
+    assert feature.wait_idle(60)
+    feature.close()

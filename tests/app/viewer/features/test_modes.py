@@ -1,0 +1,268 @@
+"""Explore, Demo and the pose graph, without a browser."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.features.demo import pages as demo_module
+from app.viewer.features.pair import tab as pair_module
+from app.viewer.features.pose_graph.tab import (
+    PoseGraphTab,
+    result_rows,
+)
+from app.viewer.features.session import Session
+from app.viewer.features.world import tab as explore_module
+from app.viewer.session.runner import Capacity
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import ViewState
+from gpgrad_core.detection import PairResult
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.types import Dataset, LoopClosure, Registration
+from tests.support.page import ProtocolPage
+from tests.support.synthetic import (
+    NUMBERS,
+    FakePipeline,
+    make_dataset,
+    make_result,
+)
+from tests.support.waiting import until
+from tests.support.widgets import (
+    find,
+    said,
+    user_presses,
+    user_sets,
+)
+
+DRIFT = SE2(0.15, -0.1, 0.025)
+"""What odometry is off from each submap to the next."""
+
+
+def drifted() -> Dataset:
+    """Submaps whose odometry drifts off their true poses."""
+    dataset = make_dataset()
+    submaps, off = [], SE2()
+    for submap in dataset.submaps:
+        true = submap.pose_odometry
+        assert true is not None
+        believed = true.planar @ off
+        half = believed.yaw / 2
+        odometry = Pose(
+            np.array([believed.x, believed.y, 0.0]),
+            np.array([0.0, 0.0, np.sin(half), np.cos(half)]),
+        )
+        submaps.append(replace(submap, pose_true=true, pose_odometry=odometry))
+        off = off @ DRIFT
+    return replace(dataset, submaps=tuple(submaps))
+
+
+DATASET = drifted()
+
+
+def closure(query: str, database: str, motion: SE2 | None = None, score: float = 5.0) -> Any:
+    poses = {one.id: one.pose_true for one in DATASET.submaps}
+    a, b = poses[database], poses[query]
+    assert a is not None
+    assert b is not None
+    true = a.planar.inverse() @ b.planar
+    found = Registration(
+        motion or true,
+        np.ones(20, bool),
+        0.5,
+        15.0,
+        0.9,
+        score,
+        covariance=np.diag([0.02, 0.02, 0.005]) ** 2,
+    )
+    return LoopClosure(query, database, found, score >= 3, f"score {score}")
+
+
+CLOSURES = (
+    closure("002", "000"),
+    closure("003", "000"),
+    closure("003", "001", SE2(3.0, 3.0, 1.0), score=1.0),
+)
+
+
+def make_true_result(state: ViewState) -> PairResult:
+    """Make a result whose maps are those of the true ground."""
+    true = tuple(replace(one, pose_odometry=one.pose_true) for one in state.dataset.submaps)
+    return make_result(replace(state, dataset=replace(state.dataset, submaps=true)))
+
+
+def judge(session: Session) -> None:
+    """Let the session know all pairs as judged."""
+    session.desk.tell(lambda feature: feature.judged(DATASET, CLOSURES))
+
+
+@pytest.fixture
+def session(monkeypatch: pytest.MonkeyPatch, server: viser.ViserServer) -> Iterator[Session]:
+    monkeypatch.setattr(pair_module, "register_pair", FakePipeline(make_true_result))
+    for module, name in ((explore_module, "RELAXING_SECONDS"), (demo_module, "GLIDING_SECONDS")):
+        monkeypatch.setattr(module, name, 0.2)
+    made = Session(server, Opened(DATASET, NUMBERS, "", None, NUMBERS), Memo(), Capacity())
+    assert made.wait_idle(120)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def page(server: viser.ViserServer) -> Iterator[ProtocolPage]:
+    made = ProtocolPage(f"http://127.0.0.1:{server.get_port()}")
+    yield made
+    made.close()
+
+
+def gui(session: Session) -> Any:
+    return session.desk.host
+
+
+def node(session: Session, name: str) -> Any:
+    return gui(session).scene.get_handle_by_name(name)
+
+
+def go(session: Session, mode: str) -> None:
+    user_sets(find(gui(session), "Mode"), mode)
+    assert session.wait_idle(120)
+
+
+def graph(session: Session) -> PoseGraphTab:
+    return session.pose_graph
+
+
+def message(session: Session) -> str:
+    return said(gui(session), "graph-error") + said(gui(session), "graph-message")
+
+
+def test_the_world_is_drawn_when_it_is_looked_at(session: Session) -> None:
+    assert node(session, "/world/submaps/0") is None
+    go(session, "Explore")
+    assert not node(session, "/pair").visible
+    assert node(session, "/world").visible
+    assert len(node(session, "/world/submaps/3/surface").points) > 500
+    assert find(gui(session), "Poses").options == ("odometry", "true")
+    go(session, "Tune")
+    assert node(session, "/pair").visible
+    assert not node(session, "/world").visible
+
+
+def test_a_click_chooses_the_submap_under_it(session: Session, page: ProtocolPage) -> None:
+    go(session, "Explore")
+    position = np.array(node(session, "/world/submaps/2").position)
+    above = np.add(position, (0.0, 0.0, 20.0)).tolist()
+    page.click_scene(above, (0.0, 0.0, -1.0))
+    until(lambda: find(gui(session), "Submap").value == "002", "the click")
+    assert session.wait_idle(120)
+    figures = said(gui(session), "submap-figures")
+    assert "1,500" in figures
+    assert "odometry off by" in figures
+    assert node(session, "/world/selected").visible
+    user_sets(find(gui(session), "Step submap"), "next")
+    assert find(gui(session), "Submap").value == "003"
+    user_sets(find(gui(session), "Tune it as"), "query")
+    assert session.wait_idle(120)
+    assert session.state.query_id == "003"
+    assert node(session, "/pair").visible
+
+
+def test_colours_that_need_maps_make_them(session: Session) -> None:
+    go(session, "Explore")
+    user_sets(find(gui(session), "Colour by"), "deviation")
+    assert session.wait_idle(60)
+    explore = session.world
+    assert "Standard deviation" in said(gui(session), "legend")
+    assert "median deviation" not in said(gui(session), "submap-figures")
+    explore.select("000")
+    assert session.wait_idle(120)
+    assert "median deviation" in said(gui(session), "submap-figures")
+
+
+def test_the_map_relaxes_by_the_accepted_closures(session: Session) -> None:
+    go(session, "Explore")
+    user_presses(find(gui(session), "Optimise"))
+    assert "No closure is accepted" in message(session)
+    judge(session)
+    assert session.wait_idle(120)
+    assert "2 closures accepted of 3 pairs" in said(gui(session), "graph-summary")
+    assert node(session, "/world/loops").visible
+    before = np.array(node(session, "/world/submaps/3").position)
+    user_presses(find(gui(session), "Optimise"))
+    assert session.wait_idle(120)
+    assert find(gui(session), "Poses").value == "corrected"
+    assert np.linalg.norm(np.array(node(session, "/world/submaps/3").position) - before) > 0.2
+    found = graph(session).graph
+    assert found is not None
+    rows = dict(result_rows(DATASET, found, 0.1))
+    first, last = (float(text.split()[0]) for text in rows["error (ATE)"].split("→"))
+    assert last < 0.25 * first
+    assert rows["closures used"] == "2 of 2"
+
+
+def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> None:
+    go(session, "Explore")
+    judge(session)
+    user_presses(find(gui(session), "Optimise"))
+    assert session.wait_idle(120)
+    listed = find(gui(session), "Loop")
+    assert [label[:9] for label in listed.options[1:]] == ["002 → 000", "003 → 000", "003 → 001"]
+    assert "χ²" in listed.options[1]
+    user_sets(find(gui(session), "By hand"), "accept")
+    assert "Choose a closure first" in message(session)
+    user_sets(listed, listed.options[1])
+    user_sets(find(gui(session), "By hand"), "refuse")
+    assert [one.accepted for one in graph(session).closures] == [False, True, False]
+    assert "optimise again" in said(gui(session), "graph-summary")
+    user_presses(find(gui(session), "Undo decision"))
+    assert [one.accepted for one in graph(session).closures] == [True, True, False]
+    assert "optimise again" not in said(gui(session), "graph-summary")
+    assert find(gui(session), "Undo decision").disabled
+
+
+def test_another_dataset_has_another_graph(session: Session) -> None:
+    go(session, "Explore")
+    judge(session)
+    session.desk.open(Opened(make_dataset(name="other"), NUMBERS, "", None, NUMBERS))
+    assert session.wait_idle(120)
+    assert graph(session).closures == ()
+    assert "No closures yet" in said(gui(session), "graph-summary")
+    assert find(gui(session), "Poses").options == ("odometry",)
+
+
+def test_a_closure_glides_into_place(session: Session) -> None:
+    go(session, "Demo")
+    user_sets(find(gui(session), "Play"), "closure")
+    assert session.wait_idle(120)
+    assert session.state.options.layout == "registered"
+    assert find(gui(session), "Layout").value == "registered"
+    registered = np.array(node(session, "/pair/query").position)
+    database = np.array(node(session, "/pair/database").position)
+    np.testing.assert_allclose((registered - database)[:2], [1.0, -0.5], atol=1e-6)
+    user_sets(find(gui(session), "Play"), "pose graph")
+    assert "Optimise the pose graph in Explore first" in said(gui(session), "demo-error")
+
+
+def test_the_query_is_nudged_and_refined(session: Session, page: ProtocolPage) -> None:
+    user_sets(find(gui(session), "Move the query"), True)
+    assert session.wait_idle(120)
+    gizmo = node(session, "/pair/nudge")
+    start = np.array(node(session, "/pair/query").position)
+    place = np.add(gizmo.position, (0.15, -0.1, 0.0)).tolist()
+    page.move_gizmo("/pair/nudge", place, np.array(gizmo.wxyz).tolist())
+    until(lambda: bool(np.any(node(session, "/pair/query").position != start)), "the move")
+    moved = np.array(node(session, "/pair/query").position)
+    np.testing.assert_allclose((moved - start)[:2], [0.15, -0.1], atol=1e-6)
+    assert find(gui(session), "Use in the pose graph").disabled
+    user_presses(find(gui(session), "Refine"))
+    assert session.wait_idle(120)
+    back = np.array(node(session, "/pair/query").position)
+    np.testing.assert_allclose(back[:2], start[:2], atol=0.05)
+    user_presses(find(gui(session), "Use in the pose graph"))
+    (used,) = graph(session).closures
+    assert (used.query_id, used.database_id, used.accepted) == ("003", "000", True)
+    user_sets(find(gui(session), "Move the query"), False)
+    assert session.wait_idle(120)
+    assert node(session, "/pair/nudge") is None

@@ -1,0 +1,443 @@
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import viser
+
+from app.viewer.features.best_pair.search import BestPair
+from app.viewer.features.pair import status
+from app.viewer.features.pair import tab as pair_module
+from app.viewer.features.params.fit import with_fitted
+from app.viewer.features.params.tab import MAIN_PARAMETERS
+from app.viewer.features.session import Session
+from app.viewer.features.work import message_of
+from app.viewer.scene.surfels import OVERLAP
+from app.viewer.session import methods
+from app.viewer.session.runner import Capacity
+from app.viewer.session.session_file import (
+    Opened,
+    session_text,
+)
+from app.viewer.session.state import (
+    NEEDS_TWO,
+    Probe,
+    ViewOptions,
+    ViewState,
+)
+from gpgrad_core.detection import (
+    PairResult,
+    PipelineParams,
+    is_resolved,
+    resolve_parameters,
+)
+from gpgrad_core.detection.coarse import COARSER
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.folder import write_dataset
+from gpgrad_core.mapping.gradient_map import MapParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress
+from tests.support.server import started_server
+from tests.support.synthetic import (
+    FakePipeline,
+    make_dataset,
+    make_result,
+    needing,
+)
+from tests.support.waiting import (
+    PATIENCE,
+    until,
+)
+from tests.support.widgets import (
+    find,
+    node,
+    said,
+    user_presses,
+    user_sets,
+)
+
+START = needing(8)
+OPENED = Opened(make_dataset(num_points=400), START, "", None, START)
+
+
+@pytest.fixture
+def pipeline(monkeypatch: pytest.MonkeyPatch) -> FakePipeline:
+    fake = FakePipeline()
+    monkeypatch.setattr(pair_module, "register_pair", fake)
+    return fake
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[tuple[viser.ViserServer, Session]]:
+    """One session for most tests: making one takes a second."""
+    with started_server() as server:
+        session = Session(server, OPENED, Memo(), Capacity())
+        yield server, session
+        session.close()
+
+
+@pytest.fixture
+def session(
+    shared: tuple[viser.ViserServer, Session],
+    pipeline: FakePipeline,  # noqa: ARG001
+) -> Session:
+    """The shared session as it was when it was opened."""
+    session = shared[1]
+    session.desk.open(OPENED)
+    session.desk.change(options=ViewOptions())
+    assert session.wait_idle(120)
+    return session
+
+
+@pytest.fixture
+def gui(shared: tuple[viser.ViserServer, Session]) -> viser.ViserServer:
+    return shared[0]
+
+
+def test_it_opens_at_a_revisit_with_a_verdict(session: Session, gui: viser.ViserServer) -> None:
+    assert (session.state.query_id, session.state.database_id) == ("003", "000")
+    assert "Loop closure" in said(gui, "verdict")
+    assert "Up to date" in said(gui, "status")
+    assert "Elevation" in said(gui, "legend")
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("map.length_scale", 0.5),
+        ("map.noise_std", 0.1),
+        ("features.max_std_ratio", 0.2),
+        ("registration.inlier_radius", 0.6),
+        ("closure.min_inliers", 20),
+    ],
+)
+def test_each_slider_reaches_the_pipeline(
+    session: Session, gui: viser.ViserServer, pipeline: FakePipeline, path: str, value: float
+) -> None:
+    user_sets(find(gui, MAIN_PARAMETERS[path]), value)
+    assert session.wait_idle(120)
+    group, name = path.split(".")
+    used: Any = getattr(getattr(pipeline.calls[-1], group), name)
+    assert used == value
+
+
+def test_minimum_inliers_turns_the_verdict_and_reset_turns_it_back(
+    session: Session, gui: viser.ViserServer, pipeline: FakePipeline
+) -> None:
+    user_sets(find(gui, "Minimum inliers"), 20)
+    assert session.wait_idle(120)
+    assert "No loop closure" in said(gui, "verdict")
+    user_presses(find(gui, "Reset parameters"))
+    assert session.wait_idle(120)
+    assert "No loop closure" not in said(gui, "verdict")
+    assert find(gui, "Minimum inliers").value == START.closure.min_inliers
+    assert pipeline.calls[-1] == START
+
+
+def test_many_events_end_on_the_last_and_do_not_echo(
+    session: Session, gui: viser.ViserServer, pipeline: FakePipeline
+) -> None:
+    before = len(pipeline.calls)
+    slider = find(gui, "Minimum inliers")
+    for value in [*range(2, 40)] * 5 + [23]:
+        user_sets(slider, value)
+    assert session.wait_idle(120)
+    assert pipeline.calls[-1] == needing(23)
+    assert "(threshold 23)" in said(gui, "verdict")
+    calls = len(pipeline.calls)
+    assert calls - before <= 191
+
+
+@pytest.mark.parametrize(("late", "faded"), [(0.0, True), (60.0, False)])
+def test_a_gp_slider_shows_coarse_surfaces_first(
+    session: Session,
+    gui: viser.ViserServer,
+    pipeline: FakePipeline,
+    monkeypatch: pytest.MonkeyPatch,
+    late: float,
+    faded: bool,
+) -> None:
+    monkeypatch.setattr(status, "LATE", late)
+    monkeypatch.setattr(status, "LONG", 600.0)
+    before: list[tuple[str, str, float]] = []
+
+    def make(state: ViewState) -> PairResult:
+        surface: Any = node(gui, "/pair/query/surface")
+        line, card = said(gui, "status"), said(gui, "verdict")
+        before.append((line, card, surface.point_size))
+        return make_result(state)
+
+    pipeline.make = make
+    user_sets(find(gui, "Length-scale"), 0.5)
+    assert session.wait_idle(120)
+    ((line, card, size),) = before
+    assert "Coarse picture" in line
+    assert ("opacity:.4" in card) == faded  # the last verdict fades if it would stand too long
+    assert size == pytest.approx(OVERLAP * COARSER * START.map.resolution)
+    assert "Up to date" in said(gui, "status")
+    assert "opacity:.4" not in said(gui, "verdict")
+
+
+def test_sliders_of_later_stages_need_no_coarse_surfaces(
+    session: Session,
+    gui: viser.ViserServer,
+    pipeline: FakePipeline,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("NOTICED", "LATE", "LONG"):  # on a busy machine all may take long
+        monkeypatch.setattr(status, name, 600.0)
+    before: list[str] = []
+
+    def make(state: ViewState) -> PairResult:
+        before.append(said(gui, "status"))
+        return make_result(state)
+
+    pipeline.make = make
+    for name, value in (("Inlier radius", 0.6), ("Minimum inliers", 20), ("Minimum score", 9.0)):
+        user_sets(find(gui, name), value)
+        assert session.wait_idle(120)
+    assert len(before) == 3
+    assert not any("shown" in line or "Coarse" in line for line in before)
+
+
+def test_what_takes_long_is_announced_though_it_reports_nothing(
+    session: Session, gui: viser.ViserServer, pipeline: FakePipeline
+) -> None:
+    announced: list[bool] = []
+
+    def make(state: ViewState) -> PairResult:
+        until(lambda: "Computing" in said(gui, "status"), "the announcement")
+        announced.append(True)
+        return make_result(state)
+
+    pipeline.make = make
+    user_sets(find(gui, "Minimum inliers"), 20)
+    assert session.wait_idle(2 * PATIENCE)
+    assert announced == [True]
+    assert "Up to date" in said(gui, "status")
+
+
+def test_an_error_is_told_and_the_next_slider_works(
+    session: Session, gui: viser.ViserServer, pipeline: FakePipeline
+) -> None:
+    pipeline.error = InputError("003 spans 10,000 m x 10,000 m: raise the resolution")
+    user_sets(find(gui, "Length-scale"), 0.5)
+    assert session.wait_idle(120)
+    assert "raise the resolution" in said(gui, "status")
+    assert "out of date" in said(gui, "status")
+    assert "Loop closure" in said(gui, "verdict")  # the last good one stays
+    pipeline.error = None
+    user_sets(find(gui, "Length-scale"), 0.6)
+    assert session.wait_idle(120)
+    assert "Up to date" in said(gui, "status")
+
+
+def test_an_unexpected_error_is_told_and_logged(
+    session: Session,
+    gui: viser.ViserServer,
+    pipeline: FakePipeline,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    pipeline.error = ZeroDivisionError("division by zero")
+    user_sets(find(gui, "Noise"), 0.1)
+    assert session.wait_idle(120)
+    assert "Unexpected ZeroDivisionError: division by zero" in said(gui, "status")
+    assert "unexpected error" in caplog.text
+    assert message_of(InputError("plain words")) == "plain words"
+
+
+def test_another_dataset_is_opened(
+    session: Session, gui: viser.ViserServer, tmp_path: Path
+) -> None:
+    other = replace(make_dataset(num_points=300, name="other hills"), description="Smaller.")
+    other = replace(other, submaps=other.submaps[:3])
+    write_dataset(other, tmp_path / "other")
+    user_sets(find(gui, "Minimum inliers"), 30)
+    user_sets(find(gui, "Folder"), str(tmp_path / "other"))
+    user_sets(find(gui, "Open"), "Load")
+    assert session.wait_idle(120)
+    assert len(session.state.dataset.submaps) == 3
+    assert find(gui, "Query").options == ("000", "001", "002")
+    default = PipelineParams().closure.min_inliers  # the other dataset prefers none
+    assert find(gui, "Minimum inliers").value == default
+    assert "Up to date" in said(gui, "status")
+
+
+def test_one_submap_is_shown_without_a_pair(
+    session: Session, gui: viser.ViserServer, tmp_path: Path
+) -> None:
+    hills = make_dataset(num_points=300)
+    write_dataset(replace(hills, submaps=hills.submaps[:1]), tmp_path / "one")
+    user_sets(find(gui, "Folder"), str(tmp_path / "one"))
+    user_sets(find(gui, "Open"), "Load")
+    assert session.wait_idle(20)
+    assert NEEDS_TWO in said(gui, "verdict")
+    assert "Up to date" in said(gui, "status")
+    assert len(node(gui, "/pair/query/surface").points) > 0
+    assert node(gui, "/pair/query").visible
+    assert not node(gui, "/pair/database").visible
+    desk = session.desk
+    for options in ({"layout": "registered"}, {"layer": "difference"}, {"compare": "blink"}):
+        desk.change(options=replace(desk.state.options, **options))  # type: ignore[arg-type]
+        assert session.wait_idle(20)
+        assert "Up to date" in said(gui, "status")
+        assert not node(gui, "/pair/database").visible
+    desk.choose("000", "000")
+    desk.change(probe=Probe("query", 0.2, 0.1))
+    assert session.wait_idle(20)
+    assert "submap 000" in said(gui, "reading")
+    for label in ("Run all pairs", "Sweep"):
+        user_presses(find(gui, label))
+    user_sets(find(gui, "Move the query"), True)
+    user_sets(find(gui, "Note"), "here")
+    (best_pair,) = (feature for feature in desk.features if isinstance(feature, BestPair))
+    best_pair.show_best()
+    assert session.wait_idle(20)
+    assert desk.decisions.pairs == ()
+    for name in ("all-pairs-error", "sweep-error", "nudge-message", "triage-message", "best-pair"):
+        assert NEEDS_TWO in said(gui, name), name
+    # Another cloud makes a pair of it.
+    desk.change(options=ViewOptions())
+    write_dataset(replace(hills, submaps=hills.submaps[:2]), tmp_path / "two")
+    user_sets(find(gui, "Folder"), str(tmp_path / "two"))
+    user_sets(find(gui, "Open"), "Load")
+    assert session.wait_idle(20)
+    assert node(gui, "/pair/database").visible
+    assert NEEDS_TWO not in said(gui, "verdict")
+
+
+def test_a_missing_folder_is_told_and_the_rest_works(
+    session: Session, gui: viser.ViserServer, tmp_path: Path
+) -> None:
+    missing = tmp_path / "nowhere"
+    user_sets(find(gui, "Folder"), str(missing))
+    user_sets(find(gui, "Open"), "Load")
+    assert session.wait_idle(120)
+    assert f"{missing}: no such file or folder" in said(gui, "dataset-error")
+    assert session.state.dataset.name == "hills"
+    user_sets(find(gui, "Minimum inliers"), 20)
+    assert session.wait_idle(120)
+    assert "No loop closure" in said(gui, "verdict")
+
+
+def test_an_empty_path_is_told(session: Session, gui: viser.ViserServer) -> None:
+    user_sets(find(gui, "Folder"), "")
+    user_sets(find(gui, "Open"), "Load")
+    assert "Type the path" in said(gui, "dataset-error")
+    assert session.state.dataset is OPENED.dataset
+
+
+def test_hiding_the_surfaces_hides_the_legend(session: Session, gui: viser.ViserServer) -> None:
+    user_sets(find(gui, "Surfaces"), False)
+    assert session.wait_idle(120)
+    assert "Elevation" not in said(gui, "legend")
+
+
+def test_a_fit_moves_the_sliders_and_the_picture(
+    session: Session, gui: viser.ViserServer, pipeline: FakePipeline
+) -> None:
+    found = {"length_scale": 0.62, "noise_std": 0.02, "signal_std": 0.4}
+    params = session.state.params
+    session.desk.change(params=replace(params, map=with_fitted(params.map, found)))
+    assert session.wait_idle(120)
+    assert find(gui, "Length-scale").value == 0.62
+    assert find(gui, "Noise [m]").value == 0.02
+    assert not find(gui, "automatic signal").value
+    assert pipeline.calls[-1].map.signal_std == 0.4
+    assert session.state.params.map.resolution == START.map.resolution
+
+
+def test_a_pair_chosen_from_all_pairs_is_shown(session: Session, gui: viser.ViserServer) -> None:
+    session.desk.change(pair=("002", "001"))
+    assert session.wait_idle(120)
+    assert find(gui, "Query").value == "002"
+    assert find(gui, "Database").value == "001"
+    assert "query 002" in said(gui, "verdict")
+
+
+def automatic_session(server: viser.ViserServer) -> Session:
+    submaps = make_dataset(num_points=150)
+    return Session(server, Opened(submaps, PipelineParams(), ""), Memo(), Capacity())
+
+
+def test_automatic_is_the_fitted_number_in_box_and_picture(
+    server: viser.ViserServer, pipeline: FakePipeline
+) -> None:
+    session = automatic_session(server)
+    try:
+        assert session.wait_idle(60)
+        fitted = resolve_parameters(session.state.dataset.submaps, PipelineParams())
+        box, slider = find(server, "automatic length scale"), find(server, "Length-scale")
+
+        def shown() -> tuple[bool, float, PipelineParams, str]:
+            assert session.wait_idle(60)
+            assert "Up to date" in said(server, "status")
+            return box.value, slider.value, pipeline.calls[-1], find(server, "Preset").value
+
+        at_first = shown()
+        assert at_first == (True, fitted.map.length_scale, fitted, "default")
+        user_sets(box, False)
+        ticked, number, used, preset = shown()
+        assert (ticked, number, preset) == (False, fitted.map.length_scale, "custom")
+        assert used.map.length_scale == number
+        user_sets(box, True)
+        assert shown() == at_first
+        user_sets(slider, 0.9)
+        ticked, number, used, _ = shown()
+        assert (ticked, number) == (False, 0.9)
+        asked = PipelineParams(map=MapParams(length_scale=0.9))
+        assert session.state.asked == asked
+        assert used == resolve_parameters(session.state.dataset.submaps, asked)
+        user_sets(find(server, "noise factor"), 1.5)  # a part of the noise, set by hand
+        shown()
+        assert pipeline.calls[-1].map.noise_factor == 1.5
+        assert not find(server, "automatic noise std").value
+        user_presses(find(server, "Reset parameters"))
+        assert shown() == at_first
+        assert 'length_scale = "automatic"' in session_text(session.state, None)
+    finally:
+        session.close()
+
+
+def test_it_is_not_up_to_date_before_the_fit_is_done(
+    server: viser.ViserServer, pipeline: FakePipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go, begun = threading.Event(), threading.Event()
+
+    def fit(submaps: Any, params: PipelineParams, memo: Memo, progress: Progress) -> PipelineParams:
+        begun.set()
+        while not go.wait(0.005):
+            progress(0.5)
+        return resolve_parameters(submaps, params, memo, progress)
+
+    monkeypatch.setattr(methods, "resolve_parameters", fit)
+    session = automatic_session(server)
+    try:
+        assert begun.wait(20)
+        assert pipeline.calls == []
+        assert "Up to date" not in said(server, "status")
+        go.set()
+        assert session.wait_idle(60)
+        assert "Up to date" in said(server, "status")
+        assert all(is_resolved(params) for params in pipeline.calls)
+    finally:
+        go.set()
+        session.close()
+
+
+def test_a_fit_that_fails_is_told(
+    server: viser.ViserServer, pipeline: FakePipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fit(*_: object) -> PipelineParams:
+        raise InputError("submap 000 gives no noise_std")
+
+    monkeypatch.setattr(methods, "resolve_parameters", fit)
+    session = automatic_session(server)
+    try:
+        assert session.wait_idle(20)
+        assert "gives no noise_std" in said(server, "status")
+        assert pipeline.calls == []
+    finally:
+        session.close()

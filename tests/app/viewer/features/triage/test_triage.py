@@ -1,0 +1,234 @@
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.features.desk import Desk
+from app.viewer.features.triage.listing import (
+    GAP,
+    PASSES,
+    SIDE,
+    Entry,
+    Filter,
+    list_pairs,
+    next_undecided,
+    thumbnail,
+)
+from app.viewer.features.triage.panel import ROWS
+from app.viewer.features.triage.tab import TriageTab
+from app.viewer.session.decisions import (
+    MISSED,
+    NO_OVERLAP,
+    RIGHT,
+    Decisions,
+    with_note,
+    with_verdict,
+)
+from app.viewer.session.state import open_dataset
+from app.viewer.widgets.commands import Commands
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.types import LoopClosure
+from tests.support.desk import (
+    Recorder,
+    make_desk,
+)
+from tests.support.synthetic import (
+    T_DATABASE_QUERY,
+    make_compared,
+    make_map,
+)
+from tests.support.widgets import (
+    find,
+    html_says,
+    user_presses,
+    user_sets,
+)
+
+COMPARED = make_compared()
+STATE = open_dataset(COMPARED.dataset, PipelineParams(closure=ClosureParams(0, 4.5)))
+OUTCOMES = {
+    ("003", "000"): RIGHT,
+    ("001", "000"): MISSED,
+    ("002", "001"): NO_OVERLAP,
+}
+
+
+def judged(min_score: float) -> tuple[LoopClosure, ...]:
+    return tuple(
+        replace(closure, accepted=closure.registration.score >= min_score)
+        for closure in COMPARED.result.closures
+    )
+
+
+def names(entries: tuple[Entry, ...], kind: Filter) -> list[str]:
+    return ["-".join(entry.pair) for entry in entries if PASSES[kind](entry)]
+
+
+def test_pairs_are_listed_by_what_is_known_and_decided_of_them() -> None:
+    entries = list_pairs(judged(3.0), Decisions(), OUTCOMES, 3.0)
+    assert names(entries, "all")[0] == "003-000"  # the highest score
+    assert len(names(entries, "all")) == 6
+    assert names(entries, "accepted") == ["003-000", "001-000", "002-001"]
+    assert names(entries, "wrong") == ["002-001"]
+    assert names(entries, "borderline") == ["002-001"]  # 3.0; 4.0 and 2.0 are further away
+    assert names(entries, "missed") == []
+    assert names(list_pairs(judged(4.5), Decisions(), OUTCOMES, 4.5), "missed") == ["001-000"]
+    decisions = with_verdict(Decisions(), ("002", "001"), False)
+    decisions = with_note(with_verdict(decisions, ("002", "000"), True), ("003", "002"), "far")
+    entries = list_pairs(judged(3.0), decisions, OUTCOMES, 3.0)
+    assert names(entries, "wrong") == []  # refused by hand
+    assert names(entries, "decided") == ["002-001", "002-000", "003-002"]
+    assert names(entries, "undecided") == ["003-000", "001-000"]
+    assert [entry.verdict for entry in entries][2:4] == ["refused by hand", "accepted by hand"]
+
+
+def test_the_next_undecided_pair_goes_round_the_end() -> None:
+    entries = list_pairs(judged(3.0), Decisions(), {}, 3.0)
+    assert next_undecided(entries, ("003", "000")) == ("001", "000")
+    assert next_undecided(entries, ("002", "001")) == ("003", "000")
+    decisions = with_verdict(Decisions(), ("001", "000"), True)
+    entries = list_pairs(judged(4.5), decisions, {}, 4.5)
+    assert next_undecided(entries, ("003", "000")) is None
+    assert next_undecided((), ("003", "000")) is None
+
+
+def test_a_small_picture_lays_both_into_one_window() -> None:
+    query, database = (make_map(COMPARED.dataset.submap(name)) for name in ("003", "000"))
+    picture = thumbnail(query, database, T_DATABASE_QUERY, 0.9)
+    left, right = picture[:, :SIDE], picture[:, -SIDE:]
+    both = (left[..., 3] > 0) & (right[..., 3] > 0)
+    assert both.mean() > 0.15
+    difference = np.abs(left[both].astype(int) - right[both].astype(int)).mean()
+    assert difference < 8  # the same ground
+    apart = thumbnail(query, database, None, 0.9)
+    both = (apart[:, :SIDE, 3] > 0) & (apart[:, -SIDE:, 3] > 0)
+    unlike = apart[:, :SIDE][both].astype(int) - apart[:, -SIDE:][both].astype(int)
+    assert np.abs(unlike).mean() > 2 * difference
+
+
+def test_a_small_picture_cuts_neither_however_far_apart_they_lie() -> None:
+    query, database = (make_map(COMPARED.dataset.submap(name)) for name in ("003", "000"))
+    far = replace(T_DATABASE_QUERY, x=T_DATABASE_QUERY.x + 12.0)
+    tiles = np.split(thumbnail(query, database, far, 0.9)[..., 3] > 0, [SIDE, SIDE + GAP], axis=1)
+    left, right = float(tiles[0].mean()), float(tiles[2].mean())
+    assert min(left, right) > 0.01
+    assert left == pytest.approx(right, rel=0.4)  # of a size, so neither is cut
+
+
+@pytest.fixture
+def recorder() -> Recorder:
+    return Recorder()
+
+
+@pytest.fixture
+def desk(server: viser.ViserServer, recorder: Recorder) -> Desk:
+    return make_desk(server, STATE, recorder)
+
+
+@pytest.fixture
+def tab(desk: Desk) -> Iterator[TriageTab]:
+    made = desk.join(TriageTab(desk, Commands(desk.host), lambda: None))
+    desk.tell(lambda feature: feature.checked(STATE.dataset, OUTCOMES))
+    desk.tell(lambda feature: feature.judged(STATE.dataset, judged(3.0)))
+    assert tab_rests(made)
+    yield made
+    made.close()
+
+
+def tab_rests(tab: TriageTab) -> bool:
+    return all(tab.wait_idle(60) for _ in range(2 * ROWS))
+
+
+def test_the_list_has_a_row_and_a_picture_for_each_pair(tab: TriageTab) -> None:
+    content = tab.panel.list.content
+    assert content.count('data-testid="triage-row"') == 3
+    assert content.count("<img") == 3
+    assert content.count('aria-pressed="true"') == 1  # the pair shown: 003 and 000
+    assert "3 pairs wait for a decision" in tab.panel.summary.content
+
+
+def test_keys_decide_the_pair_shown_and_go_on(tab: TriageTab, desk: Desk) -> None:
+    def press(key: object) -> None:
+        html_says(desk.bridge, "triage-key", key=key)
+
+    press("a")
+    assert desk.decisions.verdicts == {("003", "000"): True}
+    press("g")
+    assert (desk.state.query_id, desk.state.database_id) == ("001", "000")
+    press("x")
+    assert desk.decisions.verdicts == {("003", "000"): True, ("001", "000"): False}
+    assert tab_rests(tab)
+    assert "2 decided" in tab.panel.summary.content
+    for wrong in ("q", 1.0, None):
+        press(wrong)
+    assert len(desk.decisions.verdicts) == 2
+    desk.take_back()
+    assert desk.decisions.verdicts == {("003", "000"): True}
+
+
+def test_whichever_way_round_a_pair_is_shown_it_is_the_same(tab: TriageTab, desk: Desk) -> None:
+    desk.choose("000", "003")
+    tab.decide(False)
+    assert desk.decisions.verdicts == {("003", "000"): False}
+
+
+def test_a_note_is_kept_and_follows_the_pair(
+    tab: TriageTab, desk: Desk, server: viser.ViserServer
+) -> None:
+    box = find(server, "Note")
+    user_sets(box, "a dune ")
+    assert desk.decisions.notes == {("003", "000"): "a dune"}
+    assert box.value == "a dune "  # nobody writes over what is being typed
+    assert not desk.can_take_back
+    desk.choose("001", "000")
+    assert box.value == ""
+    desk.choose("003", "000")
+    assert box.value == "a dune"
+    assert tab_rests(tab)
+    assert "a dune" in tab.panel.list.content
+
+
+def test_what_cannot_be_accepted_is_told(tab: TriageTab, desk: Desk) -> None:
+    closures = tuple(
+        replace(
+            closure,
+            registration=replace(closure.registration, T_database_query=None),
+            accepted=False,
+        )
+        for closure in judged(3.0)
+    )
+    desk.tell(lambda feature: feature.judged(STATE.dataset, closures))
+    tab.decide(True)
+    assert "no motion to accept" in tab.panel.message.content
+    assert desk.decisions.verdicts == {}
+    tab.decide(False)
+    assert desk.decisions.verdicts == {("003", "000"): False}
+    desk.tell(lambda feature: feature.judged(STATE.dataset, closures[:1]))
+    tab.decide(False)
+    assert "were not compared" in tab.panel.message.content
+
+
+def test_the_list_is_narrowed_and_rows_are_clicked(
+    tab: TriageTab, desk: Desk, server: viser.ViserServer
+) -> None:
+    user_sets(find(server, "List of"), "wrong")
+    assert tab_rests(tab)
+    assert tab.panel.list.content.count('data-testid="triage-row"') == 1
+    html_says(desk.bridge, "triage-open", query="002", database="001")
+    assert (desk.state.query_id, desk.state.database_id) == ("002", "001")
+    for wrong in ({"query": "002"}, {"query": 2.0, "database": "001"}):
+        html_says(desk.bridge, "triage-open", **wrong)
+    assert (desk.state.query_id, desk.state.database_id) == ("002", "001")
+    for first in (-1.0, 1e9, "0", None):
+        html_says(desk.bridge, "triage-page", first=first)
+    user_presses(find(server, "Next undecided"))
+    assert (desk.state.query_id, desk.state.database_id) == ("003", "000")
+
+
+def test_another_dataset_has_no_pairs_yet(tab: TriageTab) -> None:
+    tab.follow(open_dataset(make_compared().dataset, PipelineParams()))
+    assert "No pairs yet" in tab.panel.summary.content
+    assert "triage-row" not in tab.panel.list.content

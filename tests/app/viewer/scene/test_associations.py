@@ -1,0 +1,128 @@
+import numpy as np
+
+from app.viewer.scene.associations import (
+    ARC_PIECES,
+    MOST_LINES,
+    keypoint_dots,
+    match_lines,
+    on_surface,
+    outline,
+    shown_matches,
+    spread,
+    step_match,
+)
+from app.viewer.scene.colors import (
+    INLIER,
+    OUTLIER,
+    UNMATCHED,
+)
+from app.viewer.scene.placement import (
+    Extent,
+    Placement,
+    place,
+)
+from app.viewer.session.state import open_dataset
+from gpgrad_core.detection import PipelineParams
+from tests.support.synthetic import (
+    T_DATABASE_QUERY,
+    height,
+    make_dataset,
+    make_result,
+)
+
+STATE = open_dataset(make_dataset(), PipelineParams())
+RESULT = make_result(STATE, num_inliers=12, num_outliers=5)
+BOXES = Extent.of(STATE.query), Extent.of(STATE.database)
+
+
+def test_a_position_takes_the_height_of_the_ground_there() -> None:
+    positions = np.array([[0.3, -1.1], [1.0, 0.4]])
+    points = on_surface(RESULT.database_map, positions, lift=0.05)
+    np.testing.assert_array_equal(points[:, :2], positions)
+    np.testing.assert_allclose(points[:, 2], height(positions) + 0.05, atol=0.12)
+
+
+def test_positions_off_the_map_take_its_rim() -> None:
+    assert np.isfinite(on_surface(RESULT.database_map, np.array([[99.0, -99.0]]))).all()
+
+
+def test_inliers_and_outliers_are_joined_apart() -> None:
+    query, database = place(*BOXES, "side by side", None, 0.0)
+    inliers = match_lines(RESULT, query, database, inliers=True, lift=0.0)
+    outliers = match_lines(RESULT, query, database, inliers=False, lift=0.0)
+    assert inliers.shape == (12 * ARC_PIECES, 2, 3)
+    assert outliers.shape == (5 * ARC_PIECES, 2, 3)
+    arcs = inliers.reshape(12, ARC_PIECES, 2, 3)
+    assert (arcs[:, 0, 0, 0] < 0).all()  # from the query's side …
+    assert (arcs[:, -1, 1, 0] > 0).all()  # … to the database's
+    np.testing.assert_array_equal(arcs[:, 1:, 0], arcs[:, :-1, 1])  # without a gap
+    middle = arcs[:, ARC_PIECES // 2, 0, 2]
+    assert (middle > arcs[:, 0, 0, 2]).all()  # over the ground
+
+
+def test_of_many_associations_forty_that_are_spread_are_joined() -> None:
+    many = make_result(STATE, num_inliers=150, num_outliers=30)
+    all_inliers = shown_matches(many, inliers=True, everything=True)
+    some = shown_matches(many, inliers=True, everything=False)
+    assert all_inliers.sum() == 150
+    assert some.sum() == MOST_LINES
+    assert not (some & ~all_inliers).any()
+    assert shown_matches(many, inliers=False, everything=False).sum() == 30
+    # They reach as far as all of them do, and none is far from one that is drawn.
+    places, drawn = many.matches.query_xy[all_inliers], many.matches.query_xy[some]
+    np.testing.assert_allclose(np.ptp(drawn, axis=0), np.ptp(places, axis=0), rtol=0.2)
+    missed = np.linalg.norm(places[:, None] - drawn[None], axis=2).min(axis=1)
+    assert missed.max() < np.linalg.norm(np.ptp(places, axis=0)) / 5
+
+
+def test_few_positions_are_all_chosen_and_equal_ones_are_no_error() -> None:
+    assert spread(np.zeros((3, 2)), 3).tolist() == [0, 1, 2]
+    assert len(spread(np.zeros((9, 2)), 4)) <= 4
+    assert spread(np.empty((0, 2)), 4).tolist() == []
+
+
+def test_registered_inliers_meet_and_outliers_do_not() -> None:
+    query, database = place(*BOXES, "registered", T_DATABASE_QUERY, 0.0)
+    lengths = [
+        np.linalg.norm(lines[::ARC_PIECES, 0] - lines[ARC_PIECES - 1 :: ARC_PIECES, 1], axis=1)
+        for lines in (
+            match_lines(RESULT, query, database, inliers=inliers, lift=0.0)
+            for inliers in (True, False)
+        )
+    ]
+    assert lengths[0].max() < 0.25  # cells are 0.1 m
+    assert lengths[1].min() > 1.0
+
+
+def test_keypoints_are_coloured_by_what_became_of_them() -> None:
+    for of_query in (True, False):
+        dots = keypoint_dots(RESULT, of_query=of_query, lift=0.0)
+        assert len(dots.points) == 18
+        assert (dots.colors[:12] == INLIER).all()
+        assert (dots.colors[12:17] == OUTLIER).all()
+        assert (dots.colors[17] == UNMATCHED).all()
+
+
+def test_an_outline_is_closed() -> None:
+    lines = outline(Placement().apply(BOXES[0].corners))
+    assert lines.shape == (4, 2, 3)
+    np.testing.assert_array_equal(lines[:, 1], np.roll(lines[:, 0], -1, axis=0))
+
+
+def test_steps_stop_at_the_kinds_that_are_shown_and_go_round() -> None:
+    result = make_result(STATE, num_inliers=3, num_outliers=2)
+
+    def walk(step: int, **kinds: bool) -> list[int]:
+        number, way = 0, list[int]()
+        for _ in range(4):
+            number = step_match(result, number, step, **kinds)
+            way.append(number)
+        return way
+
+    assert walk(1, inliers=True, outliers=False) == [1, 2, 3, 1]
+    assert walk(-1, inliers=False, outliers=True) == [5, 4, 5, 4]
+    assert walk(1, inliers=False, outliers=False) == [1, 2, 3, 4]
+    nothing_fits = make_result(STATE, num_inliers=0, num_outliers=2)
+    assert step_match(nothing_fits, 0, 1, inliers=True, outliers=False) == 1
+    empty = make_result(STATE, num_inliers=0, num_outliers=0)
+    assert step_match(empty, 0, 1, inliers=True, outliers=True) == 0

@@ -1,0 +1,153 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.viewer.scene.placement import (
+    FIELD_OF_VIEW,
+    Canvas,
+    Extent,
+    Placement,
+    frame_camera,
+    height_offset,
+    place,
+)
+from app.viewer.session.state import Camera, Layout
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import GradientMap
+from tests.support.synthetic import (
+    T_DATABASE_QUERY,
+    make_dataset,
+    make_map,
+)
+
+SUBMAPS = make_dataset().submaps
+QUERY, DATABASE = SUBMAPS[3], SUBMAPS[0]
+BOXES = Extent.of(QUERY), Extent.of(DATABASE)
+
+
+def bounds(box: Extent, placement: Placement) -> tuple[np.ndarray, np.ndarray]:
+    corners = placement.apply(box.corners)
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def test_side_by_side_they_do_not_touch_and_surround_the_origin() -> None:
+    query, database = place(*BOXES, "side by side", T_DATABASE_QUERY, 0.0)
+    query_low, query_high = bounds(BOXES[0], query)
+    database_low, database_high = bounds(BOXES[1], database)
+    assert query_high[0] < 0 < database_low[0]  # the query comes first
+    assert database_high[0] == pytest.approx(-query_low[0], rel=0.05)
+    assert query.yaw == database.yaw == 0.0
+
+
+def test_registered_a_query_point_lands_where_the_registration_says() -> None:
+    query, database = place(*BOXES, "registered", T_DATABASE_QUERY, 0.4)
+    points = np.array([[1.0, 2.0, 0.3], [-0.5, 0.0, -0.1]])
+    in_database = np.column_stack([T_DATABASE_QUERY.apply(points[:, :2]), points[:, 2] + 0.4])
+    np.testing.assert_allclose(query.apply(points), database.apply(in_database), atol=1e-12)
+
+
+def test_the_quaternion_says_the_same_as_the_yaw() -> None:
+    w, x, y, z = Placement(yaw=1.1).wxyz
+    assert (x, y) == (0.0, 0.0)
+    assert 2 * np.arctan2(z, w) == pytest.approx(1.1)
+
+
+def test_without_a_registration_they_stand_side_by_side() -> None:
+    assert place(*BOXES, "registered", None, 0.0) == place(*BOXES, "side by side", None, 0.0)
+
+
+def test_the_offset_of_height_is_found_over_the_overlap() -> None:
+    query_map, database_map = make_map(QUERY), make_map(DATABASE)
+    lowered = GradientMap(
+        query_map.grid,
+        query_map.elevation - 0.7,
+        query_map.variance,
+        query_map.slope,
+        query_map.signal_std,
+        query_map.length_scale,
+    )
+    assert height_offset(lowered, database_map, T_DATABASE_QUERY, 0.5) == pytest.approx(
+        0.7, abs=0.02
+    )
+
+
+def test_without_overlap_the_offset_is_zero() -> None:
+    maps = make_map(QUERY), make_map(DATABASE)
+    assert height_offset(*maps, SE2(100.0, 0.0, 0.0), 0.5) == 0.0
+    assert height_offset(*maps, T_DATABASE_QUERY, 1e-9) == 0.0
+
+
+def project(camera: Camera, points: np.ndarray, aspect: float) -> np.ndarray:
+    """Map scene points to the picture, whose edges are at -1 and 1."""
+    eye = np.array(camera.position)
+    forward = np.array(camera.look_at) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0, 0, 1])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    offset = points - eye
+    depth = offset @ forward
+    assert (depth > 0).all()
+    half = np.tan(FIELD_OF_VIEW / 2)
+    return np.column_stack([offset @ right / depth / (half * aspect), offset @ up / depth / half])
+
+
+canvases = st.builds(
+    Canvas,
+    width=st.floats(400.0, 2000.0),
+    height=st.floats(400.0, 1200.0),
+    left=st.floats(0.0, 150.0),
+    top=st.floats(0.0, 150.0),
+    right=st.floats(0.0, 150.0),
+    bottom=st.floats(0.0, 150.0),
+)
+
+
+@given(
+    width=st.floats(1.0, 100.0),
+    depth=st.floats(1.0, 100.0),
+    height=st.floats(0.0, 10.0),
+    layout=st.sampled_from(["side by side", "registered"]),
+    canvas=canvases,
+    tall=st.booleans(),
+)
+def test_the_camera_sees_both_submaps_in_the_free_part_of_the_canvas(
+    width: float, depth: float, height: float, layout: Layout, canvas: Canvas, tall: bool
+) -> None:
+    box = Extent((0.0, 0.0, 0.0), (width, depth, height))
+    query, database = place(box, box, layout, T_DATABASE_QUERY, 0.0, tall=tall)
+    camera = frame_camera(((box, query), (box, database)), canvas)
+    corners = np.concatenate([query.apply(box.all_corners), database.apply(box.all_corners)])
+    seen = project(camera, corners, canvas.aspect)
+    (left, right), (bottom, top) = canvas.free_bounds
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    assert (low >= (left - 1e-6, bottom - 1e-6)).all()  # nothing is cut off …
+    assert (high <= (right + 1e-6, top + 1e-6)).all()
+    filled = (high - low) / (right - left, top - bottom)
+    assert filled.max() == pytest.approx(1.0, abs=1e-6)  # … and the window is not wasted
+    np.testing.assert_allclose(  # nor is it to one side
+        (low + high)[filled.argmin()], ((left + right), (bottom + top))[filled.argmin()], atol=0.3
+    )
+
+
+def test_from_any_side_all_of_it_is_seen() -> None:
+    box, canvas = Extent((0.0, 0.0, 0.0), (8.0, 3.0, 1.0)), Canvas(900.0, 600.0)
+    for forward in ((0.0, 1.0, -1.0), (1.0, 0.2, -0.4), (0.0, 1e-3, -1.0), (0.0, 0.0, -1.0)):
+        camera = frame_camera(((box, Placement()),), canvas, forward=np.array(forward))
+        along = np.array(camera.look_at) - camera.position
+        unit = np.array(forward) / np.linalg.norm(forward)
+        np.testing.assert_allclose(along / np.linalg.norm(along), unit, atol=1e-9)
+        if forward[:2] != (0.0, 0.0):
+            assert np.abs(project(camera, box.all_corners, canvas.aspect)).max() < 1.0
+
+
+def test_in_a_tall_canvas_the_query_stands_behind_the_database() -> None:
+    query, database = place(*BOXES, "side by side", None, 0.0, tall=True)
+    query_low, query_high = bounds(BOXES[0], query)
+    database_low, database_high = bounds(BOXES[1], database)
+    assert database_high[1] < 0 < query_low[1]
+    assert query_high[1] == pytest.approx(-database_low[1], rel=0.05)
+    assert Canvas(640.0, 900.0).is_tall
+    assert not Canvas(1280.0, 1080.0).is_tall
+    assert not Canvas(390.0, 844.0, bottom=506.0).is_tall  # what is free is wide

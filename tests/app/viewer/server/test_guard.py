@@ -1,0 +1,479 @@
+"""The viewer's server over real sockets: who gets in, what gets through, and what ends."""
+
+import gzip
+import http.client
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import viser
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin, Subprotocol
+
+from app.viewer.server.admission import Admission
+from app.viewer.server.guard import (
+    Door,
+    Told,
+    open_server,
+)
+from app.viewer.server.limits import Limits
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.look import uuid_of
+from tests.support.page import ProtocolPage
+from tests.support.waiting import until
+from tests.support.widgets import find
+
+LIMITS = Limits(pages=6, waiting=20, unfinished=2, idle_seconds=0.6, typing_seconds=0.15)
+PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
+TOKEN = "a-token-to-share"
+SECRET = "what only pages may read"
+SCRIPT = fill_page_file("keep_hash.js").encode()
+
+
+@dataclass
+class Served:
+    """A server with a widget of each kind, and what was told."""
+
+    server: viser.ViserServer
+    door: Door
+    values: list[object] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)
+    files: list[tuple[str, int]] = field(default_factory=list)
+
+    @property
+    def port(self) -> int:
+        return self.server.get_port()
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    def uuid(self, label: str) -> str:
+        return uuid_of(self.widget(label))
+
+    def widget(self, label: str) -> Any:
+        return find(self.server, label)
+
+
+def serve(admission: Admission | None = None) -> Iterator[Served]:
+    server, door = open_server("127.0.0.1", 0, admission, max_upload=1_000_000, limits=LIMITS)
+    served = Served(server, door)
+    gui = server.gui
+    gui.add_html(SECRET)
+    widgets: list[Any] = [
+        gui.add_slider("Slider", 3, 50, 1, 8),
+        gui.add_number("Seed", 0, min=0, max=2**32 - 1),
+        gui.add_dropdown("Layer", ("elevation", "gradient")),
+        gui.add_text("Folder", "here"),
+        gui.add_checkbox("mutual", initial_value=True),
+    ]
+    for widget in widgets:
+        widget.on_update(lambda event: served.values.append(event.target.value))
+    upload = gui.add_upload_button("Upload")
+    upload.on_upload(
+        lambda event: served.files.append(
+            (event.target.value.name, len(event.target.value.content))
+        )
+    )
+    gui.add_upload_button("Hidden upload", visible=False)
+    door.told = Told(
+        lambda _, text: served.told.append(text), lambda _, text: served.told.append(text)
+    )
+    yield served
+    server.stop()
+
+
+@pytest.fixture(scope="module")
+def open_to_own() -> Iterator[Served]:
+    yield from serve()
+
+
+@pytest.fixture(scope="module")
+def with_token() -> Iterator[Served]:
+    yield from serve(Admission(token=TOKEN, origins=("https://viewer.lab.org",)))
+
+
+@pytest.fixture
+def served(open_to_own: Served) -> Iterator[Served]:
+    for said in (open_to_own.values, open_to_own.told, open_to_own.files):
+        said.clear()  # type: ignore[attr-defined]
+    yield open_to_own
+    open_to_own.server._websock_server.disconnect_all_clients()
+    until(lambda: not open_to_own.server.get_clients(), "all pages to be gone")
+
+
+@pytest.fixture
+def page(served: Served) -> Iterator[ProtocolPage]:
+    visitor = ProtocolPage(served.url)
+    visitor.wait(lambda: SECRET in visitor.html(), "the panel")
+    yield visitor
+    with suppress(OSError):
+        visitor.close()
+
+
+def knock(
+    served: Served, *, origin: str | None = "own", host: str | None = None, cookie: str = ""
+) -> ClientConnection:
+    """Open a websocket with headers of one's choice."""
+    headers = {"Cookie": cookie} if cookie else {}
+    line = socket.create_connection(("127.0.0.1", served.port))
+    try:
+        return connect(
+            f"ws://{host or f'127.0.0.1:{served.port}'}",
+            sock=line,
+            origin=None if origin is None else Origin(served.url if origin == "own" else origin),
+            subprotocols=[PROTOCOL],
+            additional_headers=headers,
+        )
+    except InvalidStatus:
+        line.close()
+        raise
+
+
+def fetch(
+    served: Served, path: str = "/", method: str = "GET", **headers: str
+) -> tuple[int, dict[str, str], bytes]:
+    with closing(http.client.HTTPConnection("127.0.0.1", served.port, timeout=60)) as line:
+        line.request(method, path, headers={k.replace("_", "-"): v for k, v in headers.items()})
+        answer = line.getresponse()
+        return answer.status, dict(answer.getheaders()), answer.read()
+
+
+# Who gets in.
+
+
+def test_the_own_page_is_served(served: Served, page: ProtocolPage) -> None:
+    status, headers, body = fetch(served)
+    assert status == 200
+    assert b"<html" in body.lower()
+    assert headers["Content-Security-Policy"].startswith("default-src 'self'")
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    page.set("Slider", 12)
+    until(lambda: served.values == [12], "the value")
+
+
+@pytest.mark.parametrize("coding", ["gzip, deflate", "identity"])
+def test_the_page_begins_with_our_script(served: Served, coding: str) -> None:
+    for _ in range(2):
+        status, headers, body = fetch(served, Accept_Encoding=coding)
+        page = gzip.decompress(body) if headers["Content-Encoding"] == "gzip" else body
+        assert (status, int(headers["Content-Length"])) == (200, len(body))
+        assert (headers["Content-Encoding"] == "gzip") == ("gzip" in coding)
+        assert page.index(b"<script>" + SCRIPT) == page.index(b"<script")
+        assert page.count(SCRIPT) == 1
+    assert fetch(served, "/not_there")[0] == 404
+
+
+@pytest.mark.parametrize("origin", [None, "null", "http://evil.com", "http://127.0.0.1.evil.com"])
+def test_a_foreign_page_gets_no_socket_and_hears_nothing(
+    served: Served, origin: str | None
+) -> None:
+    with pytest.raises(InvalidStatus) as refused:
+        knock(served, origin=origin)
+    assert refused.value.response.status_code == 403
+    assert SECRET.encode() not in refused.value.response.body
+    if origin is not None:
+        status, headers, body = fetch(served, Origin=origin)
+        assert status == 403
+        assert "Access-Control-Allow-Origin" not in headers
+        assert b"<html" not in body.lower()
+
+
+def test_a_rebound_name_gets_nothing(served: Served) -> None:
+    for host in (f"evil.com:{served.port}", f"localhost.evil.com:{served.port}", "evil.com"):
+        with pytest.raises(InvalidStatus) as refused:
+            knock(served, host=host, origin=f"http://{host}")
+        assert refused.value.response.status_code == 421
+        assert fetch(served, Host=host)[0] == 421
+
+
+def test_a_request_that_only_looks_like_a_socket_is_checked_too(served: Served) -> None:
+    evil = {"Origin": "http://evil.com"}
+    for upgrade in ("websocket", "WebSocket", "h2c", "websocket, h2c"):
+        assert fetch(served, Upgrade=upgrade, Connection="Upgrade", **evil)[0] == 403
+        assert fetch(served, Upgrade=upgrade)[0] == 403  # no origin
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "HEAD"])
+def test_nothing_can_be_sent_but_through_the_socket(served: Served, method: str) -> None:
+    """A page uploaded to Gradio on localhost by a plain request (CVE-2024-1727)."""
+    with suppress(http.client.HTTPException, OSError):  # the connection ends without an answer
+        assert fetch(served, "/upload", method)[0] >= 400
+    assert fetch(served)[0] == 200
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../pyproject.toml",
+        "/..%2f..%2fetc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "/..\\..\\etc\\passwd",
+        "/..%5c..%5cetc%5cpasswd",
+        "//etc/passwd",
+        "/./../../etc/passwd",
+        "/assets/../../index.html",
+        "/%252e%252e/etc/passwd",
+        "/index.html/..",
+        "/\0",
+        "/etc/passwd%00.html",
+        "/~root/.ssh/id_rsa",
+    ],
+)
+def test_no_path_leads_outside(served: Served, path: str) -> None:
+    with closing(socket.create_connection(("127.0.0.1", served.port), timeout=60)) as line:
+        line.sendall(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\n\r\n".encode())
+        answer = line.recv(1000)
+    assert b" 200 " not in answer
+    assert b"root:" not in answer
+
+
+def test_with_a_token_only_its_holders_come_in(with_token: Served) -> None:
+    assert fetch(with_token)[0] == 403
+    assert fetch(with_token, "/?token=a-token-to-sharf")[0] == 403
+    with pytest.raises(InvalidStatus):
+        knock(with_token)
+    status, headers, _ = fetch(with_token, f"/?token={TOKEN}")
+    assert status == 200
+    cookie = headers["Set-Cookie"].partition(";")[0]
+    assert fetch(with_token, Cookie=cookie)[0] == 200
+    first, second = (ProtocolPage(with_token.url, cookie) for _ in range(2))
+    for visitor in (first, second):
+        visitor.wait(lambda visitor=visitor: SECRET in visitor.html(), "the panel")
+        visitor.close()
+    with pytest.raises(InvalidStatus):
+        knock(with_token, cookie=cookie, origin="http://evil.com")
+    knock(with_token, cookie=cookie, origin="https://viewer.lab.org").close()
+
+
+# What gets through.
+
+
+@pytest.mark.parametrize(
+    ("label", "value", "words"),
+    [
+        ("Seed", 2**64 - 1, "Seed: must be from 0 to 4294967295, got a number beyond all bounds"),
+        ("Seed", 2**32, "Seed: must be from 0 to 4294967295, got 4294967296"),
+        ("Seed", float("nan"), "Seed: must be a number, got nan"),
+        ("Slider", 1e300, "Slider: must be from 3 to 50, got 1e+300"),
+        ("Slider", -1, "Slider: must be from 3 to 50, got -1"),
+        ("Layer", "/etc/passwd", "Layer: offers no such choice as '/etc/passwd'"),
+        ("Folder", "x" * 100_000, "Folder: may have 4,096 characters, got 100,000"),
+        ("Folder", "a\0b", "Folder: must be a text of one line"),
+        ("mutual", "<script>", "mutual: must be on or off"),
+    ],
+)
+def test_a_value_that_cannot_be_goes_back_and_is_told(
+    served: Served, page: ProtocolPage, label: str, value: object, words: str
+) -> None:
+    before = served.widget(label).value
+    other = ProtocolPage(served.url)
+    other.wait(lambda: SECRET in other.html(), "the panel")
+    page.set(label, value)
+    until(lambda: bool(served.told), "a word")
+    assert served.told[0].startswith(words)
+    page.wait(lambda: page.find(label)["value"] == before, "the box to go back")
+    assert other.find(label)["value"] == before
+    assert served.widget(label).value == before
+    assert served.values == []
+    page.set("Slider", 20 + len(words) % 20)  # all goes on, for both pages
+    other.wait(lambda: other.find("Slider")["value"] == 20 + len(words) % 20, "the slider")
+    other.close()
+
+
+def test_who_is_still_typing_is_not_interrupted(
+    served: Served, page: ProtocolPage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(served.door, "limits", replace(LIMITS, typing_seconds=600.0))
+    page.set("Slider", 1)  # on the way to 15
+    until(lambda: served.door.refusals_due, "the first digit")
+    (refusal,) = served.door.refusals_due.values()
+    page.set("Slider", 15)
+    until(lambda: served.values == [15], "the value")
+    assert refusal.cancelled()
+    assert served.told == []
+    assert page.find("Slider")["value"] == 15
+
+
+def test_a_forged_message_changes_nothing(served: Served, page: ProtocolPage) -> None:
+    uuid = served.uuid("Folder")
+    handle = served.widget("Folder")._impl
+    before = dict(vars(handle))
+    for updates in ({"removed": True}, {"uuid": "x"}, {"sync_cb": None}, {"__class__": 1}, {}):
+        page.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": updates})
+    page.send({"type": "GuiUpdateMessage", "uuid": "nobody's", "updates": {"value": 1}})
+    page.send({"type": "ShareUrlRequest"})
+    page.send({"type": "GuiFormDirtyMessage", "uuid": "x" * 100})
+    page.send({"type": "SceneNodeClickMessage", "name": "../../etc/passwd"})
+    page.set("Slider", 33)
+    until(lambda: served.values == [33], "the next message")
+    assert {**vars(handle)} == before
+    kept: Any = served.server._websock_server._broadcast_buffer.message_from_id
+    assert not any(type(one).__name__ == "GuiFormDirtyMessage" for one in kept.values())
+    assert served.server._share_tunnel is None
+
+
+@pytest.mark.parametrize(
+    "frame", ["text", b"", b"\xc1\xc1", b"\x93\x01", b"\x91" * 9000, b"\xde\xff\xff"]
+)
+def test_a_malformed_frame_ends_only_its_own_connection(
+    served: Served, page: ProtocolPage, frame: str | bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with knock(served) as hostile:
+        hostile.send(frame)
+        with suppress(ConnectionClosed):
+            for _ in hostile:
+                pass
+        assert hostile.close_code == 1008
+    value = 10 + len(frame) % 30
+    page.set("Slider", value)
+    page.wait(lambda: served.widget("Slider").value == value, "the next message")
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_page_that_floods_does_not_hold_up_another(served: Served, page: ProtocolPage) -> None:
+    message = {"type": "GuiUpdateMessage", "uuid": served.uuid("Seed"), "updates": {"value": -1}}
+    frame, enough = msgspec.msgpack.encode(message), threading.Event()
+    with knock(served) as hostile:
+
+        def flood() -> None:
+            with suppress(ConnectionClosed):
+                while not enough.is_set():
+                    hostile.send(frame)
+
+        thread = threading.Thread(target=flood, daemon=True)
+        thread.start()
+        page.set("Slider", 44)
+        until(lambda: served.widget("Slider").value == 44, "the other page")
+        assert thread.is_alive()  # the flood goes on
+        enough.set()
+    thread.join(10)
+
+
+# How much.
+
+
+def test_only_so_many_pages_are_open_at_once(served: Served) -> None:
+    pages = [knock(served) for _ in range(LIMITS.pages)]
+    with pytest.raises(InvalidStatus) as refused:
+        knock(served)
+    assert refused.value.response.status_code == 503
+    pages.pop().close()
+    until(lambda: len(served.server._websock_server._live_connections) < LIMITS.pages, "room")
+    knock(served).close()
+    for one in pages:
+        one.close()
+
+
+def test_half_open_connections_make_room(served: Served) -> None:
+    lines = [socket.create_connection(("127.0.0.1", served.port)) for _ in range(60)]
+    for line in lines:
+        line.sendall(b"GET / HTTP/1.1\r\n")
+    assert fetch(served)[0] == 200
+    lines[0].settimeout(60)
+    with suppress(ConnectionResetError):
+        assert lines[0].recv(10) == b""  # the oldest was dropped
+    with knock(served):
+        pass
+    for line in lines:
+        line.close()
+
+
+def start(served: Served, transfer: str, size: int, parts: int, label: str = "Upload") -> dict:
+    uuid = served.uuid(label)
+    head = {"source_component_uuid": uuid, "transfer_uuid": transfer, "filename": "big.ply"}
+    sizes = {"mime_type": "", "part_count": parts, "size_bytes": size}
+    return {"type": "FileTransferStartUpload", **head, **sizes}
+
+
+def send_part(served: Served, page: ProtocolPage, transfer: str, index: int, size: int) -> None:
+    head = {"source_component_uuid": served.uuid("Upload"), "transfer_uuid": transfer}
+    part = {"part_index": index, "content": bytes(size)}
+    page.send({"type": "FileTransferPart", **head, **part})
+
+
+def under_way(served: Served) -> dict[str, Any]:
+    return served.server.gui._current_file_upload_states
+
+
+def test_a_file_is_uploaded_and_its_news_are_forgotten(served: Served, page: ProtocolPage) -> None:
+    page.send(start(served, "fine", 900_000, 2))
+    for index in range(2):
+        send_part(served, page, "fine", index, 450_000)
+    until(lambda: served.files == [("big.ply", 900_000)], "the file")
+    kept: Any = served.server._websock_server._broadcast_buffer.message_from_id
+    until(
+        lambda: (
+            not any(type(one).__name__ == "FileTransferPartAck" for one in kept.copy().values())
+        ),
+        "the news to be forgotten",
+    )
+
+
+@pytest.mark.parametrize("honest", [True, False])
+def test_too_large_a_file_ends_before_it_fills_the_memory(
+    served: Served, page: ProtocolPage, honest: bool
+) -> None:
+    page.send(start(served, "one", 3_000_000 if honest else 900_000, 3))
+    for index in range(3):
+        send_part(served, page, "one", index, 1_000_000)
+    until(lambda: bool(served.told), "the refusal")
+    assert "up to 1 MB can be uploaded" in served.told[0]
+    page.wait(lambda: "FileTransferPartAck" in dict(map(reversed, page.received)), "an end")
+    assert under_way(served) == {}
+    assert served.files == []
+
+
+@pytest.fixture
+def now(served: Served, monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time by which uploads are late: it stands still until a test sets it."""
+    time = [0.0]
+    monkeypatch.setattr(served.door.uploads, "clock", lambda: time[0])
+    return time
+
+
+def test_unfinished_uploads_are_few_and_end_after_a_time(
+    served: Served, page: ProtocolPage, now: list[float]
+) -> None:
+    for number in range(200):
+        page.send(start(served, f"unfinished {number}", 1000, 2))
+        send_part(served, page, f"unfinished {number}", 0, 500)
+    until(lambda: len(served.told) == 200 - LIMITS.unfinished, "the refusals")
+    assert len(under_way(served)) == LIMITS.unfinished
+    now[0] = LIMITS.idle_seconds
+    until(lambda: under_way(served) == {}, "their end")
+
+
+@pytest.mark.usefixtures("now")  # they are not late
+def test_unfinished_uploads_end_with_their_page(served: Served) -> None:
+    """viser forgets them only if the page has told where its camera is."""
+    hostile = knock(served)
+    message = start(served, "left", 1_000_000, 2)
+    hostile.send(msgspec.msgpack.encode(message))
+    until(lambda: len(under_way(served)) == 1, "the upload")
+    hostile.close()
+    until(lambda: under_way(served) == {}, "its end")
+
+
+def test_a_button_that_is_not_offered_takes_no_file(served: Served, page: ProtocolPage) -> None:
+    page.send(start(served, "hidden", 10, 1, label="Hidden upload"))
+    page.send({**start(served, "slider", 10, 1), "source_component_uuid": served.uuid("Slider")})
+    page.set("Slider", 25)
+    until(lambda: served.values == [25], "the next message")
+    assert under_way(served) == {}
+
+
+def test_no_server_of_the_viewer_is_without_a_door() -> None:
+    """One socket guarded and another not: CVE-2026-39987 of marimo, CVE-2024-28179 of Jupyter."""
+    root = Path(__file__).resolve().parents[4] / "app"
+    found = [path.name for path in root.rglob("*.py") if "ViserServer(" in path.read_text("utf-8")]
+    assert found == ["server.py"]
+    assert "ViserServer(" in (root / "viewer" / "door" / "server.py").read_text("utf-8")

@@ -1,0 +1,74 @@
+"""The door leans on how one release of viser works: when that changes, somebody must look."""
+
+import hashlib
+import inspect
+from typing import Any
+
+import pytest
+import viser
+import websockets.asyncio.server
+from viser import _messages
+from viser._gui_api import GuiApi
+from viser.infra import _async_message_buffer, _infra
+from viser.infra import _messages as infra_messages
+
+from app.viewer.server import guard as door_module
+from app.viewer.server.guard import open_server
+
+# Source that was read for the door, and its digest then. If one differs, read what changed,
+# see whether `server.guard` still stands before everything that a page can say, and write the new
+# digest here.
+READ: dict[str, tuple[Any, str]] = {
+    "the server": (_infra.WebsockServer._background_worker, "59b19aac01fb31a3"),
+    "what is read": (_infra._message_consumer, "ef071771f1a2bda2"),
+    "how it is read": (infra_messages.Message.deserialize, "aae3671624edbf96"),
+    "whom it reaches": (_infra.WebsockMessageHandler._handle_incoming_message, "10ad01e6008ea965"),
+    "widgets": (GuiApi._handle_gui_updates, "98bff2504661cbbb"),
+    "an upload": (GuiApi._handle_file_transfer_start, "2b217030aed96b82"),
+    "its parts": (GuiApi._handle_file_transfer_part, "a771c431149bf103"),
+    "its end": (GuiApi._finish_file_upload, "34e0339a8c08fc18"),
+    "its owner's end": (GuiApi._drop_uploads_from_client, "953206248ab5ef69"),
+    "a new page": (viser.ViserServer.__init__, "14c27c9c9808abeb"),
+    "what waits": (_async_message_buffer.AsyncMessageBuffer.remove_from_buffer, "146bb236026a082e"),
+}
+
+
+def digest(part: Any) -> str:
+    return hashlib.sha256(inspect.getsource(part).encode()).hexdigest()[:16]
+
+
+@pytest.mark.parametrize("name", READ)
+def test_viser_is_as_it_was_read(name: str) -> None:
+    part, expected = READ[name]
+    assert digest(part) == expected, f"viser {viser.__version__}: {part.__qualname__} has changed"
+
+
+def test_a_widget_has_the_fields_that_are_checked() -> None:
+    for kind, fields in (
+        (_messages.GuiSliderProps, {"min", "max"}),
+        (_messages.GuiNumberProps, {"min", "max"}),
+        (_messages.GuiDropdownProps, {"options"}),
+        (_messages.GuiButtonGroupProps, {"options"}),
+    ):
+        assert fields <= kind.__dataclass_fields__.keys()
+
+
+def test_websockets_takes_what_the_door_gives() -> None:
+    taken = inspect.signature(websockets.asyncio.server.serve.__init__).parameters
+    ours = {"process_request", "create_connection", "max_size", "max_queue", "close_timeout"}
+    assert ours | {"logger"} <= taken.keys()
+
+
+def test_nothing_is_served_without_the_door(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A viser that calls another function than the one that is wrapped is not trusted."""
+    monkeypatch.setattr(door_module.Door, "serve", lambda _, serve, *a, **k: serve(*a, **k))
+    with pytest.raises(RuntimeError, match="cannot be guarded"):
+        open_server("127.0.0.1", 0)
+
+
+def test_websockets_is_left_as_it_was() -> None:
+    before = websockets.asyncio.server.serve
+    server, door = open_server("127.0.0.1", 0)
+    assert websockets.asyncio.server.serve is before
+    assert door.is_open
+    server.stop()

@@ -1,0 +1,353 @@
+import threading
+import time
+from collections.abc import Callable
+from itertools import count
+from typing import Any
+
+import pytest
+
+from app.viewer.session.runner import (
+    Pacer,
+    Runner,
+)
+from gpgrad_core.run.progress import Cancelled, Progress
+from tests.support.waiting import (
+    PATIENCE,
+    until,
+)
+
+
+class Record:
+    """What a runner's callbacks were given."""
+
+    def __init__(self) -> None:
+        self.started: list[int] = []
+        self.shown: list[int] = []
+        self.errors: list[tuple[int, Exception]] = []
+        self.cancelled: list[int] = []
+
+    def make(self, work: Callable[[int, Progress], int], **settings: Any) -> Runner[int, int]:
+        def watched(job: int, progress: Progress) -> int:
+            try:
+                return work(job, progress)
+            except Cancelled:
+                self.cancelled.append(job)
+                raise
+
+        return Runner(
+            watched,
+            lambda job, result, seconds: self.shown.append(result),  # noqa: ARG005
+            lambda job, error: self.errors.append((job, error)),
+            on_start=self.started.append,
+            **settings,
+        )
+
+
+def slow(seconds: float, ticks: int = 20) -> Callable[[int, Progress], int]:
+    """Work that takes a while and asks often enough whether it should go on."""
+
+    def work(job: int, progress: Progress) -> int:
+        for tick in range(ticks):
+            time.sleep(seconds / ticks)
+            progress((tick + 1) / ticks)
+        return job
+
+    return work
+
+
+def endless_before(last: int) -> Callable[[int, Progress], int]:
+    """Work that goes on until it is told to stop, for all jobs but the last."""
+
+    def work(job: int, progress: Progress) -> int:
+        while job < last:
+            time.sleep(0.002)
+            progress(0.5)
+        return job
+
+    return work
+
+
+def test_a_job_is_run_and_its_time_told() -> None:
+    told: list[float] = []
+    runner: Runner[str, str] = Runner(
+        lambda job, progress: job.upper(),  # noqa: ARG005
+        lambda job, result, seconds: told.append(seconds),  # noqa: ARG005
+        lambda job, error: None,  # noqa: ARG005
+    )
+    runner.submit("a")
+    assert runner.wait_idle(PATIENCE)
+    runner.close()
+    assert len(told) == 1
+    assert 0 <= told[0] < PATIENCE
+
+
+@pytest.mark.parametrize("work_seconds", [0.0, 0.02, 0.3])
+def test_the_last_value_always_wins_and_nothing_overtakes(work_seconds: float) -> None:
+    record = Record()
+    # How long a run takes varies with its value, which is what makes naive callbacks overtake.
+    runner = record.make(
+        lambda job, progress: slow(work_seconds * (1 + job % 3) / 3)(job, progress)
+    )
+    for job in range(200):
+        runner.submit(job)
+        time.sleep(0.002)
+    assert runner.wait_idle(PATIENCE)
+    runner.close()
+    assert record.shown[-1] == 199
+    assert record.shown == sorted(record.shown)
+    assert not record.errors
+
+
+@pytest.mark.parametrize(("patience", "shown"), [(60.0, [0, 1, 2, 3, 4, 5]), (0.0, [5])])
+def test_a_run_is_let_finish_while_it_is_younger_than_patience(
+    patience: float, shown: list[int]
+) -> None:
+    record, go = Record(), threading.Semaphore(0)
+
+    def work(job: int, progress: Progress) -> int:
+        assert go.acquire(timeout=PATIENCE)
+        progress(0.5)
+        return job
+
+    runner = record.make(work, patience=patience, longest_blind=600.0)
+    runner.submit(0)
+    for job in range(5):
+        until(lambda job=job: job in record.started, "the run")
+        runner.submit(job + 1)  # waits while the other is asked to go on
+        go.release()
+    go.release()
+    assert runner.wait_idle(PATIENCE)
+    runner.close()
+    assert record.shown == shown
+
+
+def test_a_superseded_run_older_than_patience_is_cancelled() -> None:
+    record = Record()
+    runner = record.make(endless_before(2), patience=0.05)
+    runner.submit(1)
+    until(lambda: record.started == [1], "the run")
+    runner.submit(2)
+    assert runner.wait_idle(PATIENCE)
+    runner.close()
+    assert (record.cancelled, record.shown) == ([1], [2])
+
+
+def test_a_long_drag_over_long_work_is_not_blind() -> None:
+    record = Record()
+    runner = record.make(slow(0.2), patience=0.02, longest_blind=0.2)
+    jobs = count()
+
+    def drag_on() -> bool:
+        runner.submit(next(jobs))
+        return len(record.shown) >= 2
+
+    until(drag_on, "pictures during the drag")
+    last = next(jobs) - 1
+    assert runner.wait_idle(PATIENCE)
+    runner.close()
+    assert record.shown[-1] == last
+
+
+def rough(job: int, progress: Progress) -> int | None:
+    """A preview: the negative of the result; none of job 0."""
+    progress(1.0)
+    return -job or None
+
+
+def test_a_preview_comes_first() -> None:
+    record = Record()
+    runner = record.make(slow(0.02), preview=rough)
+    for job in (1, 0, 2):
+        runner.submit(job)
+        assert runner.wait_idle(PATIENCE)
+    runner.close()
+    assert record.shown == [-1, 1, 0, -2, 2]
+
+
+def test_a_drag_over_long_work_shows_previews_and_ends_on_the_last_result() -> None:
+    record = Record()
+    runner = record.make(endless_before(39), preview=rough, patience=0.02)
+    for job in range(1, 40):
+        runner.submit(job)
+        until(lambda job=job: -job in record.shown, "the preview")
+    assert runner.wait_idle(PATIENCE)
+    runner.close()
+    assert record.shown == [*range(-1, -40, -1), 39]
+
+
+def test_what_a_preview_raises_is_told_and_the_work_is_left() -> None:
+    record = Record()
+
+    def broken(job: int, progress: Progress) -> int:  # noqa: ARG001
+        raise RuntimeError(f"no preview of {job}")
+
+    runner = record.make(slow(0.0), preview=broken)
+    runner.submit(1)
+    assert runner.wait_idle(PATIENCE)
+    runner.close()
+    assert [str(error) for _, error in record.errors] == ["no preview of 1"]
+    assert record.shown == []
+
+
+def test_cancelling_stops_what_runs_and_only_that() -> None:
+    record = Record()
+    told: list[int] = []
+    runner = record.make(endless_before(2), on_cancel=told.append)
+    runner.cancel()  # nothing runs: nothing happens
+    runner.submit(1)
+    until(lambda: record.started, "the run")
+    runner.submit(2)
+    runner.cancel()  # the waiting one is forgotten too
+    assert runner.wait_idle(PATIENCE)
+    assert (told, record.started, record.shown) == ([1], [1], [])
+    quick = record.make(slow(0.0), on_cancel=told.append)
+    quick.cancel()
+    quick.submit(3)
+    assert quick.wait_idle(PATIENCE)
+    assert (told, record.shown) == ([1], [3])
+    runner.close()
+    quick.close()
+
+
+def test_a_job_cancelled_before_the_worker_took_it_is_told_of() -> None:
+    told: list[int] = []
+    runner: Runner[int, int] = Runner(
+        lambda job, progress: job,  # noqa: ARG005
+        lambda job, result, seconds: None,  # noqa: ARG005
+        lambda job, error: None,  # noqa: ARG005
+        on_cancel=told.append,
+        slots=threading.Semaphore(0),  # its turn never comes
+    )
+    for job in range(200):  # at whatever moment the worker is
+        runner.submit(job)
+        runner.cancel()
+        assert runner.wait_idle(PATIENCE)
+        assert told == list(range(job + 1))
+    runner.close()
+
+
+def test_an_error_is_a_value_and_the_worker_lives() -> None:
+    record = Record()
+
+    def work(job: int, progress: Progress) -> int:  # noqa: ARG001
+        if job < 0:
+            raise ValueError(f"{job} is below zero")
+        return job
+
+    runner = record.make(work)
+    runner.submit(-1)
+    assert runner.wait_idle(PATIENCE)
+    runner.submit(7)
+    assert runner.wait_idle(PATIENCE)
+    runner.close()
+    assert [(job, str(error)) for job, error in record.errors] == [(-1, "-1 is below zero")]
+    assert record.shown == [7]
+
+
+def test_an_error_while_showing_is_a_value_too() -> None:
+    errors: list[Exception] = []
+
+    def broken_view(job: int, result: int, seconds: float) -> None:  # noqa: ARG001
+        raise RuntimeError("no such node")
+
+    runner: Runner[int, int] = Runner(
+        lambda job, progress: job,  # noqa: ARG005
+        broken_view,
+        lambda job, error: errors.append(error),  # noqa: ARG005
+    )
+    runner.submit(1)
+    assert runner.wait_idle(PATIENCE)
+    runner.submit(2)
+    assert runner.wait_idle(PATIENCE)
+    runner.close()
+    assert [str(error) for error in errors] == ["no such node"] * 2
+
+
+def test_even_a_broken_error_callback_leaves_the_worker_alive(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    shown: list[int] = []
+
+    def work(job: int, progress: Progress) -> int:  # noqa: ARG001
+        return 1 // job
+
+    def broken(job: int, error: Exception) -> None:  # noqa: ARG001
+        raise RuntimeError("cannot report")
+
+    runner: Runner[int, int] = Runner(
+        work,
+        lambda job, result, seconds: shown.append(job),  # noqa: ARG005
+        broken,
+    )
+    runner.submit(0)
+    assert runner.wait_idle(PATIENCE)
+    runner.submit(1)
+    assert runner.wait_idle(PATIENCE)
+    runner.close()
+    assert shown == [1]
+    assert "reporting an error failed" in caplog.text
+
+
+def test_close_stops_a_running_job_and_joins() -> None:
+    record = Record()
+    runner = record.make(endless_before(2))
+    runner.submit(1)
+    until(lambda: record.started, "the run")
+    runner.close()
+    assert record.cancelled == [1]
+    assert record.shown == []
+    assert not any(thread.name == "runner" for thread in threading.enumerate())
+
+
+def test_a_closed_runner_takes_no_jobs_and_closes_twice() -> None:
+    record = Record()
+    runner = record.make(slow(0.0))
+    runner.close()
+    runner.submit(1)
+    runner.close()
+    assert record.started == []
+
+
+def test_submitting_never_waits_for_the_work() -> None:
+    record, go = Record(), threading.Event()
+    runner = record.make(lambda job, _: job if go.wait(PATIENCE) else -1)
+    for job in range(1000):
+        runner.submit(job)
+    assert record.shown == []
+    go.set()
+    assert runner.wait_idle(PATIENCE)
+    runner.close()
+    assert record.shown[-1] == 999
+
+
+def test_the_last_wish_is_fulfilled_and_few_between() -> None:
+    wish, served = [0], list[int]()
+    pacer: Pacer[str] = Pacer(lambda _: served.append(wish[0]), 0.05, "test")
+    begun = time.monotonic()
+    for number in range(200):
+        wish[0] = number
+        pacer.ask("a")
+        time.sleep(0.001)
+    assert pacer.wait_idle(PATIENCE)
+    assert served[-1] == 199
+    assert len(served) <= 2 + (time.monotonic() - begun) / 0.05
+    pacer.close()
+
+
+def test_each_key_is_served_and_an_error_ends_nothing() -> None:
+    served: list[str] = []
+    done = threading.Event()
+
+    def act(key: str) -> None:
+        if key == "bad":
+            raise ValueError(key)
+        served.append(key)
+        done.set()
+
+    pacer: Pacer[str] = Pacer(act, 0.0, "test")
+    for key in ("bad", "a", "b"):
+        pacer.ask(key)
+    assert done.wait(PATIENCE)
+    assert pacer.wait_idle(PATIENCE)
+    assert sorted(served) == ["a", "b"]
+    pacer.close()

@@ -1,0 +1,152 @@
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.viewer.session.session_file import (
+    parse_session,
+    read_session,
+    session_text,
+)
+from app.viewer.session.state import (
+    COLOR_MAPS,
+    LAYERS,
+    LAYOUTS,
+    Camera,
+    ViewOptions,
+    ViewState,
+    open_dataset,
+    with_pair,
+)
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.errors import InputError
+from gpgrad_core.mapping.gradient_map import MapParams
+from gpgrad_core.simulation.demo import demo_path
+from tests.support.synthetic import make_dataset
+
+DATASET = make_dataset(num_points=50)
+finite = st.floats(-1e6, 1e6)
+
+
+def state_of(params: PipelineParams, options: ViewOptions) -> ViewState:
+    state = open_dataset(DATASET, params, options, "/data/Mt. \"Ætna\" 'x'\\y")
+    return with_pair(state, query_id="002", database_id="001")
+
+
+@settings(max_examples=25)
+@given(
+    length_scale=st.floats(0.01, 100.0),
+    max_points=st.none() | st.integers(3, 10_000_000),
+    layer=st.sampled_from(LAYERS),
+    layout=st.sampled_from(LAYOUTS),
+    color_map=st.sampled_from(COLOR_MAPS),
+    switch=st.booleans(),
+    point_size=st.floats(0.005, 0.2),
+    camera=st.none() | st.builds(Camera, st.tuples(finite, finite, finite), st.just((0.0, 1, 2))),
+)
+def test_all_goes_there_and_back(
+    length_scale: float,
+    max_points: int | None,
+    layer: str,
+    layout: str,
+    color_map: str,
+    switch: bool,
+    point_size: float,
+    camera: Camera | None,
+) -> None:
+    options = ViewOptions(
+        layer=layer,  # type: ignore[arg-type]
+        layout=layout,  # type: ignore[arg-type]
+        color_map=color_map,  # type: ignore[arg-type]
+        surfaces=switch,
+        point_size=point_size,
+    )
+    params = PipelineParams(map=MapParams(length_scale=length_scale, max_points=max_points))
+    state = state_of(params, options)
+    saved = parse_session(session_text(state, camera), "here")
+    assert saved.dataset == Path(state.source)
+    assert saved.camera == camera
+    saved.check(DATASET)
+    restored = saved.apply(open_dataset(DATASET, PipelineParams(), source=state.source))
+    restored = replace(restored, others=state.others)  # of the method that runs only
+    assert replace(restored, dataset=state.dataset).__dict__ == state.__dict__
+
+
+def test_a_pair_of_one_submap_twice_is_refused() -> None:
+    twice = parse_session("query = '001'\ndatabase = '001'", "here")
+    with pytest.raises(InputError, match="001 beside itself is no pair"):
+        twice.check(DATASET)
+    lone = replace(DATASET, submaps=DATASET.submaps[1:2])
+    twice.check(lone)  # as older viewers saved it
+    state = twice.apply(open_dataset(lone, PipelineParams(), source="/data/one"))
+    again = parse_session(session_text(state, None), "here")
+    assert (again.query_id, again.database_id) == ("001", None)
+    with pytest.raises(InputError, match="another submap than the query"):
+        parse_session("[[decisions]]\nquery = '1'\ndatabase = '1'\naccepted = true", "here")
+
+
+def test_the_demo_is_no_path_of_this_machine() -> None:
+    state = open_dataset(DATASET, PipelineParams(), source=str(demo_path()))
+    text = session_text(state, None)
+    assert str(demo_path()) not in text
+    assert parse_session(text, "here").dataset is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("dataset = 3", "here: 'dataset' must be a text, got 3"),
+        ("[map]\nlength_scale = 0.3", "here: has the unknown key 'map'"),
+        ("[params.map]\nlenght_scale = 0.3", "did you mean map.length_scale?"),
+        ("[view]\nlayer = 'depth'", "here, [view]: layer must be"),
+        ("[view]\npoint_size = 7", "point_size must be from 0.005 to 0.2 m"),
+        ("view = 3", "here: 'view' must be a table, [view]"),
+        (
+            "[camera]\nposition = [1, 2]\nlook_at = [0, 0, 0]",
+            "camera: 'position' must be three numbers",
+        ),
+        (
+            "[camera]\nposition = [1, 2, nan]\nlook_at = [0, 0, 0]",
+            "camera: 'position' must be three numbers",
+        ),
+        ("what is this", "here: is not TOML"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(text: str, said: str) -> None:
+    with pytest.raises(InputError) as refused:
+        parse_session(text, "here")
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_file_that_cannot_be_read_and_a_pair_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        read_session(tmp_path / "nowhere.toml")
+    (tmp_path / "odd.toml").write_bytes(b"\xff\xff")
+    with pytest.raises(InputError, match="UTF-8"):
+        read_session(tmp_path / "odd.toml")
+    with pytest.raises(InputError, match="no submap '999'"):
+        parse_session("query = '999'", "here").check(DATASET)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a." * 49_000 + "a = 1", "more than 20 parts"),
+        ("x = " + "[" * 5000, "nested more than 20 deep"),
+        ("#" * 200_000, "larger than 100,000 bytes"),
+        ('dataset = "a\\u0000b"', "zero byte"),
+        (f'dataset = "{"a" * 5000}"', "too long"),
+        ("[camera]\nposition = [true, 1, 2]\nlook_at = [0, 0, 0]", "camera: 'position'"),
+        ("[camera]\nposition = [1e30, 1, 2]\nlook_at = [0, 0, 0]", "camera: 'position'"),
+    ],
+)
+def test_what_would_stall_the_pages_or_cannot_be_is_refused_at_once(text: str, said: str) -> None:
+    begin = time.process_time()
+    with pytest.raises(InputError, match=said) as refusal:
+        parse_session(text, "here")
+    assert str(refusal.value).startswith("here")
+    assert time.process_time() - begin < 0.5

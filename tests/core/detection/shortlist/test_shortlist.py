@@ -1,0 +1,203 @@
+"""The best earlier submaps are found, one by one, whatever the number."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gpgrad_core.detection import (
+    PipelineParams,
+    infer_features,
+)
+from gpgrad_core.detection.shortlist import (
+    Candidate,
+    Shortlist,
+)
+from gpgrad_core.detection.shortlist.shortlist import (
+    MOST_VOTERS,
+    WORTH_VOTES,
+)
+from gpgrad_core.detection.shortlist.vocabulary import (
+    NUM_AXES,
+    NUM_WORDS,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.features import DetectorParams, FeatureParams
+from gpgrad_core.mapping.gradient_map import MapParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.types import Features
+from tests.core.detection.shortlist.places import (
+    LEARN_FROM,
+    MANY,
+    features,
+    learning_early,
+    nothing,
+)
+from tests.support.ground import submap
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _early() -> Iterator[None]:
+    with learning_early():
+        yield
+
+
+def filled(count: int, seed: int = 0) -> Shortlist:
+    shortlist = Shortlist(seed)
+    for k in range(count):
+        shortlist.add(f"{k:03}", features(k, 100))
+    return shortlist
+
+
+@pytest.fixture(scope="module")
+def many() -> Shortlist:
+    shortlist = filled(MANY)
+    assert shortlist.state.vocabulary is not None
+    return shortlist
+
+
+@pytest.mark.parametrize("count", [1, 2, LEARN_FROM - 1, LEARN_FROM, MANY])
+def test_a_place_seen_again_comes_first(count: int) -> None:
+    shortlist = filled(count)
+    again = features(count - 1, 100, noise=0.1, turned=2.0, shifted=30.0)
+    best = shortlist.candidates(again, 5)
+    assert len(best) == min(5, count)
+    assert best[0].id == f"{count - 1:03}"
+    assert best[0].votes > 30
+    assert all(other.votes < 20 for other in best[1:])
+
+
+def test_before_and_after_the_vocabulary_is_learned() -> None:
+    assert filled(LEARN_FROM - 1).state.vocabulary is None
+    learned = filled(LEARN_FROM)
+    assert learned.state.vocabulary is not None
+    again = learned.candidates(features(3, 100, noise=0.1), 2)
+    assert again[0].id == "003"
+    assert 0.2 < again[0].similarity <= 1.0
+
+
+def test_more_candidates_than_submaps(many: Shortlist) -> None:
+    best = many.candidates(features(7, 100), 10 * MANY)
+    assert sorted(candidate.id for candidate in best) == sorted(many.ids)
+    likeness = [one.votes + WORTH_VOTES * one.similarity for one in best]
+    assert likeness == pytest.approx(sorted(likeness, reverse=True), abs=1e-4)
+    assert best[0].id == "007"
+
+
+def test_fewer_candidates_are_the_first_of_more(many: Shortlist) -> None:
+    query = features(7, 100, noise=0.3)
+    assert many.candidates(query, 10) == many.candidates(query, 20)[:10]
+
+
+def test_only_those_that_are_asked_for(many: Shortlist) -> None:
+    query = features(7, 100, noise=0.1)
+    among = ["030", "007", "011"]
+    assert many.candidates(query, 2, among)[0].id == "007"
+    assert {one.id for one in many.candidates(query, 9, among)} == set(among)
+    assert many.candidates(query, 9, []) == ()
+    with pytest.raises(InputError, match="submap x is not on the shortlist"):
+        many.candidates(query, 9, ["x"])
+
+
+def test_a_candidate_depends_on_no_later_submap() -> None:
+    """One by one is all at once: what is added later changes no earlier answer."""
+    growing = Shortlist()
+    online: list[tuple[Candidate, ...]] = []
+    for k in range(40):
+        online.append(growing.candidates(features(k // 2, 100, noise=0.1 * (k % 2)), 4))
+        growing.add(f"{k:03}", features(k // 2, 100, noise=0.1 * (k % 2)))
+    for k in (10, 30):
+        before = Shortlist()
+        for j in range(k):
+            before.add(f"{j:03}", features(j // 2, 100, noise=0.1 * (j % 2)))
+        assert before.candidates(features(k // 2, 100, noise=0.1 * (k % 2)), 4) == online[k]
+    assert all(online[k][0].id == f"{k - 1:03}" for k in range(1, 40, 2))
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    order=st.permutations(range(60)),
+    turned=st.floats(-3.2, 3.2),
+    shifted=st.floats(-100, 100),
+)
+def test_votes_depend_on_no_order_and_no_motion(
+    order: list[int], turned: float, shifted: float
+) -> None:
+    shortlist = Shortlist()
+    for k in range(3):
+        shortlist.add(str(k), features(k))
+    plain = features(1, noise=0.1)
+    moved = features(1, noise=0.1, turned=turned, shifted=shifted).select(np.array(order))
+    votes, again = (
+        {one.id: one.votes for one in shortlist.candidates(query, 3)} for query in (plain, moved)
+    )
+    # A distance at the tolerance may fall to either side when it is computed anew.
+    assert all(abs(votes[name] - again[name]) <= 2 for name in votes)
+    assert max(again, key=lambda name: again[name]) == "1"
+
+
+def test_submaps_without_keypoints() -> None:
+    shortlist = Shortlist()
+    for k in range(LEARN_FROM + 20):
+        shortlist.add(str(k), nothing() if k % 3 == 0 else features(k, 100))
+    assert shortlist.state.vocabulary is not None
+    best = shortlist.candidates(nothing(), 3)
+    assert [one.id for one in best] == ["0", "1", "2"]
+    assert all((one.votes, one.similarity) == (0, 0.0) for one in best)
+    assert shortlist.candidates(features(4, 100), 1)[0].id == "4"
+    assert "3" not in {one.id for one in shortlist.candidates(features(4, 100), 3)}
+    assert len(Shortlist().candidates(features(4), 3)) == 0
+
+
+def test_only_empty_submaps() -> None:
+    shortlist = Shortlist()
+    for k in range(LEARN_FROM + 5):
+        shortlist.add(str(k), nothing())
+    assert len(shortlist.candidates(nothing(), 7)) == 7
+
+
+def test_what_does_not_belong_together_is_refused(many: Shortlist) -> None:
+    with pytest.raises(InputError, match="submap 003 is on the shortlist already"):
+        many.add("003", features(3))
+    short = features(3)
+    other = Features(
+        short.positions,
+        short.scales,
+        short.responses,
+        short.std_ratios,
+        short.descriptors[:, :5].copy(),
+    )
+    for query in (many.candidates, lambda f, _: many.add("new", f)):
+        with pytest.raises(InputError, match="descriptors of 5 numbers cannot be compared with"):
+            query(other, 3)
+    assert "new" not in many.ids
+
+
+def test_bytes_of_a_submap_are_bounded() -> None:
+    shortlist = Shortlist()
+    for k in range(LEARN_FROM + 4):
+        shortlist.add(str(k), features(k, 1500))
+    state = shortlist.state
+    assert state.vocabulary is not None
+    width = state.vocabulary.words.shape[1]
+    # Half precision for descriptors, single for positions and global vectors.
+    assert state.num_voters.tolist() == len(shortlist) * [MOST_VOTERS]
+    assert state.descriptors.nbytes + state.positions.nbytes == len(shortlist) * MOST_VOTERS * (
+        2 * width + 2 * 4
+    )
+    assert state.global_vectors.nbytes == len(shortlist) * 4 * 32 * width
+    assert MOST_VOTERS * (2 * NUM_AXES + 2 * 4) + 4 * NUM_WORDS * NUM_AXES < 53_000
+
+
+@pytest.mark.parametrize("name", ["slope", "akaze", "surf"])
+def test_any_detector_will_do(name: str) -> None:
+    detector = DetectorParams(name)  # pyright: ignore
+    params = PipelineParams(map=MapParams().guessed, features=FeatureParams(detector=detector))
+    places = [submap(k, 900, (6.0, 6.0)) for k in range(3)]
+    found = [infer_features(place, params, Memo()) for place in places]
+    shortlist = Shortlist()
+    for k, one in enumerate(found):
+        shortlist.add(str(k), one)
+    assert [shortlist.candidates(one, 1)[0].id for one in found] == ["0", "1", "2"]

@@ -1,0 +1,146 @@
+"""Only the candidates are compared, by detection and by the loop closer alike."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gpgrad_core.detection import (
+    DetectionResult,
+    PipelineParams,
+    detect_loop_closures,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation import EvaluationParams, evaluate, run_methods
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.io.records.closure_writer import write_closures
+from gpgrad_core.io.records.closures import (
+    read_closures,
+    report_closures,
+)
+from gpgrad_core.mapping.gradient_map import MapParams
+from gpgrad_core.methods import find_method
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.simulation.demo import demo_path
+from gpgrad_core.slam import LoopCloser
+from gpgrad_core.types import Dataset
+
+PARAMS = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, resolution=0.06, scale=0.2))
+FEW = 2
+
+
+@pytest.fixture(scope="module")
+def demo() -> Dataset:
+    whole = load_dataset(demo_path())
+    return replace(whole, submaps=whole.submaps[:8])
+
+
+@pytest.fixture(scope="module")
+def memo() -> Memo:
+    return Memo()
+
+
+@pytest.fixture(scope="module")
+def whole(demo: Dataset, memo: Memo) -> DetectionResult:
+    return detect_loop_closures(demo, PARAMS, memo=memo, candidates="all")
+
+
+@pytest.fixture(scope="module")
+def few(demo: Dataset, memo: Memo) -> DetectionResult:
+    return detect_loop_closures(demo, PARAMS, memo=memo, candidates=FEW)
+
+
+@pytest.mark.slow
+def test_chosen_pairs_have_the_verdicts_that_they_have_among_all(
+    demo: Dataset, whole: DetectionResult, few: DetectionResult
+) -> None:
+    names = [submap.id for submap in demo.submaps]
+    of_all = {(one.query_id, one.database_id): one for one in whole.closures}
+    assert len(few.closures) == sum(min(FEW, k) for k in range(len(names)))
+    for one in few.closures:
+        same = of_all[one.query_id, one.database_id]
+        assert (one.accepted, one.reason) == (same.accepted, same.reason)
+        assert one.registration.score == same.registration.score
+    pairs = [(one.query_id, one.database_id) for one in few.closures]
+    assert pairs == sorted(pairs)
+    accepted = {pair for pair, one in of_all.items() if one.accepted}
+    found = {(one.query_id, one.database_id) for one in few.closures if one.accepted}
+    assert len(found) >= 0.5 * len(accepted)
+
+
+def test_why_a_pair_was_looked_at(
+    demo: Dataset, whole: DetectionResult, few: DetectionResult
+) -> None:
+    assert whole.shortlists == {}
+    assert list(few.shortlists) == [submap.id for submap in demo.submaps[FEW + 1 :]]
+    for query, best in few.shortlists.items():
+        compared = {one.database_id for one in few.closures if one.query_id == query}
+        assert {candidate.id for candidate in best} == compared
+        assert best[0].votes >= best[1].votes
+    assert "shortlist" in few.seconds
+    assert "shortlist" not in whole.seconds
+
+
+def test_few_submaps_are_all_compared(demo: Dataset, whole: DetectionResult, memo: Memo) -> None:
+    for candidates in ("automatic", 7, 100):
+        result = detect_loop_closures(demo, PARAMS, memo=memo, candidates=candidates)
+        assert report_closures(demo, replace(result, seconds={}), PARAMS) == report_closures(
+            demo, replace(whole, seconds={}), PARAMS
+        )
+
+
+def test_the_file_counts_what_was_not_compared(
+    demo: Dataset, few: DetectionResult, tmp_path: Path
+) -> None:
+    path = tmp_path / "closures.json"
+    write_closures(path, report_closures(demo, few, PARAMS))
+    report = read_closures(path)
+    assert report.num_pairs_skipped == 8 * 7 // 2 - len(few.closures) > 0
+    path.write_text(path.read_text().replace('"num_pairs_skipped"', '"another"'))
+    assert read_closures(path).num_pairs_skipped == 0
+    path.write_text(path.read_text().replace('"another": ', '"num_pairs_skipped": -'))
+    with pytest.raises(InputError, match="num_pairs_skipped"):
+        read_closures(path)
+
+
+def test_true_pairs_that_were_not_compared_are_missed(
+    demo: Dataset, whole: DetectionResult
+) -> None:
+    params = EvaluationParams(neighbours=0, num_resamples=0)
+    true = [one for one in whole.closures if one.accepted]
+    assert true
+    kept = tuple(one for one in whole.closures if one is not true[0])
+    both = evaluate(demo, {"all": whole, "few": replace(whole, closures=kept)}, params)
+    for of_all, of_few in zip(both.methods[0].rules, both.methods[1].rules, strict=True):
+        counted = of_all.accepted_true + of_all.missed
+        assert counted == of_few.accepted_true + of_few.missed
+        assert of_few.missed == of_all.missed + (of_all.accepted_true - of_few.accepted_true)
+    missed = [method.rules[1].missed for method in both.methods]
+    assert missed[1] == missed[0] + 1
+
+
+@pytest.mark.slow
+def test_the_loop_closer_compares_the_same(demo: Dataset, few: DetectionResult) -> None:
+    with LoopCloser(PARAMS, candidates=FEW) as closer:
+        steps = [closer.add(submap, solve=False) for submap in demo.submaps]
+    assert [(one.query_id, one.database_id, one.reason) for one in closer.closures] == [
+        (one.query_id, one.database_id, one.reason) for one in few.closures
+    ]
+    assert [step.shortlist for step in steps] == 3 * [None] + list(few.shortlists.values())
+
+
+def test_the_radius_comes_first(demo: Dataset) -> None:
+    with LoopCloser(PARAMS, candidates=1, search_radius=1e-3) as closer:
+        steps = [closer.add(submap, solve=False) for submap in demo.submaps[:4]]
+    assert all(step.closures == () for step in steps)
+    assert all(step.shortlist is None for step in steps)
+
+
+def test_a_method_without_keypoints_is_refused_before_the_work(demo: Dataset) -> None:
+    for methods in (["chance"], ["gradient", "chance"]):
+        with pytest.raises(InputError, match="method chance: the detector has no keypoints"):
+            run_methods(demo, [find_method(name) for name in methods], PARAMS, candidates=3)
+    found = run_methods(demo, [find_method("chance")], PARAMS)
+    assert found["chance"].num_pairs_skipped == 0
+    with pytest.raises(InputError, match="1 to 1,000,000 submaps, got 0"):
+        detect_loop_closures(demo, PARAMS, candidates=0)

@@ -1,0 +1,243 @@
+"""The stages together: right places accepted, others refused, nothing run that need not be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gpgrad_core.arrays import Array
+from gpgrad_core.detection import (
+    PairResult,
+    PipelineParams,
+    detect_loop_closures,
+    register_pair,
+)
+from gpgrad_core.features import DetectorParams
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.mapping.gradient_map import MapParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.se2 import SE2
+from gpgrad_core.simulation.demo import demo_path
+from gpgrad_core.types import Dataset, Submap
+from tests.support.ground import Ground
+
+PARAMS = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, resolution=0.05))
+
+
+class CountingMemo(Memo):
+    """Notes which stages are run, rather than remembered."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ran: list[str] = []
+
+    def __call__(self, function, *arguments, **unkeyed):  # noqa: ANN001, ANN002, ANN003, ANN204
+        def noted(*args: object, **kwargs: object) -> object:
+            self.ran.append(function.__name__)
+            return function(*args, **kwargs)
+
+        noted.__module__, noted.__qualname__ = function.__module__, function.__qualname__
+        return super().__call__(noted, *arguments, **unkeyed)
+
+    def since(self) -> list[str]:
+        ran, self.ran = self.ran, []
+        return ran
+
+
+def look(ground: Ground, T_world_submap: SE2, seed: int, name: str = "look") -> Submap:
+    """See a disc of ground from somewhere, with 2 cm of noise."""
+    rng = np.random.default_rng(seed)
+    local = rng.uniform(-5, 5, (6000, 2))
+    local = local[np.hypot(*local.T) < 5]
+    heights = ground.height(T_world_submap.apply(local)) + 0.02 * rng.standard_normal(len(local))
+    return Submap.from_points(np.column_stack([local, heights]), name)
+
+
+GROUND = Ground.random(21, shortest=0.7, std=0.2)
+T_WORLD_DATABASE = SE2(3.0, -2.0, 0.4)
+T_WORLD_QUERY = SE2(4.5, -0.5, -2.3)
+
+
+@pytest.fixture(scope="module")
+def database() -> Submap:
+    return look(GROUND, T_WORLD_DATABASE, 1, "database")
+
+
+@pytest.fixture(scope="module")
+def query() -> Submap:
+    return look(GROUND, T_WORLD_QUERY, 2, "query")
+
+
+@pytest.fixture(scope="module")
+def shared_memo() -> Memo:
+    return Memo()
+
+
+@pytest.mark.parametrize("detector", ["slope", "akaze", "sift"])
+def test_a_place_seen_again_is_accepted_and_well_placed(
+    query: Submap, database: Submap, shared_memo: Memo, detector: str
+) -> None:
+    features = replace(PARAMS.features, detector=DetectorParams(detector))
+    result = register_pair(query, database, replace(PARAMS, features=features), shared_memo)
+    assert result.closure.accepted, result.closure.reason
+    assert (result.closure.query_id, result.closure.database_id) == ("query", "database")
+    found = result.registration.T_database_query
+    assert found is not None
+    error = (T_WORLD_DATABASE.inverse() @ T_WORLD_QUERY).inverse() @ found
+    assert np.hypot(error.x, error.y) < 0.05
+    assert abs(np.degrees(error.yaw)) < 1.0
+    assert result.registration.correlation > 0.9
+
+
+@pytest.mark.parametrize("seed", [31, 32, 33])
+def test_other_ground_is_refused(database: Submap, shared_memo: Memo, seed: int) -> None:
+    stranger = look(Ground.random(seed, shortest=0.7, std=0.2), SE2(), seed, "stranger")
+    closure = register_pair(stranger, database, PARAMS, shared_memo).closure
+    assert not closure.accepted, closure.reason
+
+
+def test_the_same_again_runs_nothing_and_gives_the_same_objects(
+    query: Submap, database: Submap
+) -> None:
+    memo = CountingMemo()
+    first = register_pair(query, database, PARAMS, memo)
+    assert sorted(memo.since()) == sorted(
+        2 * ["fit_terrain", "sample_map", "detect_features", "select_trusted", "prepare"]
+        + ["match_features", "search_candidates", "register_prepared"]
+    )
+    second = register_pair(query, database, PARAMS, memo)
+    assert memo.since() == []
+    names = ("query_map", "database_map", "query_features", "database_features", "matches")
+    for name in (*names, "registration"):
+        assert getattr(first, name) is getattr(second, name)
+
+
+MAP, FEATURES = PARAMS.map, PARAMS.features
+MATCHING, REGISTRATION, CLOSURE = PARAMS.matching, PARAMS.registration, PARAMS.closure
+MASKING = ["match_features", "prepare", "register_prepared", "search_candidates", "select_trusted"]
+SAMPLING = ["detect_features", *MASKING, "sample_map"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "stages"),
+    [
+        (replace(PARAMS, closure=replace(CLOSURE, min_inliers=15)), []),
+        (replace(PARAMS, closure=replace(CLOSURE, min_score=1.0)), []),
+        (
+            replace(PARAMS, registration=replace(REGISTRATION, inlier_radius=0.2)),
+            ["register_prepared"],
+        ),
+        (
+            replace(PARAMS, matching=replace(MATCHING, ratio=0.9)),
+            ["match_features", "register_prepared"],
+        ),
+        (replace(PARAMS, features=replace(FEATURES, max_std_ratio=0.2)), MASKING),
+        (replace(PARAMS, map=replace(MAP, resolution=0.1)), SAMPLING),
+        (replace(PARAMS, map=replace(MAP, noise_std=0.1)), ["fit_terrain", *SAMPLING]),
+    ],
+    ids=["min_inliers", "min_score", "radius", "ratio", "mask", "resolution", "noise"],
+)
+def test_a_slider_runs_what_lies_downstream_of_it_and_going_back_runs_nothing(
+    query: Submap, database: Submap, changed: PipelineParams, stages: list[str]
+) -> None:
+    memo = CountingMemo()
+    first = register_pair(query, database, PARAMS, memo)
+    memo.since()
+    moved = register_pair(query, database, changed, memo)
+    assert sorted(set(memo.since())) == sorted(stages)
+    again = register_pair(query, database, PARAMS, memo)
+    assert memo.since() == []
+    assert again.registration is first.registration
+    fresh = register_pair(query, database, changed, Memo())
+    assert_same_answer(moved, fresh)
+
+
+def assert_same_answer(a: PairResult, b: PairResult) -> None:
+    assert a.registration.T_database_query == b.registration.T_database_query
+    assert a.registration.score == b.registration.score
+    assert (a.closure.accepted, a.closure.reason) == (b.closure.accepted, b.closure.reason)
+    np.testing.assert_array_equal(a.query_map.elevation, b.query_map.elevation)
+
+
+def test_progress_rises_and_may_cancel_and_nothing_half_done_is_kept(
+    query: Submap, database: Submap
+) -> None:
+    memo, heard = CountingMemo(), list[float]()
+
+    def stop(fraction: float) -> None:
+        heard.append(fraction)
+        if fraction > 0.45:
+            raise Cancelled(fraction)
+
+    with pytest.raises(Cancelled):
+        register_pair(query, database, PARAMS, memo, stop)
+    assert memo.since().count("fit_terrain") == 2
+    register_pair(query, database, PARAMS, memo, heard.append)
+    assert memo.since().count("fit_terrain") == 1  # the query's was whole, the other's was not
+    assert heard[-1] == pytest.approx(1.0)
+
+
+def test_detection_compares_every_pair_once_the_earlier_as_database(
+    query: Submap, database: Submap
+) -> None:
+    third = look(Ground.random(31, shortest=0.7, std=0.2), SE2(), 31, "stranger")
+    dataset = Dataset("three", (database, query, third))
+    memo, heard = CountingMemo(), list[float]()
+    result = detect_loop_closures(dataset, PARAMS, memo=memo, progress=heard.append)
+    assert [(c.database_id, c.query_id) for c in result.closures] == [
+        ("database", "query"),
+        ("database", "stranger"),
+        ("query", "stranger"),
+    ]
+    assert [closure.accepted for closure in result.closures] == [True, False, False]
+    assert memo.since().count("fit_terrain") == 3
+    assert heard == sorted(heard)
+    assert heard[-1] == pytest.approx(1.0)
+    assert set(result.seconds) == {"fit", "maps", "features", "pairs", "total"}
+    parts = sum(result.seconds[name] for name in ("fit", "maps", "features", "pairs"))
+    assert result.seconds["total"] == pytest.approx(parts)
+
+
+@pytest.mark.parametrize("num", [0, 1])
+def test_a_dataset_of_one_or_none_has_no_pairs(query: Submap, num: int) -> None:
+    assert detect_loop_closures(Dataset("few", (query,) * num), PARAMS).closures == ()
+
+
+def box(submap: Submap) -> tuple[Array, Array]:
+    assert submap.pose_true is not None
+    xy = submap.pose_true.apply(submap.points)[:, :2]
+    return xy.min(axis=0), xy.max(axis=0)
+
+
+def box_overlap(a: Submap, b: Submap) -> float:
+    """Intersection over union of the boxes in the world, Eq. (8)."""
+    (low_a, high_a), (low_b, high_b) = box(a), box(b)
+    common = np.prod(np.clip(np.minimum(high_a, high_b) - np.maximum(low_a, low_b), 0, None))
+    return float(common / (np.prod(high_a - low_a) + np.prod(high_b - low_b) - common))
+
+
+@pytest.mark.slow
+def test_the_demos_revisits_are_found_and_no_pair_that_does_not_meet() -> None:
+    demo = load_dataset(demo_path())
+    result = detect_loop_closures(demo)
+    revisits = from_the_other_side = 0
+    for closure in result.closures:
+        query, database = demo.submap(closure.query_id), demo.submap(closure.database_id)
+        overlap = box_overlap(query, database)
+        assert query.pose_true is not None
+        assert database.pose_true is not None
+        true = database.pose_true.planar.inverse() @ query.pose_true.planar
+        if closure.accepted:
+            assert overlap > 0, f"{closure.query_id} on {closure.database_id}: {closure.reason}"
+            motion = closure.registration.T_database_query
+            assert motion is not None
+            error = true.inverse() @ motion
+            assert np.hypot(error.x, error.y) < 0.3
+            assert abs(np.degrees(error.yaw)) < 3
+        if overlap > 0.5:
+            assert closure.accepted, f"{closure.query_id} on {closure.database_id}"
+            revisits += 1
+            from_the_other_side += abs(true.yaw) > np.radians(120)
+    assert revisits >= 4
+    assert from_the_other_side >= 4

@@ -1,0 +1,262 @@
+"""Images confirm a place that they show again, contradict an alias, and are silent of most."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import combinations
+from math import comb, inf, log10
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.detection import (
+    PipelineParams,
+    detect_loop_closures,
+)
+from gpgrad_core.detection.all_pairs import StagedDetector
+from gpgrad_core.detection.images import (
+    EPIPOLAR_DISTANCE,
+    FALSE_ALARMS,
+    MOST_IMAGES,
+    ImageFeatures,
+    compare_images,
+    extract_images,
+    extract_orb,
+    judge_by_images,
+    log_false_alarms,
+    some_of,
+)
+from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.slam import LoopCloser
+from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
+from tests.support.ground import submap
+from tests.support.views import Scenery
+
+PLACES = [(3.0, 4.0, 0.3), (8.0, 5.0, 1.7), (5.0, 9.0, 3.9)]
+"""On the ground [m], and the heading [rad]."""
+
+
+@pytest.fixture(scope="module")
+def scenery() -> Scenery:
+    return Scenery.random(1)
+
+
+def view(scenery: Scenery, x: float, y: float, yaw: float, **options: float) -> ImageFeatures:
+    return extract_orb("front.png", scenery.seen(x, y, yaw, **options))
+
+
+@pytest.fixture(scope="module")
+def views(scenery: Scenery) -> list[ImageFeatures]:
+    return [view(scenery, *place) for place in PLACES]
+
+
+def verdict(query: ImageFeatures, database: ImageFeatures, motion: SE2) -> str:
+    return judge_by_images([query], [database], motion).verdict
+
+
+def test_another_place_that_looks_alike_does_not_agree(views: list[ImageFeatures]) -> None:
+    for query, database in combinations(views, 2):
+        found = compare_images(query, database)
+        assert found.log_false_alarms > np.log10(FALSE_ALARMS), found
+        assert verdict(query, database, SE2(0.1, -0.2, 0.1)) == "contradicted"
+
+
+def test_the_same_place_is_known_again_from_beside(
+    scenery: Scenery, views: list[ImageFeatures]
+) -> None:
+    for (x, y, yaw), database in zip(PLACES, views, strict=True):
+        query = view(scenery, x + 0.3, y - 0.3, yaw + np.radians(12), seed=5)
+        found = compare_images(query, database)
+        assert found.log_false_alarms < -5, found
+        assert verdict(query, database, SE2(0.3, 0.3, np.radians(12))) == "confirmed"
+
+
+def test_another_side_of_a_place_cannot_be_told_from_another_place(
+    scenery: Scenery, views: list[ImageFeatures]
+) -> None:
+    x, y, yaw = PLACES[0]
+    for turn in (np.radians(90), np.pi):
+        query = view(scenery, x, y, yaw + turn, seed=5)
+        assert compare_images(query, views[0]).log_false_alarms > -1
+        assert verdict(query, views[0], SE2(0.0, 0.0, turn)) == "silent"
+        assert verdict(views[1], views[0], SE2(0.0, 0.0, turn)) == "silent"
+    assert verdict(views[1], views[0], SE2(2.0, 0.0, 0.0)) == "silent"
+
+
+def test_bare_and_noisy_images_are_silent() -> None:
+    for noise in (0.0, 3.0, 15.0):
+        one, other = (
+            extract_orb(
+                "front.png",
+                np.clip(
+                    128 + noise * np.random.default_rng(seed).normal(size=(480, 640)), 0, 255
+                ).astype(np.uint8),
+            )
+            for seed in (1, 2)
+        )
+        assert one.num_corners < 10
+        found = judge_by_images([one], [other], SE2())
+        assert found.verdict == "silent"
+        assert "too little texture" in found.reason
+
+
+def test_a_turned_image_agrees_with_a_motion_that_turns_as_much(scenery: Scenery) -> None:
+    # A camera that looks ahead sees the same from one side up to 90 degrees: its image moves to
+    # the side, and does not turn.
+    fitting = {5.0: {0}, 95.0: {1}, 170.0: {1, 2}}
+    picture = scenery.seen(*PLACES[1])
+    for quarters in (0, 1, 2):
+        query = extract_orb("down.png", np.ascontiguousarray(np.rot90(picture, quarters)))
+        database = extract_orb("down.png", picture)
+        assert np.degrees(abs(compare_images(query, database).turn)) == pytest.approx(
+            90 * quarters, abs=10
+        )
+        for degrees, fits in fitting.items():
+            said = judge_by_images([query], [database], SE2(yaw=np.radians(degrees)))
+            expected = "confirmed" if quarters in fits else "contradicted"
+            assert said.verdict == expected, (quarters, degrees, said)
+            assert quarters in fits or "the image is turned by" in said.reason
+
+
+def test_images_of_two_cameras_confirm_but_never_contradict(views: list[ImageFeatures]) -> None:
+    rear = replace(views[0], name="rear.png")
+    assert verdict(views[0], rear, SE2(yaw=np.pi)) == "confirmed"
+    assert verdict(views[1], rear, SE2()) == "silent"
+
+
+def test_chance_is_counted() -> None:
+    assert log_false_alarms(7, 500, (320, 240)) == inf
+    assert log_false_alarms(8, 500, (320, 240)) > 0
+    ways = 3 * (40 - 7) * comb(40, 20) * comb(20, 7)
+    chance = ways * (2 * EPIPOLAR_DISTANCE * 400 / (320 * 240)) ** (20 - 7)
+    assert log_false_alarms(20, 40, (320, 240)) == pytest.approx(log10(chance))
+    assert log_false_alarms(30, 40, (320, 240)) < log_false_alarms(20, 40, (320, 240))
+    assert log_false_alarms(20, 80, (320, 240)) > log_false_alarms(20, 40, (320, 240))
+
+
+def test_noise_agrees_with_nothing_and_breaks_nothing() -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        one, other = (
+            extract_orb("a.png", rng.integers(0, 256, (120, 160), dtype=np.uint8)) for _ in "ab"
+        )
+        assert compare_images(one, other).log_false_alarms > 0
+
+
+def test_some_of_many_images_are_compared() -> None:
+    files = tuple(Path(f"{k}.png") for k in range(10))
+    assert some_of(files[:4]) == files[:4]
+    assert some_of(files) == tuple(files[k] for k in (0, 3, 6, 9))
+    assert len(some_of(files)) == MOST_IMAGES
+
+
+Made = Callable[..., list[LoopClosure]]
+
+
+@pytest.fixture
+def detect(tmp_path: Path) -> Made:
+    """Detect closures between twins: the same terrain, each with an image of its own."""
+
+    def found(pictures: list[NDArray[np.uint8] | None], images: str) -> list[LoopClosure]:
+        twins = [with_image(k, one, tmp_path) for k, one in enumerate(pictures)]
+        params = PipelineParams(closure=ClosureParams(images=images))  # pyright: ignore
+        return list(
+            detect_loop_closures(Dataset("twins", tuple(twins)), params, detector=alike).closures
+        )
+
+    return found
+
+
+def alike(query: Submap, database: Submap) -> Registration:
+    """Find that two submaps lie on each other, as their terrain is the same."""
+    assert len(query.points) == len(database.points)
+    return Registration(SE2(0.1, 0.0, 0.05), np.ones(30, bool), 1.0, 10.0, 0.9, 9.0)
+
+
+def with_image(k: int, picture: NDArray[np.uint8] | None, folder: Path) -> Submap:
+    files = ()
+    if picture is not None:
+        file = folder / f"{k:03d}" / "front.png"
+        file.parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(file), picture)
+        files = (file,)
+    odometry = Pose.from_planar(SE2(float(k)))
+    return replace(submap(1, 50), id=f"{k:03d}", images=files, pose_odometry=odometry)
+
+
+def test_what_images_may_do_is_chosen(scenery: Scenery, detect: Made) -> None:
+    x, y, yaw = PLACES[0]
+    same = scenery.seen(x, y, yaw)
+    again = scenery.seen(x + 0.1, y, yaw + 0.05, seed=3)
+    other = scenery.seen(*PLACES[2])
+    grey = np.full_like(same, 128)
+
+    def of(picture: NDArray[np.uint8] | None, images: str) -> tuple[str | None, bool]:
+        (closure,) = detect([same, picture], images)
+        return closure.images and closure.images.verdict, closure.accepted
+
+    assert of(other, "off") == (None, True)
+    assert of(other, "show") == ("contradicted", True)
+    assert of(other, "veto") == ("contradicted", False)
+    assert of(other, "require") == ("contradicted", False)
+    assert of(again, "veto") == of(again, "require") == ("confirmed", True)
+    assert of(grey, "show") == of(grey, "veto") == ("silent", True)
+    assert of(grey, "require") == ("silent", False)
+    assert of(None, "veto") == (None, True)
+    assert of(None, "require") == (None, False)
+
+
+def test_the_reason_says_what_the_images_said(scenery: Scenery, detect: Made) -> None:
+    pictures = [scenery.seen(*place) for place in PLACES[:2]]
+    (closure,) = detect([*pictures], "veto")
+    assert closure.images is not None
+    assert closure.reason == f"the images contradict the motion: {closure.images.reason}"
+    assert "puts the camera back within 0.1 m and 3°" in closure.reason
+    (closure,) = detect([pictures[0], None], "require")
+    assert closure.reason.endswith("there are not images of both submaps")
+
+
+def test_an_image_that_cannot_be_read_is_named_only_if_images_are_asked(tmp_path: Path) -> None:
+    twins = tuple(with_image(k, np.full((50, 50), 9, np.uint8), tmp_path) for k in (0, 1))
+    twins[1].images[0].write_bytes(b"no image")
+    dataset = Dataset("twins", twins)
+    assert detect_loop_closures(dataset, detector=alike).closures[0].accepted
+    params = PipelineParams(closure=ClosureParams(images="show"))
+    with pytest.raises(InputError, match=r"front\.png: is not an image that can be read"):
+        detect_loop_closures(dataset, params, detector=alike)
+
+
+def test_the_online_way_asks_images_too(scenery: Scenery, tmp_path: Path) -> None:
+    pictures = [scenery.seen(*PLACES[0]), scenery.seen(*PLACES[1])]
+    params = PipelineParams(closure=ClosureParams(images="veto"))
+
+    class Alike(StagedDetector):
+        def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
+            progress(1.0)
+            return submap
+
+        def extract(self, made: Submap, progress: Progress = silent) -> Submap:
+            progress(1.0)
+            return made
+
+        def compare(self, query: Submap, database: Submap) -> Registration:
+            return alike(query, database)
+
+    with LoopCloser(params, detector=Alike()) as closer:
+        for k, picture in enumerate(pictures):
+            step = closer.add(with_image(k, picture, tmp_path), solve=False)
+    assert step.closures[0].images is not None
+    assert not step.accepted
+
+
+def test_all_images_of_a_submap_are_read(tmp_path: Path, scenery: Scenery) -> None:
+    both = with_image(0, scenery.seen(*PLACES[0]), tmp_path), with_image(1, None, tmp_path)
+    (features,) = extract_images(both[0].images)
+    assert features.name == "front.png"
+    assert features.size == (320, 240)
+    assert extract_images(both[1].images) == ()

@@ -1,0 +1,144 @@
+"""The verdict and its reason."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gpgrad_core.detection.verdict import (
+    ClosureParams,
+    classify,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Agreement, Registration
+
+
+def registration(num_inliers: int, score: float, found: bool = True) -> Registration:
+    inliers = np.zeros(num_inliers + 3, bool)
+    inliers[:num_inliers] = True
+    return Registration(SE2() if found else None, inliers, 1.0, 10.0, 0.8, score)
+
+
+ASKED = ClosureParams(min_inliers=8, min_score=7.0)
+NO_SCORE, NO_INLIERS = ClosureParams(9, 0.0), ClosureParams(0, 2.5)
+
+
+@pytest.mark.parametrize(
+    ("made", "params", "accepted", "reason"),
+    [
+        (registration(12, 9.5), ASKED, True, "12 inliers >= 8, score 9.5 >= 7"),
+        (registration(8, 7.0), ASKED, True, "8 inliers >= 8, score 7 >= 7"),
+        (registration(9, 3.0), NO_SCORE, True, "9 inliers >= 9"),
+        (registration(9, 3.0), NO_INLIERS, True, "score 3 >= 2.5"),
+        (registration(9, 3.0), ClosureParams(0, 0.0), True, "no threshold is set"),
+        (registration(7, 1.0), ASKED, False, "7 inliers < 8"),
+        (
+            registration(20, 6.996),
+            ASKED,
+            False,
+            "score 7 < 7: the maps share only 10 m² of ground",
+        ),
+        (
+            replace(registration(20, 6.0), overlap_area=0.0),
+            ASKED,
+            False,
+            "score 6 < 7",
+        ),
+        (
+            registration(5, 100.0, found=False),
+            ClosureParams(2, 0.0),
+            False,
+            "no motion was found: the maps have too little in common",
+        ),
+        (
+            replace(registration(0, 0.0, found=False), nothing_trusted=True),
+            ClosureParams(0, 0.0),
+            False,
+            "cannot judge: the variance mask trusts no cell of one of the maps",
+        ),
+    ],
+)
+def test_the_reason_says_what_decided(
+    made: Registration, params: ClosureParams, accepted: bool, reason: str
+) -> None:
+    closure = classify(made, params)
+    assert closure.accepted is accepted
+    assert closure.reason == reason
+    assert closure.registration is made
+
+
+@given(st.integers(0, 60), st.floats(0, 100), st.integers(2, 50), st.floats(0, 50))
+def test_raising_a_threshold_never_accepts_more(
+    num: int, score: float, min_inliers: int, min_score: float
+) -> None:
+    made = registration(num, score)
+    accepted = classify(made, ClosureParams(min_inliers, min_score)).accepted
+    assert accepted == (num >= min_inliers and score >= min_score)
+    if not accepted:
+        assert not classify(made, ClosureParams(min_inliers + 1, min_score + 1)).accepted
+
+
+def test_fewer_inliers_than_none_are_no_threshold() -> None:
+    with pytest.raises(InputError, match="min_inliers must be from 0"):
+        ClosureParams(min_inliers=-1)
+
+
+@pytest.mark.parametrize(
+    ("agreement", "area", "said"),
+    [
+        (
+            Agreement(0.09, 0.03, 0.4),
+            40.0,
+            "the heights differ by 9 cm, and their uncertainty explains at most 4.5 cm",
+        ),
+        (
+            Agreement(0.03, 0.03, 0.4),
+            3.0,
+            "the maps share only 3 m² of ground, too little to decide",
+        ),
+        (
+            Agreement(0.005, 0.005, 0.01),
+            40.0,
+            "too smooth to decide: its relief is 1 cm, and the maps' uncertainty is 5 mm",
+        ),
+        (
+            Agreement(0.01, 0.03, 0.4),
+            40.0,
+            "agree to 1 cm, but with 4 inliers unrelated ground can agree as well",
+        ),
+    ],
+)
+def test_the_reason_of_a_refusal_names_what_spoke_against_it(
+    agreement: Agreement, area: float, said: str
+) -> None:
+    made = replace(registration(4, 1.0), agreement=agreement, overlap_area=area, scale=0.3)
+    closure = classify(made)
+    assert not closure.accepted
+    assert said in closure.reason
+
+
+def test_ground_that_lets_a_submap_slide_is_refused() -> None:
+    covariance = np.diag([0.01**2, 0.8**2, 0.001**2])
+    closure = classify(replace(registration(20, 9.0), covariance=covariance))
+    assert not closure.accepted
+    assert "its standard deviation is 0.8 m (at most 0.5 m)" in closure.reason
+    firm = replace(registration(20, 9.0), covariance=covariance / 16)
+    assert classify(firm).accepted
+
+
+def test_dissimilarity_above_a_threshold_refuses_and_says_so() -> None:
+    found = replace(registration(9, 5.0), dissimilarity=2e6, mean_dissimilarity=300.0)
+    free = ClosureParams(min_score=0.0)
+    assert classify(found, free).accepted
+    assert classify(
+        found, replace(free, max_dissimilarity=2e6, max_mean_dissimilarity=300)
+    ).accepted
+    whole = classify(found, replace(free, max_dissimilarity=1e6))
+    assert (whole.accepted, whole.reason) == (False, "dissimilarity 2e+06 > 1e+06")
+    mean = classify(found, replace(free, max_mean_dissimilarity=299.0))
+    assert (mean.accepted, mean.reason) == (False, "dissimilarity of a cell 300 > 299")
+    nothing = replace(found, dissimilarity=np.inf, mean_dissimilarity=np.inf)
+    assert not classify(nothing, replace(free, max_dissimilarity=1e20)).accepted

@@ -1,0 +1,328 @@
+"""closures.json holds what the contract promises, and comes back as it went."""
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gpgrad_core.detection import (
+    DetectionResult,
+    PipelineParams,
+)
+from gpgrad_core.gp.likelihood import Hyperparameters
+from gpgrad_core.io.records.closure_writer import (
+    ClosureWriter,
+    write_closure_table,
+    write_closures,
+)
+from gpgrad_core.io.records.closures import (
+    ClosureReport,
+    Decision,
+    count_images,
+    read_closures,
+    report_closures,
+    restore_closures,
+)
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Dataset, ImageVerdict, LoopClosure
+from gpgrad_core.version import VERSION
+from tests.support.refusal import assert_refused
+
+
+@pytest.fixture
+def path(dataset: Dataset, result: DetectionResult, tmp_path: Path) -> Path:
+    """A file of the result."""
+    path = tmp_path / "closures.json"
+    write_closures(path, report_closures(dataset, result, PipelineParams()))
+    return path
+
+
+def there_and_back(
+    dataset: Dataset,
+    result: DetectionResult,
+    closures: Iterable[LoopClosure],
+    tmp_path: Path,
+    **told: Any,
+) -> ClosureReport:
+    """Write these closures and read them, and check that nothing changes on the way."""
+    found = replace(result, closures=tuple(closures))
+    report = report_closures(dataset, found, PipelineParams(), **told)
+    write_closures(tmp_path / "closures.json", report)
+    back = read_closures(tmp_path / "closures.json")
+    assert back == report
+    return back
+
+
+def test_the_file_has_what_the_contract_promises(path: Path) -> None:
+    content = json.loads(path.read_text())
+    assert list(content) == [
+        "dataset",
+        "method",
+        "seed",
+        "params",
+        "versions",
+        "seconds",
+        "submaps",
+        "num_pairs_skipped",
+        "pairs",
+    ]
+    assert content["num_pairs_skipped"] == 0
+    assert content["dataset"] == "crater"
+    assert content["method"] == "gradient"
+    assert content["seed"] == 0
+    assert content["params"]["map"]["length_scale"] == PipelineParams().map.length_scale
+    assert content["params"]["features"]["detector"]["name"] == "slope"
+    assert content["versions"]["gpgrad"] == VERSION
+    assert content["versions"].keys() == {"gpgrad", "numpy", "opencv"}
+    assert content["seconds"] == {"maps": 0.123, "features": 0.0, "pairs": 0.5, "total": 0.62}
+    assert content["submaps"] == [{"id": f"00{i}", "num_points": 10} for i in (0, 2, 4)]
+    assert content["pairs"][1] == {
+        "query": "004",
+        "database": "000",
+        "num_inliers": 9,
+        "score": 44.0,
+        "dissimilarity": 0.123456789,
+        "overlap_area": 20.0,
+        "accepted": True,
+        "reason": "9 inliers >= 8",
+        "T_database_query": {"x": 5.1, "y": 4.9, "yaw": 3.13159265},
+        "z_offset": None,  # nothing was aligned
+        "covariance": None,
+        "z_std": None,
+        "scale": None,
+        "agreement": None,
+    }
+    # Nothing was compared: null, for JSON has no infinity.
+    assert content["pairs"][0]["dissimilarity"] is None
+    assert content["pairs"][0]["T_database_query"] is None
+
+
+def test_pairs_are_written_as_they_come_and_nothing_is_left_of_half_a_file(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    report = report_closures(dataset, result, PipelineParams())
+    write_closures(tmp_path / "whole.json", report)
+    with ClosureWriter(tmp_path / "streamed.json") as writer:
+        for closure in result.closures:
+            writer.add(closure)
+        writer.write(replace(report, pairs=()))
+    assert writer.num_pairs == len(result.closures)
+    files = [tmp_path / "streamed.json", tmp_path / "whole.json"]
+    assert files[0].read_bytes() == files[1].read_bytes()
+    with ClosureWriter(tmp_path / "half.json") as writer:
+        writer.add(result.closures[0])  # and then something fails
+    assert sorted(tmp_path.iterdir()) == files
+    write_closures(tmp_path / "none.json", replace(report, pairs=()))
+    assert read_closures(tmp_path / "none.json").pairs == ()
+
+
+def test_what_is_written_is_read(dataset: Dataset, result: DetectionResult, tmp_path: Path) -> None:
+    back = there_and_back(dataset, result, result.closures, tmp_path)
+    assert back.accepted == (back.pairs[1],)
+    assert back.pairs[0].dissimilarity == math.inf
+    assert back.pairs[1].T_database_query == SE2(5.1, 4.9, 3.13159265)
+
+
+def test_what_was_aligned_keeps_its_height_and_covariance(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    covariance = np.array([[0.01, 0.002, 0.0], [0.002, 0.02, 0.0], [0.0, 0.0, 1e-4]])
+    lost, found = result.closures[:2]
+    registration = replace(found.registration, z_offset=-0.25, covariance=covariance)
+    aligned = replace(found, registration=registration)
+    report = there_and_back(dataset, result, (lost, aligned), tmp_path)
+    lost, back = restore_closures(report)
+    assert lost.registration.T_database_query is None
+    assert not lost.accepted
+    assert back.accepted
+    assert (back.query_id, back.database_id) == (found.query_id, found.database_id)
+    assert back.registration.num_inliers == found.registration.num_inliers
+    assert back.registration.z_offset == -0.25
+    np.testing.assert_allclose(back.registration.covariance, covariance)
+
+
+SKEWED = np.array([[2.0, 0.10727, -0.26], [0.107271, 0.14, -0.0072], [-0.26, -0.0072, 0.04]])
+
+
+@pytest.mark.parametrize(("covariance", "kept"), [(SKEWED, True), (np.zeros((3, 3)), False)])
+def test_a_covariance_is_made_symmetric_and_a_degenerate_one_left_out(
+    covariance: np.ndarray, kept: bool, dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    found = result.closures[1]
+    found = replace(found, registration=replace(found.registration, covariance=covariance))
+    (back,) = restore_closures(there_and_back(dataset, result, [found], tmp_path))
+    matrix = back.registration.covariance
+    assert (matrix is not None) == kept
+    if matrix is not None:
+        np.testing.assert_array_equal(matrix, matrix.T)
+        np.testing.assert_allclose(matrix, covariance, rtol=1e-4)
+
+
+def test_the_same_result_is_the_same_file(
+    path: Path, dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    write_closures(tmp_path / "b.json", report_closures(dataset, result, PipelineParams()))
+    assert path.read_bytes() == (tmp_path / "b.json").read_bytes()
+
+
+def test_a_score_that_is_not_a_number_is_never_written(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    report = report_closures(dataset, result, PipelineParams())
+    broken = replace(report, pairs=(replace(report.pairs[0], score=math.nan),))
+    with pytest.raises(ValueError, match="JSON compliant"):
+        write_closures(tmp_path / "a.json", broken)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "not a JSON file"),
+        ("[]", "not a file of loop closures: must be an object, got a list"),
+        ("{}", "'dataset' is missing"),
+    ],
+)
+def test_a_file_of_something_else_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "a.json").write_text(text)
+    assert_refused(lambda: read_closures(tmp_path / "a.json"), f"{tmp_path / 'a.json'}: ", said)
+
+
+IMAGES = {"verdict": "silent", "reason": "dark", "num_associations": 0, "num_inliers": 0}
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"database": "002"}, "pairs[0]: 'database' must be another submap"),
+        ({"database": "007"}, "names submap '007', which 'submaps' has not"),
+        ({"covariance": [[1, 0], [0, 1]]}, "'covariance' must be three rows of three"),
+        ({"covariance": [1, 2, 3]}, "'covariance' must be three rows of three"),
+        ({"covariance": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "must be positive definite"),
+        ({"covariance": [[1, 5, 0], [0, 1, 0], [0, 0, 1]]}, "must be symmetric"),
+        ({"T_database_query": {"x": 1, "y": 1}}, "pairs[0], T_database_query: 'yaw' is missing"),
+        ({"z_std": -1}, "'z_std' must be a finite number, 0 or more, got -1"),
+        ({"images": IMAGES | {"verdict": "maybe"}}, "'verdict' must be one of confirmed, contrad"),
+        ({"decision": "yes"}, "'decision' must be an object, got 'yes'"),
+        ({"decision": {"accepted": "yes"}}, "'accepted' must be true or false, got 'yes'"),
+        ({"decision": {"accepted": 1}}, "decision: 'accepted' must be true or false, got 1"),
+        ({"decision": {"note": 3}}, "decision: 'note' must be a text, got 3"),
+        ({"decision": {"note": "two\nlines"}}, "'note' must be one line of at most 200 letters"),
+        ({"decision": {"note": 201 * "x"}}, "'note' must be one line of at most 200 letters"),
+        ({"decision": {"accepted": True}}, "accepts the pair, but it has no motion"),
+    ],
+)
+def test_a_pair_that_is_none_is_refused(changed: dict[str, Any], said: str, path: Path) -> None:
+    content = json.loads(path.read_text())
+    content["pairs"][0].update(changed)
+    path.write_text(json.dumps(content))
+    assert_refused(lambda: read_closures(path), f"{path}: not a file of loop closures, pairs", said)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"submaps": [{"id": "000"}]}, "submaps[0]: 'num_points' is missing"),
+        ({"submaps": 2 * [{"id": "000", "num_points": 9}]}, "names a submap twice"),
+        ({"submaps": [{"id": "000", "num_points": 9, "noise_std": "much"}]}, "'noise_std' must be"),
+        ({"seconds": {"total": "long"}}, "'seconds[…]' must be a finite number"),
+        ({"num_pairs_skipped": -1}, "'num_pairs_skipped' must be a whole number, 0 or more"),
+        ({"pairs": [3]}, "'pairs[0]' must be an object, got 3"),
+    ],
+)
+def test_a_report_that_is_none_is_refused(changed: dict[str, Any], said: str, path: Path) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text()) | changed))
+    assert_refused(lambda: read_closures(path), f"{path}: not a file of loop closures", said)
+
+
+def test_a_pair_is_there_once(path: Path) -> None:
+    content = json.loads(path.read_text())
+    content["pairs"].append(content["pairs"][0])
+    path.write_text(json.dumps(content))
+    assert_refused(lambda: read_closures(path), "the pair of '002' and '000' a second time")
+
+
+def test_a_decision_is_kept_and_outweighs_the_verdict(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    lost, found = result.closures[:2]
+    decisions = {
+        (found.query_id, found.database_id): Decision(accepted=False, note="only a dune, twice"),
+        (lost.query_id, lost.database_id): Decision(note="look again"),
+    }
+    back = there_and_back(dataset, result, result.closures, tmp_path, decisions=decisions)
+    assert [pair.decision for pair in back.pairs[:2]] == [*decisions.values()][::-1]
+    assert back.accepted == ()
+    assert back.confirmed == ()
+    restored = restore_closures(back)
+    assert not restored[1].accepted
+    assert restored[1].reason == "refused by hand"
+    assert restored[0].reason == lost.reason  # a note alone leaves the verdict as it is
+
+
+def test_a_pair_is_accepted_by_hand_below_the_threshold(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    found = replace(result.closures[1], accepted=False, reason="score 2 < 3")
+    pair = found.query_id, found.database_id
+    decisions = {pair: Decision(accepted=True)}
+    back = there_and_back(dataset, result, [found], tmp_path, decisions=decisions)
+    assert back.confirmed == (pair,)
+    (closure,) = restore_closures(back)
+    assert closure.accepted
+    assert closure.reason == "accepted by hand"
+
+
+def test_what_images_say_is_kept_and_counted(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    said = ImageVerdict("contradicted", "another place", 12, 3)
+    first, second, third = result.closures
+    closures = (first, replace(second, images=said), third)
+    report = there_and_back(dataset, result, closures, tmp_path)
+    content = json.loads((tmp_path / "closures.json").read_text())
+    assert content["pairs"][1]["images"] == asdict(said)
+    assert "images" not in content["pairs"][0]
+    assert restore_closures(report)[1].images == said
+    assert count_images(pair.images for pair in report.pairs) == (
+        "images: 0 confirmed, 1 contradicted, 0 silent"
+    )
+    assert count_images([None, None]) == ""
+
+
+def test_a_table_has_no_digits_that_nobody_knows_and_no_negative_zero(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    lost, found, _ = result.closures
+    motion = SE2(-0.0, 4.9, 0.0)
+    registration = replace(
+        found.registration, dissimilarity=994881405123.0, T_database_query=motion
+    )
+    closures = (lost, replace(found, registration=registration))
+    report = there_and_back(dataset, result, closures, tmp_path)
+    write_closure_table(tmp_path / "closures.csv", report)
+    _, _, row = (tmp_path / "closures.csv").read_text().splitlines()
+    assert row == "004,000,true,44,9,20,9.94881405e+11,0,4.9,0,9 inliers >= 8"
+    assert "-0.0" not in (tmp_path / "closures.json").read_text()
+
+
+def test_each_submaps_own_numbers_are_kept(
+    dataset: Dataset, result: DetectionResult, tmp_path: Path
+) -> None:
+    own = {"002": Hyperparameters(0.5, 0.25, 0.0125)}
+    compared = [
+        replace(pair, registration=replace(pair.registration, mean_dissimilarity=h))
+        for pair, h in zip(result.closures, (math.inf, 2.5, 5.0), strict=True)
+    ]
+    result = replace(result, hyperparameters=own)
+    report = there_and_back(dataset, result, compared, tmp_path, method="paper")
+    content = json.loads((tmp_path / "closures.json").read_text())
+    assert content["submaps"][0] == {"id": "000", "num_points": 10}
+    assert content["submaps"][1] == {"id": "002", "num_points": 10, **asdict(own["002"])}
+    assert ["mean_dissimilarity" in pair for pair in content["pairs"]] == [False, True, True]
+    assert [pair.mean_dissimilarity for pair in report.pairs] == [None, 2.5, 5.0]

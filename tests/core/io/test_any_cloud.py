@@ -1,0 +1,173 @@
+"""The pipeline over any finite cloud and any permitted parameters: a result or a refusal.
+
+``python -m tests.quality.any_cloud`` runs thousands of the same, with limits of time and memory.
+"""
+
+import contextlib
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from gpgrad_core.detection import (
+    PipelineParams,
+    infer_gradient_map,
+    register_pair,
+    resolve_parameters,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.features import DetectorParams, FeatureParams, check_detector
+from gpgrad_core.gp import accuracy
+from gpgrad_core.gp.inference import fit_gp
+from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.mapping.gradient_map import (
+    MOST_CELLS,
+    MapParams,
+)
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.types import Grid, Submap
+from tests.support.clouds import (
+    KINDS,
+    draw_params,
+    draw_submaps,
+    run_pipeline,
+)
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@pytest.mark.slow
+@settings(max_examples=15)
+@given(kind=st.sampled_from(list(KINDS)), seed=seeds)
+@example("one spot", 4)
+@example("far away", 31)
+@example("one spot", 40)
+def test_every_stage_runs_or_the_cloud_is_refused(kind: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    params = draw_params(rng)
+    with contextlib.suppress(InputError):
+        pair = draw_submaps(kind, rng, 100, with_noise=params.map.noise_model == "file")
+        run_pipeline(*pair, params)
+
+
+def submap(xy: np.ndarray, relief: float = 0.1) -> Submap:
+    heights = relief * np.random.default_rng(0).standard_normal(len(xy))
+    return Submap.from_points(np.column_stack([xy, heights]))
+
+
+def uniform(n: int, width: float, height: float) -> np.ndarray:
+    return np.random.default_rng(0).uniform(0, (width, height), (n, 2))
+
+
+FIXED = MapParams(length_scale=0.3, noise_std=0.05, scale=0.3)
+BLOB = np.random.default_rng(1).standard_normal((60, 2))
+ODD = {
+    "one corner of a length-scale": (uniform(600, 6, 6), MapParams(length_scale=50.0).guessed),
+    "a strip of no height": (uniform(600, 0.01, 0.01), FIXED),
+    "two blobs 141 m apart": (
+        np.vstack([BLOB, BLOB + 100]),
+        MapParams(length_scale=0.3, resolution=0.1).guessed,
+    ),
+    "two blobs 1 km apart": (
+        np.vstack([BLOB, BLOB + np.array([1000.0, 0.0])]),
+        MapParams(length_scale=1.0, resolution=0.3).guessed,
+    ),
+    "a kilometre of road": (uniform(300, 1000, 0.3), FIXED),
+    "five points": (uniform(5, 4, 4), FIXED),
+    "a wall": (uniform(500, 1e-5, 8), FIXED),
+}
+
+
+@pytest.mark.parametrize("name", list(ODD))
+def test_what_once_failed_is_mapped_and_registered(name: str) -> None:
+    xy, of_map = ODD[name]
+    features = FeatureParams(max_std_ratio=1.0)
+    cloud = submap(xy)
+    run_pipeline(cloud, cloud, PipelineParams(map=of_map, features=features))
+
+
+@pytest.mark.parametrize(
+    "xy",
+    [
+        uniform(3, 1, 1),
+        np.repeat(uniform(4, 1, 1), 50, axis=0),
+        uniform(50, 1e-6, 1e-6),
+        uniform(50, 1e5, 1e5),
+        uniform(50, 1, 1) + 1e8,
+        np.vstack([BLOB, BLOB + 1000]),
+    ],
+    ids=["three", "duplicate", "one spot", "wide", "far away", "far apart"],
+)
+@pytest.mark.parametrize(
+    "relief",
+    [*(pytest.param(relief, marks=pytest.mark.slow) for relief in (0.0, 1e4)), 0.1],
+)
+def test_automatic_parameters_bear_any_cloud(xy: np.ndarray, relief: float) -> None:
+    params = resolve_parameters([submap(xy, relief)])
+    assert params.map.scale is not None
+    assert params.registration.inlier_radius is not None
+
+
+@pytest.mark.parametrize("xy", [np.zeros((3, 2)), np.zeros((2, 2)), [[0, 0], [1, 1], [2, 2]]])
+def test_what_spans_no_area_is_refused(xy: np.ndarray) -> None:
+    with pytest.raises(InputError):
+        submap(np.asarray(xy, float))
+
+
+def test_coordinates_that_no_ground_has_are_refused() -> None:
+    points = np.random.default_rng(0).uniform(0, 1e30, (10, 3))
+    with pytest.raises(InputError, match=r"1e\+09 m is the most"):
+        Submap.from_points(points)
+
+
+# --- refusals before the work -----------------------------------------------------------------
+
+
+def test_a_map_of_too_many_cells_names_a_resolution_that_is_enough() -> None:
+    for width, height in ((200.0, 150.0), (9e4, 1.0), (1e6, 200.0)):
+        wide = submap(uniform(50, width, height))
+        with pytest.raises(InputError, match=r"raise the resolution to \S+ m") as caught:
+            infer_gradient_map(wide, MapParams(resolution=0.005))
+        enough = float(str(caught.value).split("raise the resolution to ")[1].split(" m")[0])
+        Grid.covering(wide.points[:, :2], enough, max_cells=MOST_CELLS)
+
+
+def test_a_fit_that_would_take_long_names_what_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    xy = uniform(3000, 4, 4)
+    points = np.column_stack([xy, 0.1 * np.sin(9 * xy[:, 0])])
+
+    def fit(length_scale: float, rows: slice = slice(None)) -> None:
+        fit_gp(points[rows], SquaredExponential(0.1, length_scale), 0.05)
+
+    fit(0.1)
+    monkeypatch.setattr(accuracy, "MOST_SECONDS", 0.095)
+    with pytest.raises(InputError, match=r"3,000 points .* would take about .*at most") as caught:
+        fit(0.1)
+    message = str(caught.value)
+    fit(float(message.split("raise the length-scale to ")[1].split(" m", maxsplit=1)[0]))
+    fewer = message.split("max_points to ")[1].split(" or", maxsplit=1)[0]
+    fit(0.1, slice(int(fewer.replace(",", ""))))
+
+
+def test_a_detector_that_needs_gigabytes_is_refused_and_slope_is_not() -> None:
+    grid = Grid((0.0, 0.0), 0.03, (3334, 3334))
+    with pytest.raises(InputError, match=r"detector kaze would need 5\.9 GB .* use the detector"):
+        check_detector(grid, DetectorParams("kaze"))
+    check_detector(grid, DetectorParams("slope"))
+
+
+def test_a_pair_is_refused_before_the_work_on_its_first_map() -> None:
+    def never(fraction: float) -> None:
+        raise AssertionError(fraction)
+
+    params = PipelineParams(map=FIXED)
+    with pytest.raises(InputError, match="more than the 12,000,000 allowed"):
+        register_pair(submap(BLOB), submap(uniform(50, 200, 200)), params, Memo(), never)
+
+
+@pytest.mark.slow
+def test_a_fit_draws_from_large_clouds() -> None:
+    large = submap(uniform(301_000, 10, 10))
+    few = resolve_parameters([large]).map
+    assert few.noise_std == pytest.approx(0.1, rel=0.05)

@@ -1,0 +1,154 @@
+"""Folders of scans with a pose each, as NumPy and the Canadian planetary terrain's tools write."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.viewer.features.data.folders import (
+    check_inside,
+    list_folder,
+)
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.cpet import read_matrix_pose
+from gpgrad_core.io.folder import (
+    load_dataset,
+    open_dataset,
+    outline_dataset,
+)
+from gpgrad_core.recordings.build import (
+    build_dataset,
+    open_recording,
+)
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.trajectory import Poses
+from gpgrad_core.slam import join_datasets
+from tests.support.drive import (
+    Drive,
+    ground,
+    make_drive,
+)
+from tests.support.refusal import assert_refused
+
+PRINTED = """\
+0.818033 -0.564399 -0.110798 10.253338
+0.571935 0.818601 0.052751 -0.353549
+0.060927 -0.106521 0.992442 0.064736
+0.000000 0.000000 0.000000 1.000000
+"""
+"""A pose of p2at_met, as the tutorial of the Canadian Space Agency prints it."""
+FEW = make_drive(num_scans=4, points_a_scan=300)
+
+
+def write_scans(folder: Path, drive: Drive) -> Path:
+    """Write scans with np.savetxt, each beside the matrix of its pose."""
+    for k, points in enumerate(drive.scans):
+        name = f"p2at_met_{k:03d}"
+        (folder / name).mkdir(parents=True)
+        np.savetxt(folder / name / f"{name}.xyz", points, fmt="%.6f")
+        sensor = drive.sensor[k : k + 1]
+        matrix = np.eye(4)
+        matrix[:3, :3] = sensor.rotation.as_matrix()[0]
+        matrix[:3, 3] = sensor.translation[0]
+        np.savetxt(folder / name / f"{name}.gt", matrix, fmt="%.6f")
+    return folder
+
+
+@pytest.fixture
+def scans(tmp_path: Path) -> Path:
+    return write_scans(tmp_path / "p2at_met", FEW)
+
+
+def test_the_printed_pose(tmp_path: Path) -> None:
+    (tmp_path / "a.gt").write_text(PRINTED)
+    pose = read_matrix_pose(tmp_path / "a.gt")
+    np.testing.assert_allclose(pose.translation, [10.253338, -0.353549, 0.064736])
+    rows = np.array([line.split() for line in PRINTED.splitlines()], float)
+    np.testing.assert_allclose(pose.rotation, rows[:3, :3], atol=2e-6)
+
+
+def test_every_scan_is_a_level_submap(scans: Path) -> None:
+    dataset = load_dataset(scans)
+    assert [submap.id for submap in dataset.submaps] == [f"p2at_met_{k:03d}" for k in range(4)]
+    assert "there is no odometry" in dataset.notes[0]
+    for submap in dataset.submaps:
+        assert submap.pose_odometry is None
+        assert submap.pose_true is not None
+        np.testing.assert_allclose(submap.pose_true.rotation[:, 2], [0, 0, 1], atol=1e-12)
+        world = submap.pose_true.apply(submap.points)
+        np.testing.assert_allclose(world[:, 2], ground(world[:, :2]), atol=1e-4)
+
+
+def test_large_sets_and_several_are_read_in_the_same_way(scans: Path) -> None:
+    whole = load_dataset(scans)
+    _, sources = open_dataset(scans, most_bytes=0)
+    joined = join_datasets([outline_dataset(scans)])
+    for k, submap in enumerate(whole.submaps):
+        again, (other, _) = sources[k].load(), joined.outline.load(k)
+        assert again.fingerprint == submap.fingerprint == other.fingerprint
+        assert again.pose_true == submap.pose_true or again.pose_true is not None
+
+
+def test_a_build_puts_scans_together(scans: Path, tmp_path: Path) -> None:
+    recording = open_recording(scans)
+    assert recording.stamps is None
+    assert_same(recording.body, FEW.sensor)
+    report = build_dataset(scans, tmp_path / "out", BuildParams(max_length=1.0))
+    assert report.num_scans == 4
+    assert any("no odometry" in note for note in report.notes)
+    built = load_dataset(tmp_path / "out")
+    assert len(built.submaps) == 2
+    for submap in built.submaps:
+        assert submap.pose_true is not None
+        world = submap.pose_true.apply(submap.points)
+        off = np.abs(world[:, 2] - ground(world[:, :2]))
+        assert np.median(off) < 0.01
+
+
+def assert_same(found: Poses, driven: Poses) -> None:
+    np.testing.assert_allclose(found.translation, driven.translation, rtol=0, atol=1e-5)
+    assert (found.rotation * driven.rotation.inv()).magnitude().max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("1 0 0 0\n0 1 0 0\n0 0 1 0\n", "has 3 rows"),
+        ("1 0 0\n", "line 1: a pose is four rows of four numbers"),
+        (PRINTED + "0 0 0 1\n", "line 5: a pose is four rows"),
+        (PRINTED.replace("0.818033", "0.9"), "are no rotation"),
+        (PRINTED.replace("0.818033", "x"), "line 1: holds something that is not a number: 'x'"),
+        (PRINTED.replace("0.000000 1.0", "0.100000 1.0"), "last row"),
+        (PRINTED.replace("10.253338", "1e10"), "further from the origin"),
+        ("9" * 20_000, "larger than 10,000 bytes"),
+    ],
+)
+def test_wrong_poses(scans: Path, text: str, said: str) -> None:
+    file = scans / "p2at_met_002" / "p2at_met_002.gt"
+    file.write_text(text)
+    assert_refused(lambda: load_dataset(scans), str(file), said)
+    assert_refused(lambda: open_recording(scans), str(file), said)
+
+
+def test_cut_and_missing_files(scans: Path) -> None:
+    cloud = scans / "p2at_met_001" / "p2at_met_001.xyz"
+    text = cloud.read_text()
+    cloud.write_text(text[: len(text) // 2].rsplit(" ", 1)[0])
+    assert_refused(lambda: load_dataset(scans), str(cloud), "line", "columns")
+    cloud.write_text("1 0 0\n1 0 1\n1 0 2\n")
+    assert_refused(lambda: load_dataset(scans), str(cloud), "points")
+    (scans / "p2at_met_001" / "p2at_met_001.gt").unlink()
+    assert_refused(lambda: load_dataset(scans), "p2at_met_001.xyz but no pose p2at_met_001.gt")
+
+
+def test_a_page_may_open_them_and_no_links_to_elsewhere(scans: Path) -> None:
+    root = scans.parent
+    assert list_folder(root, Path("p2at_met")).is_dataset
+    assert check_inside(root, Path("p2at_met")) == scans.resolve()
+    outside = root.parent / f"{root.name}-outside.xyz"
+    outside.write_text("0 0 0\n")
+    cloud = scans / "p2at_met_001" / "p2at_met_001.xyz"
+    cloud.unlink()
+    cloud.symlink_to(outside)
+    with pytest.raises(InputError, match="outside"):
+        check_inside(root, Path("p2at_met"))

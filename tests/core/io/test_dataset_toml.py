@@ -1,0 +1,90 @@
+"""dataset.toml: what is written comes back, and wrong types are refused."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gpgrad_core.io.dataset_toml import (
+    read_dataset_toml,
+    write_dataset_toml,
+)
+from gpgrad_core.types import Dataset
+from tests.support.refusal import assert_refused
+
+IDS = frozenset({"000", "001"})
+TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    texts=st.tuples(TEXT, TEXT),
+    noise=st.dictionaries(st.sampled_from(["constant", "quadratic"]), st.floats(0, 10)),
+    length_scale=st.floats(0.01, 100),
+    points=st.integers(1, 10**9) | st.booleans() | TEXT,
+    origin=st.none() | st.tuples(st.floats(-90, 90), st.floats(-360, 360), st.floats(-1e5, 1e5)),
+)
+def test_everything_comes_back(
+    texts: tuple[str, str],
+    noise: dict[str, float],
+    length_scale: float,
+    points: object,
+    origin: tuple[float, float, float] | None,
+    tmp_path: Path,
+) -> None:
+    preferred: dict[str, object] = {
+        "query": "001",
+        "map": {"length_scale": length_scale, "max_points": points},
+        "closure": {},
+    }
+    info = Dataset(
+        texts[0],
+        (),
+        description=texts[1],
+        licence="MIT",
+        sensor_noise=noise,
+        preferred=preferred,
+        origin=origin,
+    )
+    write_dataset_toml(tmp_path / "dataset.toml", info)
+    back = read_dataset_toml(tmp_path / "dataset.toml", IDS)
+    assert vars(back) == vars(info)
+
+
+def test_unknown_keys_are_ignored_aloud(tmp_path: Path) -> None:
+    (tmp_path / "dataset.toml").write_text('name = "a"\ncolour = "red"\n[robot]\nwheels = 6\n')
+    assert read_dataset_toml(tmp_path / "dataset.toml", IDS).notes == (
+        "dataset.toml: the unknown key 'colour' was ignored",
+        "dataset.toml: the unknown key 'robot' was ignored",
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        ("name = 3", "'name' must be a text, got 3"),
+        ("licence = ['MIT']", "'licence' must be a text, got a list"),
+        ("name = unquoted", "is not TOML: "),
+        ("origin = 3", "'origin' must be [latitude, longitude, height]"),
+        ("origin = [1, 2]", "'origin' must be [latitude, longitude, height]"),
+        ("origin = [91, 2, 3]", "'origin' must be [latitude, longitude, height]"),
+        ("origin = [1, 2, nan]", "'origin' must be [latitude, longitude, height]"),
+        ("origin = [1, true, 3]", "'origin' must be [latitude, longitude, height]"),
+        ("sensor_noise = 0.1", "'sensor_noise' must be a table, got 0.1"),
+        ("[sensor_noise]\nlinear = 1", "sensor_noise: has the unknown key 'linear'"),
+        ("[sensor_noise]\nconstant = 'much'", "sensor_noise: 'constant' must be a finite number"),
+        ("[sensor_noise]\nconstant = true", "sensor_noise: 'constant' must be a finite number"),
+        ("[sensor_noise]\nconstant = nan", "sensor_noise: 'constant' must be a finite number"),
+        ("[sensor_noise]\nconstant = -1", "0 or more, got -1"),
+        ("preferred = 1", "'preferred' must be a table, got 1"),
+        ("[preferred]\nquery = 1", "preferred.query must be a submap's id in quotes, got 1"),
+        ("[preferred]\ndatabase = '009'", "preferred.database names submap '009'"),
+        ("[preferred]\nquery = '000'\ndatabase = '000'", "two different submaps, got '000' twice"),
+        ("[preferred]\nlength_scale = 0.3", "preferred.length_scale must be a table"),
+    ],
+)
+def test_wrong_types_are_refused(text: str, rule: str, tmp_path: Path) -> None:
+    path = tmp_path / "dataset.toml"
+    path.write_text(text)
+    assert_refused(lambda: read_dataset_toml(path, IDS), str(path), rule)

@@ -1,0 +1,371 @@
+"""Dataset folders: what belongs together is found, what contradicts itself is refused."""
+
+import gc
+import random
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds import load_cloud
+from gpgrad_core.io.folder import (
+    SubmapFile,
+    index_of,
+    load_dataset,
+    open_dataset,
+    write_dataset,
+)
+from gpgrad_core.mapping.gradient_map import (
+    TerrainParams,
+    point_noise,
+)
+from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset, Submap
+from tests.core.io.test_formats import (
+    COLORS,
+    NOISE,
+    POINTS,
+    RANGES,
+)
+from tests.support.refusal import assert_refused
+
+REAL_COUNTS = {"marsyard2021": 29, "sthelens": 24, "apollo15": 25}
+
+
+def cloud(seed: int = 0) -> np.ndarray:
+    rows = np.random.default_rng(seed).uniform(-5, 5, (30, 3))
+    return rows.astype(np.float32).astype(np.float64)
+
+
+def pose(seed: int) -> Pose:
+    yaw = float(seed)
+    quaternion = np.array([0, 0, np.sin(yaw / 2), np.cos(yaw / 2)])
+    return Pose(np.array([seed, 2.0, 3.0]), quaternion)
+
+
+def dataset(count: int = 3) -> Dataset:
+    return Dataset(
+        name="a crater",
+        submaps=tuple(
+            Submap.from_points(cloud(k), f"{k:03d}", pose_true=pose(k), pose_odometry=pose(k + 10))
+            for k in range(count)
+        ),
+        description="three times\nthe same crater",
+        licence="CC0",
+        preferred={"query": "002", "database": "000", "map": {"length_scale": 0.2}},
+        sensor_noise={"constant": 0.01, "quadratic": 0.002},
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_dataset(dataset(), tmp_path / "set")
+    return tmp_path / "set"
+
+
+def test_what_is_written_comes_back(folder: Path) -> None:
+    written, back = dataset(), load_dataset(folder)
+    for name in ("name", "description", "licence", "preferred", "sensor_noise", "notes"):
+        assert getattr(back, name) == getattr(written, name)
+    for a, b in zip(written.submaps, back.submaps, strict=True):
+        assert (a.id, a.fingerprint) == (b.id, b.fingerprint)
+        for before, after in ((a.pose_true, b.pose_true), (a.pose_odometry, b.pose_odometry)):
+            assert before is not None
+            assert after is not None
+            np.testing.assert_allclose(after.translation, before.translation, atol=1e-6)
+            np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-8)
+
+
+def test_clouds_that_wait_in_a_file_are_used_like_any_others(folder: Path) -> None:
+    whole, some = load_dataset(folder), load_dataset(folder, most_bytes=1000)
+    assert some.notes == whole.notes
+    for one, other in zip(some.submaps, whole.submaps, strict=True):
+        np.testing.assert_array_equal(one.points, other.points)
+        assert (one.id, one.fingerprint) == (other.id, other.fingerprint)
+        assert not one.points.flags.writeable
+
+
+def test_a_cancelled_loading_leaves_no_file_open(folder: Path) -> None:
+    def cancel(_fraction: float) -> None:
+        raise Cancelled
+
+    # A file that is left to the garbage collector is a warning, and so a failure.
+    with pytest.raises(Cancelled):
+        load_dataset(folder, cancel, most_bytes=0)
+    gc.collect()
+
+
+def test_a_folder_without_room_for_them_is_named(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nowhere = tmp_path / "nowhere"
+    monkeypatch.setattr(tempfile, "tempdir", str(nowhere))
+    with pytest.raises(InputError, match=f"{nowhere}: the points cannot wait there"):
+        load_dataset(folder, most_bytes=0)
+
+
+def test_progress_is_told_once_a_cloud(folder: Path, tmp_path: Path) -> None:
+    heard: list[float] = []
+    load_dataset(folder, heard.append)
+    assert heard == pytest.approx([1 / 3, 2 / 3, 1.0])
+    heard.clear()
+    write_dataset(dataset(), tmp_path / "copy", heard.append)
+    assert heard == pytest.approx([1 / 3, 2 / 3, 1.0])
+
+
+def test_a_single_cloud_and_a_bare_folder_are_datasets(folder: Path) -> None:
+    single = load_dataset(folder / "submaps" / "001.ply")
+    assert [submap.id for submap in single.submaps] == ["001"]
+    assert single.name == "001"
+    bare = load_dataset(str(folder / "submaps"))
+    assert [submap.id for submap in bare.submaps] == ["000", "001", "002"]
+    assert bare.name == "submaps"
+    assert all(submap.pose_true is None for submap in bare.submaps)
+
+
+def test_gaps_missing_poses_and_strangers_are_fine(folder: Path) -> None:
+    (folder / "submaps" / "001.ply").unlink()
+    (folder / "poses_gt.txt").write_text("2 0 0 0 0 0 0 1\n")
+    (folder / "poses_odom.txt").unlink()
+    (folder / "submaps" / "thumbnail.jpg").touch()
+    (folder / "submaps" / "old").mkdir()
+    (folder / "submaps" / ".DS_Store").touch()
+    (folder / "images" / "000").mkdir(parents=True)
+    (folder / "pairs_iou.csv").write_text("i,j\n0,2\n")
+    loaded = load_dataset(folder)
+    assert [submap.id for submap in loaded.submaps] == ["000", "002"]
+    assert [submap.pose_true is None for submap in loaded.submaps] == [True, False]
+    assert all(submap.pose_odometry is None for submap in loaded.submaps)
+    assert loaded.notes == (
+        "submaps/old: is not a cloud and was ignored",
+        "submaps/thumbnail.jpg: is not a cloud and was ignored",
+    )
+
+
+def test_poses_txt_stands_in_for_odometry(folder: Path) -> None:
+    (folder / "poses.txt").write_text("0 7 7 7 0 0 0 1\n")
+    both = load_dataset(folder)
+    assert both.notes == ("poses.txt: was ignored, because there is also poses_odom.txt",)
+    (folder / "poses_odom.txt").unlink()
+    odometry = load_dataset(folder).submaps[0].pose_odometry
+    assert odometry is not None
+    np.testing.assert_array_equal(odometry.translation, [7, 7, 7])
+
+
+def test_dropped_rows_are_told(folder: Path) -> None:
+    points = np.vstack([cloud(9), np.full((2, 3), np.nan)])
+    np.save(folder / "submaps" / "003.npy", points)
+    loaded = load_dataset(folder)
+    assert loaded.submaps[3].num_dropped == 2
+    assert loaded.notes == ("003.npy: 2 of 32 rows are not finite and were dropped",)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=20)
+@given(
+    numbers=st.lists(st.integers(0, 10**6), min_size=1, max_size=8, unique=True),
+    seed=st.integers(0, 1000),
+)
+def test_order_is_by_number_whatever_the_order_of_files(
+    numbers: list[int], seed: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("bare")
+    names = {number: f"run2_map-{number}.npy" for number in numbers}
+    for number in random.Random(seed).sample(numbers, len(numbers)):
+        np.save(folder / names[number], cloud(number))
+    loaded = load_dataset(folder)
+    assert [index_of(submap.id) for submap in loaded.submaps] == sorted(numbers)
+
+
+def test_names_without_numbers_come_last(tmp_path: Path) -> None:
+    for name in ("dune", "12", "crater", "3"):
+        np.save(tmp_path / f"{name}.npy", cloud())
+    ids = [submap.id for submap in load_dataset(tmp_path).submaps]
+    assert ids == ["3", "12", "crater", "dune"]
+
+
+def test_two_clouds_with_one_number_are_refused(folder: Path) -> None:
+    np.save(folder / "submaps" / "1.npy", cloud())
+    assert_refused(
+        lambda: load_dataset(folder), "001.ply and 1.npy both have the number 1", "rename"
+    )
+
+
+def test_two_clouds_with_one_name_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "dune.npy", cloud())
+    np.savez(tmp_path / "dune.npz", points=cloud())
+    assert_refused(lambda: load_dataset(tmp_path), "both have the name dune")
+
+
+def test_one_broken_cloud_names_itself(folder: Path) -> None:
+    path = folder / "submaps" / "001.ply"
+    path.write_bytes(path.read_bytes()[:-100])
+    assert_refused(lambda: load_dataset(folder), f"{path}: is cut short", "promises 30 points")
+
+
+def test_a_pose_of_no_submap_is_refused(folder: Path) -> None:
+    with (folder / "poses_odom.txt").open("a") as file:
+        file.write("9 0 0 0 0 0 0 1\n")
+    assert_refused(
+        lambda: load_dataset(folder), f"{folder / 'poses_odom.txt'}, line 5: names submap 9"
+    )
+
+
+def test_a_preferred_submap_that_is_not_there_is_refused(folder: Path) -> None:
+    (folder / "submaps" / "002.ply").unlink()
+    for name in ("poses_gt.txt", "poses_odom.txt"):
+        (folder / name).unlink()
+    assert_refused(lambda: load_dataset(folder), "dataset.toml: preferred.query names submap '002'")
+
+
+def test_places_that_hold_nothing(tmp_path: Path, folder: Path) -> None:
+    assert_refused(lambda: load_dataset(tmp_path / "none"), "none: no such file or folder")
+    (tmp_path / "empty").mkdir()
+    assert_refused(lambda: load_dataset(tmp_path / "empty"), "empty: holds no clouds (.bin .csv")
+    assert_refused(lambda: load_dataset(tmp_path), "it holds the datasets set; give one of them")
+    for path in (folder / "submaps").iterdir():
+        path.unlink()
+    assert_refused(lambda: load_dataset(folder), "submaps: holds no clouds")
+
+
+def test_a_full_target_is_refused_and_left_alone(tmp_path: Path) -> None:
+    target = tmp_path / "set"
+    target.mkdir()
+    (target / "diary.txt").write_text("mine")
+    assert_refused(lambda: write_dataset(dataset(), target), f"{target}: is not empty")
+    assert [path.name for path in tmp_path.rglob("*")] == ["set", "diary.txt"]
+    assert_refused(lambda: write_dataset(dataset(), target / "diary.txt"), "is a file")
+    assert_refused(
+        lambda: write_dataset(dataset(), target / "diary.txt" / "set"), "cannot be written"
+    )
+
+
+def test_an_empty_or_new_target_is_filled(tmp_path: Path) -> None:
+    (tmp_path / "set").mkdir()
+    write_dataset(dataset(), tmp_path / "set")
+    write_dataset(dataset(), str(tmp_path / "deep" / "down" / "set"))
+    for path in (tmp_path / "set", tmp_path / "deep" / "down" / "set"):
+        assert len(load_dataset(path).submaps) == 3
+
+
+def test_a_stopped_write_leaves_nothing(tmp_path: Path) -> None:
+    def stop(fraction: float) -> None:
+        if fraction > 0.5:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        write_dataset(dataset(), tmp_path / "set", stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("ids", "rule"),
+    [
+        (["a/000", "001"], "'a/000' cannot be a file name"),
+        (["../000", "001"], "cannot be a file name"),
+        (["1", "001"], "'1' and '001' both have the number 1"),
+    ],
+)
+def test_ids_that_cannot_be_files_are_refused(ids: list[str], rule: str, tmp_path: Path) -> None:
+    submaps = tuple(Submap.from_points(cloud(k), name) for k, name in enumerate(ids))
+    assert_refused(lambda: write_dataset(Dataset("bad", submaps), tmp_path / "set"), rule)
+
+
+def test_a_pose_without_a_number_is_refused(tmp_path: Path) -> None:
+    submap = Submap.from_points(cloud(), "dune", pose_true=pose(1))
+    assert_refused(
+        lambda: write_dataset(Dataset("bad", (submap,)), tmp_path / "set"), "'dune' has a pose"
+    )
+
+
+def test_far_away_points_are_written_in_double(tmp_path: Path) -> None:
+    points = cloud() + np.array([5e5, 4e6, 0.0]) + 1e-4
+    write_dataset(Dataset("far", (Submap.from_points(points, "0"),)), tmp_path / "set")
+    np.testing.assert_array_equal(load_dataset(tmp_path / "set").submaps[0].points, points)
+
+
+@pytest.mark.parametrize("name", REAL_COUNTS)
+def test_the_real_sets_load(name: str, real_data: Path) -> None:
+    loaded = load_dataset(real_data / name)
+    assert len(loaded.submaps) == REAL_COUNTS[name]
+    assert loaded.notes == ()
+    for submap in loaded.submaps:
+        assert 3 < len(submap.points) <= 30_000
+        assert submap.pose_true is not None
+        assert submap.pose_odometry is not None
+
+
+@pytest.mark.parametrize("most_bytes", [0, 1000, 10**9])
+def test_a_dataset_is_opened_without_all_its_points(folder: Path, most_bytes: int) -> None:
+    whole, checked = load_dataset(folder), list[str]()
+    opened, sources = open_dataset(
+        folder, check=lambda submap: checked.append(submap.id), most_bytes=most_bytes
+    )
+    assert checked == [source.id for source in sources] == [one.id for one in whole.submaps]
+    assert opened.notes == whole.notes
+    held = sum(not isinstance(source, SubmapFile) for source in sources)
+    assert held == {0: 0, 1000: 1, 10**9: 3}[most_bytes]
+    for source, outlined, submap in zip(sources, opened.submaps, whole.submaps, strict=True):
+        loaded = source.load()
+        assert len(outlined.points) == 0
+        assert source.num_points == loaded.num_points == 30
+        assert source.fingerprint == loaded.fingerprint == submap.fingerprint
+        assert loaded.pose_true is not None
+        assert submap.pose_true is not None
+        assert np.array_equal(loaded.pose_true.translation, submap.pose_true.translation)
+        assert np.array_equal(loaded.points, submap.points)
+
+
+def test_a_cloud_that_changes_during_a_run_is_refused(folder: Path) -> None:
+    _, sources = open_dataset(folder, most_bytes=0)
+    other = replace(dataset(1).submaps[0], points=cloud(9))
+    write_dataset(Dataset("other", (other,)), folder.parent / "other")
+    (folder.parent / "other" / "submaps" / "000.ply").replace(folder / "submaps" / "000.ply")
+    with pytest.raises(InputError, match=r"000\.ply: has changed since the run began"):
+        sources[0].load()
+
+
+def test_a_broken_cloud_is_found_when_a_dataset_is_opened(folder: Path) -> None:
+    (folder / "submaps" / "002.ply").write_bytes(b"ply\n")
+    with pytest.raises(InputError, match=r"002\.ply"):
+        open_dataset(folder, most_bytes=0)
+
+
+def test_a_dataset_keeps_them(tmp_path: Path) -> None:
+    submap = Submap.from_points(POINTS, "000", noise_std=NOISE, ranges=RANGES)
+    write_dataset(Dataset("a", (submap,)), tmp_path / "a")
+    (loaded,) = load_dataset(tmp_path / "a").submaps
+    np.testing.assert_allclose(loaded.noise_std, NOISE, rtol=1e-6)
+    np.testing.assert_allclose(loaded.ranges, RANGES, rtol=1e-6)
+    assert load_cloud(tmp_path / "a" / "submaps" / "000.ply").fingerprint == loaded.fingerprint
+    grown = TerrainParams(noise_model="range", noise_std=0.02, noise_growth=0.01)
+    np.testing.assert_allclose(point_noise(submap, grown).std, 0.02 + 0.01 * RANGES**2)
+
+
+def test_colors_are_dropped_with_their_points_and_are_part_of_the_fingerprint() -> None:
+    points = POINTS.copy()
+    points[7, 2] = np.nan
+    submap = Submap.from_points(points, colors=COLORS)
+    assert submap.colors is not None
+    np.testing.assert_array_equal(submap.colors, np.delete(COLORS, 7, axis=0))
+    assert submap.fingerprint != Submap.from_points(points).fingerprint
+    assert submap.fingerprint != Submap.from_points(points, colors=COLORS[::-1]).fingerprint
+
+
+def test_images_belong_to_the_submap_of_their_folders_number(tmp_path: Path) -> None:
+    submaps = tuple(Submap.from_points(POINTS + k, f"{k:03d}", colors=COLORS) for k in range(2))
+    write_dataset(Dataset("seen", submaps), tmp_path / "seen")
+    for name in ("001/b.png", "001/a.jpg", "001/notes.txt", "005/a.png"):
+        file = tmp_path / "seen" / "images" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(b"")
+    first, second = load_dataset(tmp_path / "seen").submaps
+    assert first.images == ()
+    assert [file.name for file in second.images] == ["a.jpg", "b.png"]
+    assert second.colors is not None
+    np.testing.assert_allclose(second.colors, COLORS, atol=1e-9)

@@ -1,0 +1,73 @@
+"""Pose files: what is written comes back, and every bad row is named by its line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gpgrad_core.io.poses import (
+    read_poses,
+    write_poses,
+)
+from gpgrad_core.se2 import Pose
+from tests.support.refusal import assert_refused
+
+KNOWN = {0: "000", 1: "001", 7: "007"}
+GOOD = "0 1 2 3 0 0 0 1"
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    translation=st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3),
+    quaternion=st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
+        lambda q: np.linalg.norm(q) > 0.1
+    ),
+)
+def test_poses_come_back_and_turn_rigidly(
+    translation: list[float], quaternion: list[float], tmp_path: Path
+) -> None:
+    pose = Pose(np.array(translation), np.array(quaternion) / np.linalg.norm(quaternion))
+    write_poses(tmp_path / "poses.txt", {7: pose})
+    back = read_poses(tmp_path / "poses.txt", KNOWN)[7]
+    np.testing.assert_allclose(back.translation, pose.translation, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(back.rotation, pose.rotation, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(back.rotation @ back.rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(back.rotation) == pytest.approx(1.0)
+
+
+def test_gaps_comments_and_whole_floats_are_fine(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text(f"# a comment\n\n{GOOD}  # the first\n7.0 0 0 0 0 0 1 0\n")
+    poses = read_poses(path, KNOWN)
+    assert sorted(poses) == [0, 7]
+    np.testing.assert_array_equal(poses[0].translation, [1, 2, 3])
+
+
+def test_a_slightly_long_quaternion_is_brought_to_length(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text("0 0 0 0 0 0 0.6004 0.8003\n")
+    assert np.linalg.norm(read_poses(path, KNOWN)[0].quaternion) == pytest.approx(1.0, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("row", "rule"),
+    [
+        ("5 1 2 3 0 0 0 1", "names submap 5, which the dataset does not have"),
+        ("-1 1 2 3 0 0 0 1", "names submap -1, which"),
+        (GOOD, "names submap 0 a second time, after line 2"),
+        ("1 1 2 3 0 0 0", "has 7 columns, but a pose needs 8"),
+        ("1 1 2 3 0 0 0 1 9", "has 9 columns"),
+        ("1 1 2 up 0 0 0 1", "not a number"),
+        ("1 1 2 nan 0 0 0 1", "not finite"),
+        ("1.5 1 2 3 0 0 0 1", "index must be a whole number, got 1.5"),
+        ("1 1 2 3 0 0 0 0", "length 1, this one has 0"),
+        ("1 1 2 3 1 1 1 1", "length 1, this one has 2"),
+        ("001.ply 1 2 3 0 0 0 1", "not a number"),
+    ],
+)
+def test_bad_rows_are_named_by_line(row: str, rule: str, tmp_path: Path) -> None:
+    path = tmp_path / "poses_gt.txt"
+    path.write_text(f"# index tx ty tz qx qy qz qw\n{GOOD}\n{row}\n")
+    assert_refused(lambda: read_poses(path, KNOWN), f"{path}, line 3: ", rule)

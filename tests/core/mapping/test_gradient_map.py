@@ -1,0 +1,264 @@
+"""Submap to gradient map: the grid, the laws of the fields, what the parameters do."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from gpgrad_core.arrays import Array
+from gpgrad_core.detection import infer_gradient_map
+from gpgrad_core.errors import InputError
+from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.lattice import fit_lattice
+from gpgrad_core.mapping.gradient_map import (
+    MapParams,
+    NoiseModel,
+    TerrainParams,
+    fit_terrain,
+    point_noise,
+    sample_map,
+)
+from gpgrad_core.types import GradientMap, Submap
+from tests.support.ground import (
+    Ground,
+    cloud,
+    submap,
+)
+
+seeds = st.integers(0, 2**32 - 1)
+FIELDS = ("elevation", "variance", "slope")
+PARAMS = MapParams(length_scale=0.3, noise_std=0.05, resolution=0.1)
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def assert_same_map(a: GradientMap, b: GradientMap) -> None:
+    assert a.grid == b.grid
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def test_it_finds_the_ground_again() -> None:
+    ground = Ground.random(3, shortest=2.0)
+    made = infer_gradient_map(
+        Submap.from_points(cloud_on(ground, 3)), MapParams(length_scale=0.5, noise_std=0.03)
+    )
+    inner = (slice(20, -20), slice(20, -20))
+    positions = made.grid.positions
+    truth = ground.height(positions).reshape(made.grid.shape)
+    assert rms((made.elevation - truth)[inner]) < 0.01
+    step = 1e-4
+    for axis, shift in enumerate(step * np.eye(2)):
+        slope = (ground.height(positions + shift) - ground.height(positions - shift)) / (2 * step)
+        error = made.slope[..., axis] - slope.reshape(made.grid.shape)
+        assert rms(error[inner]) < 0.25 * rms(slope)
+
+
+def cloud_on(ground: Ground, seed: int) -> Array:
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, 4, (3000, 2))
+    return np.column_stack([xy, ground.height(xy) + 0.03 * rng.standard_normal(len(xy))])
+
+
+def test_its_standard_deviation_is_honest() -> None:
+    """Of ground drawn from the GP itself, two thirds lie within one standard deviation."""
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(0, 3, (900, 2))
+    kernel_root = np.linalg.cholesky(
+        0.2**2 * np.exp(-np.sum((xy[:, None] - xy) ** 2, axis=-1) / (2 * 0.3**2))
+        + 1e-9 * np.eye(len(xy))
+    )
+    truth = kernel_root @ rng.standard_normal(len(xy))
+    seen = np.column_stack([xy, truth + 0.05 * rng.standard_normal(len(xy))])
+    params = MapParams(length_scale=0.3, noise_std=0.05, signal_std=0.2, resolution=0.02)
+    made = infer_gradient_map(Submap.from_points(seen), params)
+    column, row = np.rint(made.grid.to_pixel(xy)).astype(int).T
+    error = (made.elevation[row, column] - truth) / made.std[row, column]
+    assert 0.9 < rms(error) < 1.1
+
+
+@settings(max_examples=8)
+@given(seed=seeds)
+def test_turned_ground_has_turned_slopes(seed: int) -> None:
+    points = cloud(seed, 500, (3.0, 2.0))
+    # Corners on whole cells, so that both grids have their centres at the same places.
+    points[:4, :2] = [[0, 0], [3, 0], [0, 2], [3, 2]]
+    turned = points @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    submaps = [Submap.from_points(p) for p in (points, turned)]
+    # Cells that outliers are found in do not turn with the ground.
+    assume(not any(point_noise(one, PARAMS.terrain).outlying.any() for one in submaps))
+    upright, turned_map = (infer_gradient_map(one, PARAMS) for one in submaps)
+    rows, columns = upright.grid.shape
+
+    def turn(field: Array) -> Array:
+        return np.rot90(field, -1)  # rows go up: what is anticlockwise here, NumPy calls clockwise
+
+    assert turned_map.grid.shape == (columns, rows)
+    assert rms(turned_map.elevation - turn(upright.elevation)) <= 0.01 * PARAMS.terrain.noise_std
+    np.testing.assert_allclose(turned_map.std, turn(upright.std), rtol=0.04)
+    expected = np.stack([-turn(upright.slope[..., 1]), turn(upright.slope[..., 0])], axis=-1)
+    assert rms(turned_map.slope - expected) <= 0.01 * rms(expected)
+    assert rms(turned_map.gradient - turn(upright.gradient)) <= 0.01 * rms(expected)
+
+
+@settings(max_examples=5)
+@given(seed=seeds)
+def test_the_same_gives_the_same_and_order_does_not_matter(seed: int) -> None:
+    points = cloud(seed, 400, (2.0, 2.0))
+    first, again, shuffled = (
+        infer_gradient_map(Submap.from_points(p), PARAMS)
+        for p in (points, points, np.random.default_rng(seed).permutation(points))
+    )
+    assert_same_map(first, again)
+    # What the solver leaves of the heights, 1 % of their noise, is itself rounded differently.
+    assert PARAMS.terrain.noise_std is not None
+    rounding = 1e-3 * PARAMS.terrain.noise_std
+    np.testing.assert_allclose(shuffled.elevation, first.elevation, atol=rounding)
+    np.testing.assert_allclose(shuffled.variance, first.variance, rtol=1e-5)
+    np.testing.assert_allclose(shuffled.slope, first.slope, atol=10 * rounding)
+
+
+def test_a_new_resolution_needs_no_new_fit() -> None:
+    ground = submap(4)
+    posterior = fit_terrain(ground, PARAMS.terrain)
+    assert PARAMS.terrain == dataclasses.replace(PARAMS, resolution=0.5).terrain
+    for resolution in (0.05, 0.1):
+        whole = infer_gradient_map(ground, dataclasses.replace(PARAMS, resolution=resolution))
+        assert_same_map(sample_map(ground, posterior, resolution), whole)
+    coarse, fine = (sample_map(ground, posterior, r) for r in (0.1, 0.05))
+    rows, columns = coarse.grid.shape
+    np.testing.assert_allclose(
+        coarse.elevation[: rows - 1, : columns - 1],
+        fine.elevation[::2, ::2][: rows - 1, : columns - 1],
+        atol=1e-10,
+    )
+
+
+def test_the_map_covers_the_points_box() -> None:
+    ground = submap(4)
+    grid = infer_gradient_map(ground, PARAMS).grid
+    low, high = ground.points[:, :2].min(axis=0), ground.points[:, :2].max(axis=0)
+    assert grid.origin == tuple(low)
+    assert (high - [grid.x[-1], grid.y[-1]] <= 1e-9).all()
+
+
+def test_signal_std_is_that_of_the_points_unless_given() -> None:
+    ground = submap(4)
+    assert infer_gradient_map(ground, PARAMS).signal_std == ground.points[:, 2].std()
+    made = infer_gradient_map(ground, dataclasses.replace(PARAMS, signal_std=0.7))
+    assert made.signal_std == 0.7
+    assert made.length_scale == PARAMS.terrain.length_scale
+    assert made.std.max() <= 0.7
+
+
+def test_thinning_keeps_so_many_points_and_the_same_ones() -> None:
+    ground = submap(4, 2000)
+    thin = dataclasses.replace(PARAMS, max_points=200)
+    assert_same_map(infer_gradient_map(ground, thin), infer_gradient_map(ground, thin))
+    full = infer_gradient_map(ground, PARAMS)
+    assert infer_gradient_map(ground, thin).variance.mean() > 1.5 * full.variance.mean()
+    assert_same_map(infer_gradient_map(ground, dataclasses.replace(PARAMS, max_points=2000)), full)
+
+
+def test_more_noise_trusts_points_less() -> None:
+    ground = submap(4)
+    calm, wild = (
+        infer_gradient_map(ground, dataclasses.replace(PARAMS, noise_std=noise))
+        for noise in (0.02, 0.2)
+    )
+    assert (wild.std >= calm.std).all()
+    assert rms(wild.gradient) < rms(calm.gradient)
+
+
+def test_dense_clouds_are_binned_and_hardly_change() -> None:
+    points = cloud(11, 12_000, (2.0, 2.0), noise=0.03)
+    made = infer_gradient_map(
+        Submap.from_points(points), MapParams(length_scale=0.5, noise_std=0.05, resolution=0.05)
+    )
+    kernel = SquaredExponential(made.signal_std, made.length_scale)
+    elevation, variance, slope = fit_lattice(points, kernel, 0.05).sample(made.grid)
+    assert rms(made.elevation - elevation) <= 0.02 * 0.05
+    assert rms(made.slope - slope) <= 0.02 * rms(slope)
+    assert np.abs(made.std / np.sqrt(variance) - 1).max() <= 0.04
+
+
+@pytest.mark.parametrize("height", [0.0, -12.5])
+def test_perfectly_flat_ground_is_flat(height: float) -> None:
+    points = cloud(5, 200, (2.0, 2.0))
+    points[:, 2] = height
+    made = infer_gradient_map(Submap.from_points(points), PARAMS)
+    np.testing.assert_allclose(made.elevation, height, atol=1e-12)
+    np.testing.assert_allclose(made.gradient, 0.0, atol=1e-12)
+
+
+def test_three_points_are_enough() -> None:
+    points = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.1], [0.0, 1.0, 0.8]])
+    made = infer_gradient_map(Submap.from_points(points), PARAMS)
+    assert np.isfinite(made.elevation).all()
+    assert made.elevation[0, 0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_cloud_far_smaller_than_a_length_scale_is_mapped() -> None:
+    points = cloud(5, 100, (0.1, 0.1))
+    made = infer_gradient_map(
+        Submap.from_points(points), MapParams(length_scale=10.0, noise_std=0.05, resolution=0.01)
+    )
+    assert np.abs(made.elevation - points[:, 2].mean()).max() < 0.1
+
+
+def test_a_wide_cloud_is_refused_before_any_work() -> None:
+    points = cloud(0, 100, (10_000.0, 10_000.0))
+
+    def never(fraction: float) -> None:
+        raise AssertionError(fraction)
+
+    with pytest.raises(InputError, match=r"submap moon spans .* cells at 0\.03 m"):
+        infer_gradient_map(Submap.from_points(points, "moon"), progress=never)
+
+
+# --- noise of points -----------------------------------------------------------------------
+
+
+def test_each_noise_model_gives_each_point_its_noise() -> None:
+    points = cloud(3, 3000, (4.0, 4.0), noise=0.03)
+    given_std = np.linspace(0.01, 0.1, 3000)
+    submap = Submap.from_points(points, noise_std=given_std)
+
+    def noise(**changes: Any) -> np.ndarray:
+        return point_noise(submap, TerrainParams(**changes)).std
+
+    np.testing.assert_array_equal(noise(noise_std=0.07), 0.07)
+    squared = np.sum(points[:, :2] ** 2, axis=1)
+    grown = noise(noise_std=0.03, noise_model="range", noise_growth=0.002)
+    np.testing.assert_allclose(grown, 0.03 + 0.002 * squared)
+    np.testing.assert_allclose(noise(noise_model="file", noise_factor=2.0), 2 * given_std)
+    measured = noise(noise_model="measured")
+    assert float(np.median(measured)) == pytest.approx(0.03, rel=0.1)
+    np.testing.assert_allclose(noise(noise_model="measured", noise_factor=3.0), 3 * measured)
+
+
+def test_a_cloud_without_noise_refuses_the_file_model_and_says_what_to_do() -> None:
+    submap = Submap.from_points(cloud(3, 100), "crater")
+    with pytest.raises(InputError, match=r"crater gives no noise_std .* choose another"):
+        infer_gradient_map(submap, MapParams(noise_model="file").guessed)
+
+
+@pytest.mark.parametrize("model", ["constant", "measured"])
+def test_points_far_above_the_ground_hardly_move_the_map(model: NoiseModel) -> None:
+    points = cloud(3, 6000, (5.0, 5.0), noise=0.03)
+    clean = infer_gradient_map(Submap.from_points(points), MapParams(noise_model=model).guessed)
+    wrong = np.random.default_rng(0).choice(len(points), 30, replace=False)
+    spoilt = points.copy()
+    spoilt[wrong, 2] += 0.5  # by more, they would be wild points, which no map gets
+    submap = Submap.from_points(spoilt)
+    assert not submap.num_wild
+    params = MapParams(noise_model=model, signal_std=clean.signal_std).guessed
+    made = infer_gradient_map(submap, params)
+    told = point_noise(submap, params.terrain).outlying
+    assert told[wrong].mean() > 0.85
+    assert np.percentile(np.abs(made.elevation - clean.elevation), 95) < 0.05

@@ -1,0 +1,307 @@
+"""Bags of ROS 1 and ROS 2 give what was recorded; broken and ambiguous ones say so in a line."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gpgrad_core.recordings.build import open_recording
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.recording import (
+    Recording,
+    RecordingSources,
+)
+from gpgrad_core.recordings.trajectory import Poses
+from tests.support.bags import (
+    BagWriter,
+    write_bag,
+)
+from tests.support.drive import (
+    Drive,
+    make_drive,
+    tum,
+)
+from tests.support.refusal import assert_refused
+
+pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+FEW = make_drive(num_scans=6, points_a_scan=50)
+KINDS = [
+    ("a.bag", True, "odometry", ""),
+    ("b.bag", True, "stamped", ""),
+    ("c.bag", True, "tf", ""),
+    ("d", False, "odometry", "sqlite3"),
+    ("e", False, "stamped", "mcap"),
+    ("f", False, "tf", "mcap"),
+]
+
+
+def assert_holds(recording: Recording, drive: Drive) -> None:
+    """Compare with what was driven: times, sensor poses, and the points of every scan."""
+    assert recording.stamps is not None
+    np.testing.assert_allclose(recording.stamps, drive.stamps, rtol=0, atol=1e-6)
+    scans = list(recording.read(0, len(recording)))
+    assert len(scans) == len(drive.scans)
+    for k, (points, driven) in enumerate(zip(scans, drive.scans, strict=True)):
+        np.testing.assert_allclose(points, driven, rtol=0, atol=1e-5)
+        assert_same_pose(recording.sensor(k), drive.sensor[k : k + 1])
+
+
+def assert_same_pose(one: Poses, other: Poses) -> None:
+    np.testing.assert_allclose(one.translation, other.translation, rtol=0, atol=1e-6)
+    assert (one.rotation * other.rotation.inv()).magnitude().max() < 1e-6
+
+
+@pytest.mark.parametrize(("name", "ros1", "poses", "storage"), KINDS)
+def test_every_kind_of_bag(name: str, ros1: bool, poses: str, storage: str, tmp_path: Path) -> None:
+    path = write_bag(tmp_path / name, FEW, ros1=ros1, poses=poses, storage=storage)
+    recording = open_recording(path)
+    assert_holds(recording, FEW)
+    if poses == "odometry":
+        # A stretch alone is the same: what comes before is skipped.
+        (third, fourth) = recording.read(2, 4)
+        np.testing.assert_allclose(third, FEW.scans[2], atol=1e-5)
+        np.testing.assert_allclose(fourth, FEW.scans[3], atol=1e-5)
+        assert recording.covariance is not None
+        np.testing.assert_allclose(recording.covariance[3], 0.03 * np.eye(3), atol=1e-12)
+
+
+def test_a_file_out_of_its_folder_and_bags_in_parts(tmp_path: Path) -> None:
+    folder = write_bag(tmp_path / "whole", FEW, ros1=False, poses="odometry", storage="mcap")
+    (file,) = folder.glob("*.mcap")
+    assert_holds(open_recording(file), FEW)
+    parts = tmp_path / "parts"
+    parts.mkdir()
+    for number, rows in enumerate((slice(0, 3), slice(3, 6))):
+        half = Drive(FEW.stamps[rows], FEW.body[rows], FEW.scans[rows])
+        write_bag(parts / f"{number}.bag", half, ros1=True, poses="odometry")
+    assert_holds(open_recording(parts), FEW)
+
+
+def test_poses_of_a_file_and_truth(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "a.bag", FEW, ros1=True, poses="stamped")
+    (tmp_path / "slam.txt").write_text(tum(FEW.stamps, FEW.sensor))
+    (tmp_path / "truth.txt").write_text(tum(FEW.stamps[2:], FEW.sensor[2:]))
+    sources = RecordingSources(poses=tmp_path / "slam.txt", truth=tmp_path / "truth.txt")
+    recording = open_recording(path, sources)
+    assert_holds(recording, FEW)
+    assert recording.truth is not None
+    assert recording.truth.known.tolist() == [False, False, True, True, True, True]
+    assert any("2 of 6 scans have no true pose" in note for note in recording.notes)
+    assert any("frame 'lidar'" in note for note in recording.notes)
+
+
+def test_scans_without_a_pose_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "a.bag"
+    with BagWriter(path, ros1=True) as bag:
+        for k, stamp in enumerate(FEW.stamps):
+            if k < 4:
+                bag.stamped("/pose", stamp, FEW.sensor, k)
+            bag.cloud("/points", stamp, "lidar", FEW.scans[k])
+    recording = open_recording(path)
+    assert len(recording) == 4
+    assert recording.notes[-1] == "2 of 6 scans have no pose within 0.1 s and were left out"
+    assert len(open_recording(path, params=BuildParams(max_time_difference=2.0))) == 6
+
+
+def test_messages_without_a_time_have_that_of_the_recorder(tmp_path: Path) -> None:
+    path = tmp_path / "a.bag"
+    with BagWriter(path, ros1=True) as bag:
+        for k, stamp in enumerate(FEW.stamps):
+            bag.stamped("/pose", stamp, FEW.sensor, k)
+            bag.cloud("/points", stamp, "lidar", FEW.scans[k], stamped=k > 0)
+    recording = open_recording(path)
+    assert recording.stamps is not None
+    np.testing.assert_allclose(recording.stamps[0], FEW.stamps[0] + 0.02, atol=1e-6)
+    assert "1 message has no time" in "".join(recording.notes)
+
+
+def test_what_is_missing_or_ambiguous(tmp_path: Path) -> None:
+    two = tmp_path / "two.bag"
+    with BagWriter(two, ros1=True) as bag:
+        for topic in ("/left", "/right"):
+            bag.cloud(topic, FEW.stamps[0], "lidar", FEW.scans[0])
+        bag.odometry("/odom", FEW.stamps[0], FEW.body, 0)
+        bag.stamped("/pose", FEW.stamps[0], FEW.sensor, 0)
+    assert_refused(lambda: open_recording(two), str(two), "/left (1), /right (1)", "--cloud-topic")
+    right = RecordingSources(cloud_topic="/right")
+    assert_refused(lambda: open_recording(two, right), "/odom (1), /pose (1)", "--pose-topic")
+    assert_refused(
+        lambda: open_recording(two, RecordingSources(cloud_topic="/up")),
+        "--cloud-topic /up",
+        "/left (1)",
+    )
+    odometry = RecordingSources(cloud_topic="/right", pose_topic="/odom")
+    assert_refused(lambda: open_recording(two, odometry), "'base_link'", "'lidar'", "--mount FILE")
+    (tmp_path / "mount.txt").write_text("0.3 0 0.9 0 0 0 1\n")
+    mounted = RecordingSources(
+        cloud_topic="/right", pose_topic="/odom", mount=tmp_path / "mount.txt"
+    )
+    recording = open_recording(two, mounted)
+    np.testing.assert_allclose(recording.mount.translation, [[0.3, 0.0, 0.9]])
+    # All zeros is ROS's way of saying that nothing is known.
+    assert recording.covariance is None
+
+    alone = tmp_path / "alone.bag"
+    with BagWriter(alone, ros1=True) as bag:
+        bag.cloud("/points", FEW.stamps[0], "lidar", FEW.scans[0])
+    assert_refused(lambda: open_recording(alone), "no topic of poses")
+
+
+def test_broken_bags_and_a_missing_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_bag(tmp_path / "a.bag", FEW, ros1=True, poses="odometry")
+    whole = path.read_bytes()
+    for broken in (whole[: len(whole) // 2], b"", b"no bag\n" * 9):
+        path.write_bytes(broken)
+        assert_refused(lambda: open_recording(path), str(path), "not a complete bag")
+    for storage in ("sqlite3", "mcap"):
+        folder = write_bag(tmp_path / storage, FEW, ros1=False, poses="odometry", storage=storage)
+        (file,) = (f for f in folder.iterdir() if f.suffix != ".yaml")
+        file.write_bytes(file.read_bytes()[:3000])
+        assert_refused(
+            lambda folder=folder: open_recording(folder), str(folder), "not a complete bag"
+        )
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    assert_refused(lambda: open_recording(path), "pip install 'gpgrad[ros]'")
+
+
+LINE = 80 * "="
+HEADER = "builtin_interfaces/Time stamp\nstring frame_id"
+TIME = "int32 sec\nuint32 nanosec"
+POINT_CLOUD = f"""\
+std_msgs/Header header
+uint32 height
+uint32 width
+sensor_msgs/PointField[] fields
+bool is_bigendian
+uint32 point_step
+uint32 row_step
+uint8[] data
+bool is_dense
+{LINE}
+MSG: std_msgs/Header
+{HEADER}
+{LINE}
+MSG: builtin_interfaces/Time
+{TIME}
+{LINE}
+MSG: sensor_msgs/PointField
+string name
+uint32 offset
+uint8 datatype
+uint32 count
+"""
+POSE_STAMPED = f"""\
+std_msgs/Header header
+geometry_msgs/Pose pose
+{LINE}
+MSG: std_msgs/Header
+{HEADER}
+{LINE}
+MSG: builtin_interfaces/Time
+{TIME}
+{LINE}
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+{LINE}
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+{LINE}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+"""
+
+
+def test_an_mcap_of_another_writer(tmp_path: Path) -> None:
+    """Foxglove's own library writes a file without ROS 2's metadata.yaml beside it."""
+    writer = pytest.importorskip("mcap_ros2.writer", reason="mcap-ros2-support is not installed")
+    path = tmp_path / "drive.mcap"
+    with path.open("wb") as stream:
+        out = writer.Writer(stream)
+        cloud = out.register_msgdef("sensor_msgs/msg/PointCloud2", POINT_CLOUD)
+        stamped = out.register_msgdef("geometry_msgs/msg/PoseStamped", POSE_STAMPED)
+        for k, stamp in enumerate(FEW.stamps):
+            seconds = int(stamp)
+            time = {"sec": seconds, "nanosec": round((stamp - seconds) * 1e9)}
+            header = {"stamp": time, "frame_id": "lidar"}
+            place = dict(zip("xyz", FEW.sensor.translation[k].tolist(), strict=True))
+            turn = dict(zip("xyzw", FEW.sensor.rotation[k].as_quat().tolist(), strict=True))
+            pose = {"position": place, "orientation": turn}
+            logged = round(stamp * 1e9)
+            out.write_message("/pose", stamped, {"header": header, "pose": pose}, logged)
+            points = FEW.scans[k].astype("<f4")
+            fields = [
+                {"name": name, "offset": 4 * n, "datatype": 7, "count": 1}
+                for n, name in enumerate("xyz")
+            ]
+            message = {
+                "header": header,
+                "height": 1,
+                "width": len(points),
+                "fields": fields,
+                "is_bigendian": False,
+                "point_step": 12,
+                "row_step": 12 * len(points),
+                "data": points.tobytes(),
+                "is_dense": True,
+            }
+            out.write_message("/points", cloud, message, logged)
+        out.finish()
+    assert_holds(open_recording(path), FEW)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    assert_refused(lambda: open_recording(path), str(path), "is not a complete bag")
+
+
+ETNA = (37.75, 14.99, 2900.0)
+
+
+def write_fixes(path: Path, *, topics: tuple[str, ...] = ("/fix",), late: float = 0.0) -> Path:
+    """A drive with a satellite receiver, which has no fix at first."""
+    with BagWriter(path, ros1=True) as bag:
+        for k, stamp in enumerate(FEW.stamps):
+            bag.odometry("/odom", stamp, FEW.body, k)
+            bag.cloud("/points", stamp, "base_link", FEW.scans[k])
+            for topic in topics:
+                nowhere = (float("nan"), float("nan"), 0.0)
+                bag.fix(topic, stamp + late - 0.01, nowhere, status=-1)
+                place = (ETNA[0] + 1e-5 * k, ETNA[1] + 2e-5 * k, ETNA[2] + k)
+                bag.fix(topic, stamp + late, place)
+    return path
+
+
+def test_satellite_positions_are_the_truth_and_the_origin(tmp_path: Path) -> None:
+    recording = open_recording(write_fixes(tmp_path / "a.bag"))
+    assert recording.positions_only
+    assert recording.origin == ETNA
+    assert recording.truth is not None
+    assert recording.truth.known.all()
+    # A degree of latitude is 111.0 km there, one of longitude 88.2 km.
+    east, north, up = recording.truth.poses.translation[5]
+    assert (east, north, up) == pytest.approx((8.82, 5.55, 5.0), abs=0.02)
+    assert "/fix: its satellite positions are kept as the truth" in recording.notes
+
+
+def test_of_several_receivers_one_is_named(tmp_path: Path) -> None:
+    path = write_fixes(tmp_path / "a.bag", topics=("/left", "/right"))
+    recording = open_recording(path)
+    assert recording.truth is None
+    assert recording.origin is None
+    assert "satellite positions of /left, /right were ignored" in "".join(recording.notes)
+    assert open_recording(path, RecordingSources(gnss_topic="/right")).origin == ETNA
+    assert_refused(
+        lambda: open_recording(path, RecordingSources(gnss_topic="/odom")),
+        "--gnss-topic /odom: is not a topic of positions",
+    )
+
+
+def test_positions_of_another_time_are_left_out(tmp_path: Path) -> None:
+    recording = open_recording(write_fixes(tmp_path / "a.bag", late=500.0))
+    assert recording.truth is None
+    assert "has no position at the time of a scan" in "".join(recording.notes)

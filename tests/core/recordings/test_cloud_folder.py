@@ -1,0 +1,189 @@
+"""Folders of clouds, by whatever tool they were written, give what was recorded."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.recordings.build import open_recording
+from gpgrad_core.recordings.cloud_folder import number_in
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.recording import RecordingSources
+from gpgrad_core.recordings.trajectory import Poses
+from tests.support.drive import (
+    MOUNT,
+    make_drive,
+    tum,
+    write_drive,
+)
+from tests.support.refusal import assert_refused
+
+FEW = make_drive(num_scans=5, points_a_scan=60)
+
+
+def as_kitti(path: Path, points: np.ndarray) -> None:
+    np.column_stack([points, np.full(len(points), 0.5)]).astype("<f4").tofile(path)
+
+
+@pytest.mark.parametrize(("ending", "write"), [(".npy", np.save), (".bin", as_kitti)])
+def test_clouds_named_by_their_time(
+    ending: str, write: Callable[[Path, np.ndarray], None], tmp_path: Path
+) -> None:
+    recording = open_recording(write_drive(tmp_path, FEW, ending, write))
+    assert recording.notes == ()
+    assert recording.stamps is not None
+    np.testing.assert_allclose(recording.stamps, FEW.stamps, atol=1e-6)
+    read = list(recording.read(1, 4))
+    assert len(read) == 3
+    for points, driven in zip(read, FEW.scans[1:4], strict=True):
+        np.testing.assert_allclose(points, driven, rtol=0, atol=2e-6)
+
+
+def test_trajectories_by_evo(tmp_path: Path) -> None:
+    """TUM and KITTI files that evo writes are read as evo means them."""
+    trajectory = pytest.importorskip("evo.core.trajectory", reason="evo is not installed")
+    file_interface = pytest.importorskip("evo.tools.file_interface")
+    xyzw = FEW.sensor.rotation.as_quat()
+    path = trajectory.PoseTrajectory3D(FEW.sensor.translation, np.roll(xyzw, 1, 1), FEW.stamps)
+    write_drive(tmp_path / "tum", FEW)
+    file_interface.write_tum_trajectory_file(str(tmp_path / "tum" / "poses.txt"), path)
+    assert_same(open_recording(tmp_path / "tum").body, FEW.sensor)
+
+    kitti = tmp_path / "kitti"
+    (kitti / "velodyne").mkdir(parents=True)
+    for k, points in enumerate(FEW.scans):
+        as_kitti(kitti / "velodyne" / f"{k:06d}.bin", points)
+    file_interface.write_kitti_poses_file(str(kitti / "poses.txt"), path)
+    recording = open_recording(kitti)
+    assert_same(recording.body, FEW.sensor)
+    assert recording.stamps is None
+    (kitti / "times.txt").write_text("".join(f"{0.1 * k:e}\n" for k in range(5)))
+    np.testing.assert_allclose(open_recording(kitti).stamps, 0.1 * np.arange(5))
+
+
+def assert_same(found: Poses, driven: Poses) -> None:
+    np.testing.assert_allclose(found.translation, driven.translation, rtol=0, atol=1e-6)
+    assert (found.rotation * driven.rotation.inv()).magnitude().max() < 1e-6
+
+
+CAMERA = Rotation.from_matrix([[[0, -1, 0], [0, 0, -1], [1, 0, 0]]])
+"""Turns x ahead, y left, z up into a camera's x right, y down, z ahead."""
+
+
+def test_kittis_cameras_and_calibration(tmp_path: Path) -> None:
+    """Poses of a camera whose y points down, and the LiDAR beside it."""
+    from_robot = Poses(np.zeros((1, 3)), CAMERA)
+    offset = Poses(np.array([[0.0, -0.3, -0.1]]), CAMERA)  # T_camera_lidar
+    camera = from_robot @ FEW.sensor @ offset.inverse()
+    rows = np.concatenate([camera.rotation.as_matrix(), camera.translation[:, :, None]], axis=2)
+    write_drive(tmp_path / "velodyne", FEW, ".bin", as_kitti)
+    (tmp_path / "velodyne" / "poses.txt").unlink()
+    for k, file in enumerate(sorted((tmp_path / "velodyne").iterdir())):
+        file.rename(file.with_name(f"{k:06d}.bin"))
+    np.savetxt(tmp_path / "poses.txt", rows.reshape(-1, 12))
+    matrix = np.column_stack([offset.rotation.as_matrix()[0], offset.translation[0]])
+    row = "Tr: " + " ".join(f"{value:.12e}" for value in matrix.ravel())
+    (tmp_path / "calib.txt").write_text(f"P0: {'0 ' * 12}\n{row}\n")
+    recording = open_recording(tmp_path)
+    assert recording.up == "-y"
+    assert any("up is -y" in note for note in recording.notes)
+    assert_same(recording.sensor(2), (from_robot @ FEW.sensor)[2:3])
+
+
+def test_where_the_sensor_sits(tmp_path: Path) -> None:
+    write_drive(tmp_path, FEW)
+    (tmp_path / "poses.txt").write_text(tum(FEW.stamps, FEW.body))
+    values = [*MOUNT.translation[0], *MOUNT.rotation[0].as_quat()]
+    (tmp_path / "mount.txt").write_text(" ".join(f"{value:.9f}" for value in values))
+    recording = open_recording(tmp_path)
+    assert_same(recording.sensor(3), FEW.sensor[3:4])
+    assert "mount.txt" in recording.notes[0]
+    (tmp_path / "mount.txt").write_text("1 2 3\n")
+    assert_refused(lambda: open_recording(tmp_path), "mount.txt", "tx ty tz qx qy qz qw")
+
+
+@pytest.mark.parametrize(
+    ("unit", "spell"),
+    [
+        ("nanoseconds", lambda stamp: f"{round(stamp * 1e9)}"),
+        ("microseconds", lambda stamp: f"{round(stamp * 1e6)}"),
+        ("", lambda stamp: f"cloud_{int(stamp)}_{round(stamp % 1 * 1e9):09d}"),
+    ],
+)
+def test_times_in_names(unit: str, spell: Callable[[float], str], tmp_path: Path) -> None:
+    write_drive(tmp_path, FEW)
+    for stamp in FEW.stamps:
+        (tmp_path / f"{stamp:.6f}.npy").rename(tmp_path / f"{spell(stamp)}.npy")
+    recording = open_recording(tmp_path)
+    np.testing.assert_allclose(recording.stamps, FEW.stamps, rtol=0, atol=1e-5)
+    said = (f"the numbers in the scans' names are read as {unit}",) if unit else ()
+    assert recording.notes == said
+
+
+def test_numbers_are_sorted_as_numbers(tmp_path: Path) -> None:
+    """9 comes before 10, whatever the names' order."""
+    for k in range(12):
+        np.save(tmp_path / f"scan{k}.npy", np.full((3, 3), float(k)))
+    poses = Poses(np.zeros((12, 3)), Rotation.identity(12))
+    (tmp_path / "poses.txt").write_text(tum(np.arange(12.0), poses))
+    read = open_recording(tmp_path).read(0, 12)
+    assert [points[0, 0] for points in read] == list(range(12))
+    assert number_in("no number") is None
+
+
+def test_what_cannot_be_brought_together(tmp_path: Path) -> None:
+    assert_refused(lambda: open_recording(tmp_path / "none"), "none: no such file or folder")
+    (tmp_path / "empty").mkdir()
+    assert_refused(lambda: open_recording(tmp_path / "empty"), "holds no scans", ".bin")
+    folder = write_drive(tmp_path / "drive", FEW)
+    first = folder / f"{FEW.stamps[0]:.6f}.npy"
+    assert_refused(lambda: open_recording(first), "is one file; give a folder")
+    poses = (folder / "poses.txt").read_text()
+    (folder / "poses.txt").unlink()
+    assert_refused(lambda: open_recording(folder), "has no file of poses", "--poses FILE")
+    (folder / "poses.txt").write_text(tum(FEW.stamps + 1000.0, FEW.sensor))
+    assert_refused(
+        lambda: open_recording(folder),
+        "no scan has a pose within 0.1 s",
+        "1700000000.000 to 1700000002.000 s",
+        "1700001000.000 to 1700001002.000 s",
+    )
+    (folder / "poses.txt").write_text(poses)
+    first.rename(folder / "first.npy")
+    assert_refused(lambda: open_recording(folder), "first.npy holds no time", "--times FILE")
+    (folder / "times.txt").write_text("1\n2\n")
+    assert_refused(lambda: open_recording(folder), "times.txt: holds 2 times for 5 scans")
+    np.savetxt(folder / "times.txt", FEW.stamps, fmt="%.6f")
+    assert len(open_recording(folder)) == 5
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("", "holds no poses"),
+        ("0 1 2 3\n", "line 1: has 4 columns; a TUM pose has 8"),
+        ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 1\n", "line 2: has 7 columns"),
+        ("# a\n0 0 0 0 0 0 0 2\n", "line 2: the quaternion"),
+        ("0 0 0 0 0 0 0 x\n", "line 1: holds something that is not a number"),
+        ("0 0 0 nan 0 0 0 1\n", "line 1: holds a value that is not finite"),
+        ("1 0 0 0 0 1 0 0 0 0 2 0\n", "line 1: the first three columns of the pose's matrix"),
+        ("0 0 0 0 0 0 0 1\n1 0 0 0 0 1 0 0 0 0 1 0\n", "line 2: has 12 columns, the rows before"),
+    ],
+)
+def test_broken_poses(rows: str, said: str, tmp_path: Path) -> None:
+    folder = write_drive(tmp_path / "drive", FEW)
+    (tmp_path / "mine.txt").write_text(rows)
+    sources = RecordingSources(poses=tmp_path / "mine.txt")
+    assert_refused(lambda: open_recording(folder, sources), "mine.txt", said)
+
+
+def test_covariances_of_tum_rows(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path, FEW)
+    covariance = " ".join(f"{value:g}" for value in np.diag(np.arange(1.0, 7.0)).ravel())
+    lines = (folder / "poses.txt").read_text().splitlines()
+    (folder / "poses.txt").write_text("".join(f"{line} {covariance}\n" for line in lines))
+    recording = open_recording(folder, params=BuildParams(pose_matching="nearest"))
+    assert recording.covariance is not None
+    np.testing.assert_allclose(recording.covariance[2], np.diag([1.0, 2.0, 3.0]))

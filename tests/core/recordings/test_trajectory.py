@@ -1,0 +1,85 @@
+"""The pose at any time: laws of motions, and of what lies between two of them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.trajectory import (
+    Poses,
+    Trajectory,
+)
+
+
+def random_poses(seed: int, count: int) -> Poses:
+    rng = np.random.default_rng(seed)
+    return Poses(rng.normal(size=(count, 3)), Rotation.random(count, rng=rng))
+
+
+def assert_close(one: Poses, other: Poses) -> None:
+    np.testing.assert_allclose(one.translation, other.translation, atol=1e-9)
+    assert (one.rotation * other.rotation.inv()).magnitude().max() < 1e-7
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_motions_are_a_group(seed: int) -> None:
+    a, b, c = (random_poses(seed + k, 3) for k in range(3))
+    assert_close((a @ b) @ c, a @ (b @ c))
+    assert_close((a @ b).inverse(), b.inverse() @ a.inverse())
+    points = np.random.default_rng(seed).normal(size=(5, 3))
+    in_turn = a.one(0).apply(b.one(0).apply(points))
+    np.testing.assert_allclose((a @ b).one(0).apply(points), in_turn, atol=1e-9)
+
+
+@settings(max_examples=20)
+@given(
+    speed=st.floats(-3, 3),
+    turning=st.floats(-1, 1),
+    wanted=st.lists(st.floats(0, 9), min_size=1, max_size=20),
+)
+def test_a_steady_motion_is_met_exactly(speed: float, turning: float, wanted: list[float]) -> None:
+    """Straight at a constant speed, turning at a constant rate: what interpolation assumes."""
+    stamps = np.arange(10.0)
+
+    def moving(times: np.ndarray) -> Poses:
+        yaw = turning * times
+        return Poses(
+            np.outer(times, [speed, 1.0, -0.5]),
+            Rotation.from_euler("ZYX", np.column_stack([yaw, np.full((len(yaw), 2), 0.1)])),
+        )
+
+    times = np.array(wanted)
+    located = Trajectory(stamps, moving(stamps)).at(times, BuildParams(max_time_difference=1.0))
+    assert located.known.all()
+    assert_close(located.poses, moving(times))
+
+
+def test_how_far_a_pose_may_be() -> None:
+    poses = random_poses(1, 3)
+    trajectory = Trajectory(np.array([0.0, 1.0, 5.0]), poses)
+    wanted = np.array([-0.3, -0.1, 0.4, 0.95, 3.0, 4.95, 5.19, 5.3])
+    located = trajectory.at(wanted, BuildParams(max_time_difference=0.2))
+    assert located.known.tolist() == [False, True, False, True, False, True, True, False]
+    # Beyond an end the last pose stands in.
+    assert_close(located.poses[6:7], poses[2:3])
+    nearest = trajectory.at(wanted, BuildParams(pose_matching="nearest", max_time_difference=9))
+    assert_close(nearest.poses, poses[np.array([0, 0, 0, 1, 1, 2, 2, 2])])
+
+
+def test_order_and_repeats() -> None:
+    poses = random_poses(2, 4)
+    found = Trajectory.in_order(np.array([2.0, 1.0, 2.0, 0.0]), poses)
+    assert found.stamps.tolist() == [0.0, 1.0, 2.0]
+    assert_close(found.poses, poses[np.array([3, 1, 0])])
+
+
+@pytest.mark.parametrize("matching", ["interpolate", "nearest"])
+def test_a_single_pose(matching: str) -> None:
+    poses = random_poses(3, 1)
+    params = BuildParams(pose_matching=matching)  # type: ignore[arg-type]
+    located = Trajectory(np.array([7.0]), poses).at(np.array([7.05, 7.2]), params)
+    assert located.known.tolist() == [True, False]
+    assert_close(located.poses[:1], poses)

@@ -1,0 +1,184 @@
+"""A simulated dataset is reproducible, true to its own truth, and drifts."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gpgrad_core.io.folder import (
+    load_dataset,
+    write_dataset,
+)
+from gpgrad_core.simulation.params import SimulationParams
+from gpgrad_core.simulation.simulate import simulate_dataset
+from gpgrad_core.types import Dataset, Submap
+from tests.support.refusal import assert_refused
+
+SMALL = SimulationParams(
+    seed=5, num_submaps=6, route="winding", extent=20.0, spacing=3.0, max_range=5.0
+)
+
+
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    return simulate_dataset(SMALL)
+
+
+def cell_heights(submap: Submap) -> dict[tuple[int, int], float]:
+    """Mean height of every 10 cm cell of the world that the submap says it saw."""
+    assert submap.pose_true is not None
+    world = submap.pose_true.apply(submap.points)
+    keys, owner = np.unique(np.floor(world[:, :2] / 0.1).astype(int), axis=0, return_inverse=True)
+    means = np.bincount(owner, world[:, 2]) / np.bincount(owner)
+    return {(int(x), int(y)): float(z) for (x, y), z in zip(keys, means, strict=True)}
+
+
+def test_same_seed_same_dataset_to_the_bit(dataset: Dataset) -> None:
+    again = simulate_dataset(SMALL)
+    for a, b in zip(dataset.submaps, again.submaps, strict=True):
+        assert a.points.tobytes() == b.points.tobytes()
+        assert a.pose_true is not None
+        assert b.pose_true is not None
+        assert a.pose_odometry is not None
+        assert b.pose_odometry is not None
+        np.testing.assert_array_equal(a.pose_true.translation, b.pose_true.translation)
+        np.testing.assert_array_equal(a.pose_odometry.quaternion, b.pose_odometry.quaternion)
+
+
+def test_another_seed_is_another_world(dataset: Dataset) -> None:
+    other = simulate_dataset(replace(SMALL, seed=6, num_submaps=1))
+    assert other.submaps[0].fingerprint != dataset.submaps[0].fingerprint
+    common = cell_heights(other.submaps[0]).keys() & cell_heights(dataset.submaps[0]).keys()
+    assert len(common) > 500
+
+
+def test_truth_aligns_every_pair_that_overlaps(dataset: Dataset) -> None:
+    heights = [cell_heights(submap) for submap in dataset.submaps]
+    num_overlapping = 0
+    for i, first in enumerate(heights):
+        for second in heights[i + 1 :]:
+            common = first.keys() & second.keys()
+            if len(common) < 500:
+                continue
+            num_overlapping += 1
+            differences = np.abs([first[cell] - second[cell] for cell in common])
+            assert np.median(differences) < 0.06
+    assert num_overlapping >= 6
+
+
+def test_the_way_back_sees_the_same_ground_from_the_other_side(dataset: Dataset) -> None:
+    poses = [submap.pose_true for submap in dataset.submaps]
+    assert all(pose is not None for pose in poses)
+    yaws = [pose.planar.yaw for pose in poses if pose is not None]
+    opposite = np.cos([yaws[3] - yaws[2], yaws[4] - yaws[1], yaws[5] - yaws[0]])
+    assert opposite.max() < -0.5
+    first, last = cell_heights(dataset.submaps[0]), cell_heights(dataset.submaps[4])
+    assert len(first.keys() & last.keys()) > 0.3 * min(len(first), len(last))
+
+
+def test_submaps_are_as_promised(dataset: Dataset) -> None:
+    assert [submap.id for submap in dataset.submaps] == [f"{k:03d}" for k in range(6)]
+    assert dataset.sensor_noise == {
+        "constant": SMALL.noise_constant,
+        "quadratic": SMALL.noise_quadratic,
+    }
+    for submap in dataset.submaps:
+        assert 10_000 < len(submap.points) <= SMALL.max_points
+        x, y, z = submap.points.T
+        # The rover looks ahead: the origin is under its first stop, x along the heading.
+        assert -0.5 < x.min() < 1.0
+        assert x.max() < SMALL.spacing + SMALL.max_range + 1.0
+        assert np.abs(y).max() < SMALL.max_range + 1.0
+        # The origin lies on the ground: the nearest points are no higher than a slope explains.
+        distance = np.hypot(x, y)
+        near = np.argsort(distance)[:50]
+        assert np.all(np.abs(z[near]) < 0.1 + 0.6 * distance[near])
+        np.testing.assert_array_equal(submap.points, np.float32(submap.points))
+        np.testing.assert_allclose(
+            1000 * submap.points % 1, np.round(1000 * submap.points % 1), atol=2e-3
+        )
+
+
+def test_voxels_hold_one_point_each() -> None:
+    params = replace(SMALL, num_submaps=1, voxel_size=0.2, max_points=1_000_000)
+    points = simulate_dataset(params).submaps[0].points
+    cells = np.floor(points / params.voxel_size)
+    # Rounding to a millimetre moves a few means across a face.
+    assert len(np.unique(cells, axis=0)) > 0.98 * len(points)
+
+
+def test_odometry_drifts_and_exact_odometry_does_not(dataset: Dataset) -> None:
+    def errors(made: Dataset) -> list[float]:
+        return [
+            float(np.linalg.norm(s.pose_odometry.translation - s.pose_true.translation))
+            for s in made.submaps
+            if s.pose_odometry is not None and s.pose_true is not None
+        ]
+
+    drifted = errors(dataset)
+    assert len(drifted) == 6
+    assert drifted[0] == 0.0
+    assert 0.05 < max(drifted) < 3.0
+    exact = replace(SMALL, num_submaps=3, odometry_drift=0.0, heading_drift=0.0, max_points=100)
+    assert max(errors(simulate_dataset(exact))) < 1e-5
+
+
+def test_more_submaps_keep_the_streams_of_the_others() -> None:
+    """One more submap on the way back moves nothing that was there before it."""
+    few = replace(SMALL, num_submaps=3, max_points=2000)
+    a, b = simulate_dataset(few), simulate_dataset(replace(few, num_submaps=4))
+    assert [s.fingerprint for s in a.submaps] == [s.fingerprint for s in b.submaps[:3]]
+
+
+def test_progress_climbs_to_one() -> None:
+    heard: list[float] = []
+    simulate_dataset(replace(SMALL, num_submaps=2, max_points=500), heard.append)
+    assert heard == sorted(heard)
+    assert len(heard) == 3
+    assert heard[-1] == 1.0
+
+
+def test_it_is_written_and_read_without_loss(dataset: Dataset, tmp_path: Path) -> None:
+    write_dataset(dataset, tmp_path / "set")
+    back = load_dataset(tmp_path / "set")
+    assert [s.fingerprint for s in back.submaps] == [s.fingerprint for s in dataset.submaps]
+    for a, b in zip(dataset.submaps, back.submaps, strict=True):
+        assert a.pose_true is not None
+        assert b.pose_true is not None
+        np.testing.assert_array_equal(a.pose_true.translation, b.pose_true.translation)
+
+
+def test_params_out_of_bounds_are_refused() -> None:
+    assert_refused(lambda: SimulationParams(max_range=0.0), "max_range must be from 2 to 60 m")
+    assert_refused(lambda: SimulationParams(seed=-1), "seed must be from 0")
+    assert_refused(lambda: simulate_dataset(replace(SMALL, extent=15.0)), "extent must be")
+
+
+def test_a_lesser_machine_makes_the_same() -> None:
+    """Without the wide instructions NumPy's sines differ in the last bit; the points must not."""
+    params = replace(SMALL, num_submaps=2, spacing=1.0, extent=14.0)
+    found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
+    program = (
+        "from gpgrad_core.datasets import SimulationParams, simulate_dataset\n"
+        f"dataset = simulate_dataset({params!r})\n"
+        "print(*(submap.fingerprint for submap in dataset.submaps))\n"
+    )
+    finished = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(__file__).parents[3],
+        env={
+            **os.environ,
+            "PYTHONPATH": str(Path(__file__).parents[3]),
+            "NPY_DISABLE_CPU_FEATURES": " ".join(found),
+            "OPENBLAS_NUM_THREADS": "1",
+        },
+    )
+    made = [submap.fingerprint for submap in simulate_dataset(params).submaps]
+    assert finished.stdout.split() == made

@@ -1,0 +1,202 @@
+"""Writes bags like those of robots, with rosbags."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gpgrad_core.recordings.trajectory import Poses
+from tests.support.drive import (
+    MOUNT,
+    Drive,
+)
+
+CLOUD, ODOMETRY, STAMPED = (
+    "sensor_msgs/msg/PointCloud2",
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped",
+)
+TF = "tf2_msgs/msg/TFMessage"
+TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms\n"
+"""A message type of ROS 1 whose package rosbags does not know."""
+
+
+class BagWriter:
+    """Writes messages of ROS 1 or of ROS 2."""
+
+    def __init__(self, path: Path, *, ros1: bool, storage: str = "sqlite3") -> None:
+        rosbag1, rosbag2, typesys = (
+            pytest.importorskip(f"rosbags.{part}", reason="the extra 'ros' is not installed")
+            for part in ("rosbag1", "rosbag2", "typesys")
+        )
+        self.ros1 = ros1
+        stores = typesys.Stores
+        self.store = typesys.get_typestore(stores.ROS1_NOETIC if ros1 else stores.ROS2_JAZZY)
+        if ros1:
+            self.store.register(typesys.get_types_from_msg(TF_DEFINITION, TF))
+            self.writer: Any = rosbag1.Writer(path)
+        else:
+            plugins = {"sqlite3": rosbag2.StoragePlugin.SQLITE3, "mcap": rosbag2.StoragePlugin.MCAP}
+            self.writer = rosbag2.Writer(path, version=9, storage_plugin=plugins[storage])
+        self.connections: dict[str, Any] = {}
+        self.writer.open()
+
+    def __enter__(self) -> "BagWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.writer.close()
+
+    def type(self, name: str) -> Any:
+        return self.store.types[name]
+
+    def header(self, stamp: float, frame: str) -> Any:
+        seconds = int(stamp)
+        time = self.type("builtin_interfaces/msg/Time")(
+            sec=seconds, nanosec=round((stamp - seconds) * 1e9)
+        )
+        number = {"seq": 0} if self.ros1 else {}
+        return self.type("std_msgs/msg/Header")(stamp=time, frame_id=frame, **number)
+
+    def write(self, topic: str, kind: str, stamp: float, message: Any) -> None:
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
+        serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+        # A message is recorded slightly after it was measured.
+        logged = round((stamp + 0.02) * 1e9)
+        self.writer.write(self.connections[topic], logged, serialize(message, kind))
+
+    def cloud(
+        self,
+        topic: str,
+        stamp: float,
+        frame: str,
+        points: np.ndarray,
+        *,
+        stamped: bool = True,
+        intensity: np.ndarray | None = None,
+    ) -> None:
+        """Write points as a LiDAR's driver does, with other fields between and after them."""
+        layout = np.dtype(
+            {
+                "names": ["x", "y", "intensity", "z"],
+                "formats": ["<f4", "<f4", "<f4", "<f4"],
+                "offsets": [0, 4, 8, 12],
+                "itemsize": 24,
+            }
+        )
+        table = np.zeros(len(points), layout)
+        for name, column in zip("xyz", points.T, strict=True):
+            table[name] = column
+        if intensity is not None:
+            table["intensity"] = intensity
+        field = self.type("sensor_msgs/msg/PointField")
+        fields = [
+            field(name=name, offset=offset, datatype=7, count=1)
+            for name, offset in (("x", 0), ("y", 4), ("intensity", 8), ("z", 12))
+        ]
+        message = self.type(CLOUD)(
+            header=self.header(stamp if stamped else 0.0, frame),
+            height=1,
+            width=len(points),
+            fields=fields,
+            is_bigendian=False,
+            point_step=24,
+            row_step=24 * len(points),
+            data=np.frombuffer(table.tobytes(), np.uint8),
+            is_dense=True,
+        )
+        self.write(topic, CLOUD, stamp, message)
+
+    def pose(self, poses: Poses, index: int) -> Any:
+        x, y, z = (float(value) for value in poses.translation[index])
+        qx, qy, qz, qw = (float(value) for value in poses.rotation[index].as_quat())
+        return self.type("geometry_msgs/msg/Pose")(
+            position=self.type("geometry_msgs/msg/Point")(x=x, y=y, z=z),
+            orientation=self.type("geometry_msgs/msg/Quaternion")(x=qx, y=qy, z=qz, w=qw),
+        )
+
+    def odometry(
+        self, topic: str, stamp: float, poses: Poses, index: int, variance: float = 0.0
+    ) -> None:
+        zero = self.type("geometry_msgs/msg/Vector3")(x=0.0, y=0.0, z=0.0)
+        twist = self.type("geometry_msgs/msg/Twist")(linear=zero, angular=zero)
+        covariance = np.diag(np.full(6, variance)).ravel()
+        message = self.type(ODOMETRY)(
+            header=self.header(stamp, "odom"),
+            child_frame_id="base_link",
+            pose=self.type("geometry_msgs/msg/PoseWithCovariance")(
+                pose=self.pose(poses, index), covariance=covariance
+            ),
+            twist=self.type("geometry_msgs/msg/TwistWithCovariance")(
+                twist=twist, covariance=np.zeros(36)
+            ),
+        )
+        self.write(topic, ODOMETRY, stamp, message)
+
+    def fix(
+        self, topic: str, stamp: float, place: tuple[float, float, float], status: int = 0
+    ) -> None:
+        """Write latitude, longitude [degrees] and height [m] as a receiver's driver does."""
+        kind = "sensor_msgs/msg/NavSatFix"
+        state = self.type("sensor_msgs/msg/NavSatStatus")(status=status, service=1)
+        message = self.type(kind)(
+            header=self.header(stamp, "gnss"),
+            status=state,
+            latitude=place[0],
+            longitude=place[1],
+            altitude=place[2],
+            position_covariance=np.zeros(9),
+            position_covariance_type=0,
+        )
+        self.write(topic, kind, stamp, message)
+
+    def stamped(self, topic: str, stamp: float, poses: Poses, index: int) -> None:
+        message = self.type(STAMPED)(header=self.header(stamp, "map"), pose=self.pose(poses, index))
+        self.write(topic, STAMPED, stamp, message)
+
+    def transform(
+        self, stamp: float, parent: str, child: str, poses: Poses, index: int, topic: str = "/tf"
+    ) -> None:
+        pose = self.pose(poses, index)
+        move = self.type("geometry_msgs/msg/Vector3")(
+            x=pose.position.x, y=pose.position.y, z=pose.position.z
+        )
+        one = self.type("geometry_msgs/msg/TransformStamped")(
+            header=self.header(stamp, parent),
+            child_frame_id=child,
+            transform=self.type("geometry_msgs/msg/Transform")(
+                translation=move, rotation=pose.orientation
+            ),
+        )
+        self.write(topic, TF, stamp, self.type(TF)(transforms=[one]))
+
+
+def write_bag(
+    path: Path, drive: Drive, *, ros1: bool, poses: str, storage: str = "sqlite3"
+) -> Path:
+    """Write a drive as a bag.
+
+    Args:
+        path: Of the bag.
+        drive: What to write.
+        ros1: By ROS 1's rules, or by those of ROS 2.
+        poses: ``odometry`` of the body with the static transform to the sensor, ``stamped``
+            poses of the sensor, or ``tf``: only transforms.
+        storage: Of ROS 2.
+    """
+    slash = "/" if ros1 else ""
+    with BagWriter(path, ros1=ros1, storage=storage) as bag:
+        if poses != "stamped":
+            frames = f"{slash}base_link", f"{slash}lidar"
+            bag.transform(drive.stamps[0], *frames, MOUNT, 0, topic="/tf_static")
+        for k, stamp in enumerate(drive.stamps):
+            if poses == "odometry":
+                bag.odometry("/odom", stamp, drive.body, k, variance=0.01 * k)
+            elif poses == "stamped":
+                bag.stamped("/pose", stamp, drive.sensor, k)
+            else:
+                bag.transform(stamp, f"{slash}odom", f"{slash}base_link", drive.body, k)
+            bag.cloud("/points", stamp, f"{slash}lidar", drive.scans[k])
+    return path
