@@ -17,7 +17,10 @@ PLANTED = {
     "core layers": ("gpgrad_core/matching.py", "gpgrad_core.registration"),
     "recordings layers": ("gpgrad_core/recordings/voxels.py", "gpgrad_core.recordings.build"),
     "the core knows neither the app": ("gpgrad_core/types.py", "viser"),
-    "viewer layers": ("app/viewer/features/all_pairs/tab.py", "app.viewer.features.pose_graph.tab"),
+    "features of the viewer": (
+        "app/viewer/features/all_pairs/tab.py",
+        "app.viewer.features.pose_graph.tab",
+    ),
     "the public face": ("app/viewer/features/nudge/tab.py", "app.viewer.features.pair.scene"),
     "panels know no scenes": (
         "app/viewer/features/world/panel.py",

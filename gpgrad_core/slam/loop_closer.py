@@ -76,7 +76,7 @@ class LoopCloser:
     on all submaps at once. Points are not kept, and maps beyond 1 GB are kept in a temporary
     folder, which `close` or the end of a ``with`` block removes.
 
-    >>> from gpgrad_core.datasets import demo_path, load_dataset
+    >>> from gpgrad_core import demo_path, load_dataset
     >>> with LoopCloser() as closer:
     ...     for submap in load_dataset(demo_path()).submaps[:2]:
     ...         step = closer.add(submap)

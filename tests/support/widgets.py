@@ -3,6 +3,8 @@
 import asyncio
 import itertools
 import json
+from collections.abc import Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import viser
@@ -49,9 +51,15 @@ def node(host: Host, name: str) -> Any:
     return host.scene.get_handle_by_name(name)
 
 
+def run_apart(work: Coroutine[Any, Any, None]) -> None:
+    """Run a coroutine in a thread: in the tests' own, a browser's driver has a loop already."""
+    with ThreadPoolExecutor(1) as executor:
+        executor.submit(asyncio.run, work).result()
+
+
 def user_sets(handle: Any, value: object, page: FakePage | None = None) -> None:
     """Change a widget as a user does; unlike an assignment, the event has a client."""
-    asyncio.run(act_on(handle, value, page))
+    run_apart(act_on(handle, value, page))
 
 
 def user_presses(handle: Any, page: FakePage | None = None) -> None:
@@ -77,4 +85,4 @@ def press_key(
     ]
     event = viser.CommandEvent(client=page or FakePage(), client_id=1, target=handle)
     for callback in handle._impl.trigger_cb:
-        asyncio.run(callback(event))
+        run_apart(callback(event))

@@ -163,7 +163,7 @@ def test_a_lesser_machine_makes_the_same() -> None:
     params = replace(SMALL, num_submaps=2, spacing=1.0, extent=14.0)
     found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
     program = (
-        "from gpgrad_core.datasets import SimulationParams, simulate_dataset\n"
+        "from gpgrad_core import SimulationParams, simulate_dataset\n"
         f"dataset = simulate_dataset({params!r})\n"
         "print(*(submap.fingerprint for submap in dataset.submaps))\n"
     )

@@ -475,5 +475,5 @@ def test_no_server_of_the_viewer_is_without_a_door() -> None:
     """One socket guarded and another not: CVE-2026-39987 of marimo, CVE-2024-28179 of Jupyter."""
     root = Path(__file__).resolve().parents[4] / "app"
     found = [path.name for path in root.rglob("*.py") if "ViserServer(" in path.read_text("utf-8")]
-    assert found == ["server.py"]
-    assert "ViserServer(" in (root / "viewer" / "door" / "server.py").read_text("utf-8")
+    assert found == ["guard.py"]
+    assert "ViserServer(" in (root / "viewer" / "server" / "guard.py").read_text("utf-8")

@@ -7,6 +7,7 @@ import viser
 from app.viewer.widgets.actions import on_option, on_press
 from app.viewer.widgets.commands import CAMERA_KEYS, Command, Commands, help_html
 from tests.support.page import FakePage
+from tests.support.widgets import run_apart
 
 
 def registered(server: viser.ViserServer) -> dict[str, Any]:
@@ -87,10 +88,10 @@ def test_every_button_is_a_command(server: viser.ViserServer) -> None:
         await asyncio.sleep(0)
 
     for label in ("One", "Step: previous", "Known"):
-        asyncio.run(run(label))
+        run_apart(run(label))
     assert pressed == ["one", "previous", "command"]
     one.disabled = True
-    asyncio.run(run("One"))
+    run_apart(run("One"))
     assert pressed[3:] == []
     assert page.notes == ["Not possible now"]
     assert "Step: next" not in help_html(commands.commands)

@@ -13,9 +13,9 @@ ROOT = Path(__file__).resolve().parents[4]
 USED = """
 from pathlib import Path
 from app.viewer.features.data.unpacking import check_cloud
-from gpgrad_core.datasets import load_dataset
+from gpgrad_core import load_dataset
 from gpgrad_core.io.clouds import CLOUD_FORMATS
-from gpgrad_core.outputs import check_apart
+from gpgrad_core.io.records.files import check_apart
 folder = Path("clouds")
 folder.mkdir()
 (folder / "000.foo").write_bytes(CLOUD_FORMATS[".foo"].example)
