@@ -46,6 +46,7 @@ def test_import_contracts_hold() -> None:
     assert finished.returncode == 0, finished.stdout + finished.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contract", PLANTED)
 def test_a_wrong_import_breaks_its_contract(contract: str, tmp_path: Path) -> None:
     for package in ("app", "gpgrad_core"):

@@ -141,6 +141,7 @@ def is_served(tab: Any, link: str) -> None:
     assert not [text for text in said if "Content Security Policy" in text]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["evil.test", "localhost", "127.0.0.1"])
 def test_a_page_of_another_origin_hears_nothing(
     tab: Any, viewer: viser.ViserServer, evil: int, name: str

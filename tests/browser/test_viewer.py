@@ -158,6 +158,7 @@ def test_layers_layout_and_switches_change_the_picture_only(page: "ViewerPage") 
     assert page.verdict() == card
 
 
+@pytest.mark.slow
 def test_another_pair_is_shown_and_judged(page: "ViewerPage") -> None:
     expect_change(page, lambda: page.choose("Query", "004"))
     assert "query 004" in page.verdict()

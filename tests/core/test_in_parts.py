@@ -91,6 +91,7 @@ def test_the_mean_block_by_block(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(parts.slope, whole.slope, atol=1e-5 * 0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.05, 0.003, 0.0003])
 def test_a_tiles_variance_by_a_polynomial(monkeypatch: pytest.MonkeyPatch, noise: float) -> None:
     points = cloud(2, 300, (6.0, 4.0), noise=noise)

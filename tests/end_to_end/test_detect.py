@@ -84,6 +84,7 @@ def test_the_same_seed_gives_the_same_file(traverse: Path, detected: Path, tmp_p
     assert first == second
 
 
+@pytest.mark.slow
 def test_a_flag_overrides_the_file_and_the_file_the_dataset(traverse: Path, tmp_path: Path) -> None:
     toml = tmp_path / "mine.toml"
     toml.write_text("[map]\nresolution = 0.1\nnoise_std = 0.02\n[closure]\nmin_inliers = 500\n")

@@ -73,6 +73,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @linux
 def test_the_workers_of_a_killed_process_end(tmp_path: Path) -> None:
     """Four processes of a killed detect stayed for good."""
@@ -185,6 +186,7 @@ def slam(dataset: Path, closures: Path, out: Path, *flags: str) -> int:
     return run([*map(str, arguments), "--merged.resolution", "0.2"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "code"),
     [(OSError(errno.ENOSPC, "No space left on device"), 2), (KeyboardInterrupt(), 130)],

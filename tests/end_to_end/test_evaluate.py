@@ -95,6 +95,7 @@ def test_an_interrupt_leaves_nothing(with_truth: Path, tmp_path: Path) -> None:
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_the_command_compares_only_the_listed_pairs(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -80,6 +80,7 @@ def test_wrong_usage_is_one_line(arguments: tuple[str, ...], said: str) -> None:
     assert said in gpgrad(*arguments).refusal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [("simulate", "--help"), ("--version",)])
 def test_who_stops_reading_is_told_nothing(arguments: tuple[str, ...]) -> None:
     unread, output = os.pipe()
@@ -98,6 +99,7 @@ def test_who_stops_reading_is_told_nothing(arguments: tuple[str, ...]) -> None:
     assert (finished.returncode, finished.stderr) == (141, b"")
 
 
+@pytest.mark.slow
 def test_wrong_usage_ends_the_process_with_2() -> None:
     assert "FOLDER" in gpgrad_process("simulate").refusal
 
@@ -116,6 +118,7 @@ def test_help_comes_quickly_and_without_the_viewer() -> None:
     assert spent - before.children_user - before.children_system < 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("verb", "heavy"),
     [
@@ -138,6 +141,7 @@ def test_a_verb_loads_no_library_before_it_needs_it(verb: str, heavy: set[str]) 
     subprocess.run([sys.executable, "-c", code], check=True, env=environment(), cwd=ROOT)
 
 
+@pytest.mark.slow
 def test_the_core_loads_without_the_app(tmp_path: Path) -> None:
     code = (
         "import sys\nfrom gpgrad_core import *\n"

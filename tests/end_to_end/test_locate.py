@@ -68,6 +68,7 @@ def test_a_drive_is_found(driven: Path) -> None:
     assert "--overwrite" in again.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flags", "said"),
     [

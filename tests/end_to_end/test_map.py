@@ -69,6 +69,7 @@ def test_a_parameter_file_serves_every_verb(cloud: Path, tmp_path: Path) -> None
         assert layers["resolution"] == 0.2
 
 
+@pytest.mark.slow
 def test_a_terminal_sees_a_bar(cloud: Path, tmp_path: Path) -> None:
     out = tmp_path / "map.npz"
     code, seen = run_on_terminal("map", cloud, "--out", out, *QUICK_MAP)

@@ -42,6 +42,7 @@ def test_closures_found_before_are_taken_and_no_map_is_made(
     assert not (out / "cloud.ply").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("accepted", "decided", "x", "said"),
     [

@@ -136,6 +136,7 @@ def test_a_separate_session_ends_with_its_page(serve: Serve, visit: Visit) -> No
     second.wait(lambda: gc.collect() >= 0 and known() is None, "nothing of it to stay")
 
 
+@pytest.mark.slow
 def test_on_a_network_the_link_has_a_token_and_values_are_checked(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -179,6 +180,7 @@ class Opener:
         return Opened(DATASET, needing(8), "", None, needing(8))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sessions", ["shared", "separate"])
 def test_pages_are_served_before_the_dataset_is_there(
     monkeypatch: pytest.MonkeyPatch, sessions: Sharing

@@ -68,6 +68,7 @@ def test_chosen_pairs_have_the_verdicts_that_they_have_among_all(
     assert len(found) >= 0.5 * len(accepted)
 
 
+@pytest.mark.slow
 def test_why_a_pair_was_looked_at(
     demo: Dataset, whole: DetectionResult, few: DetectionResult
 ) -> None:
@@ -129,6 +130,7 @@ def test_the_loop_closer_compares_the_same(demo: Dataset, few: DetectionResult) 
     assert [step.shortlist for step in steps] == 3 * [None] + list(few.shortlists.values())
 
 
+@pytest.mark.slow
 def test_the_radius_comes_first(demo: Dataset) -> None:
     with LoopCloser(PARAMS, candidates=1, search_radius=1e-3) as closer:
         steps = [closer.add(submap, solve=False) for submap in demo.submaps[:4]]

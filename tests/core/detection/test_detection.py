@@ -119,6 +119,7 @@ MASKING = ["match_features", "prepare", "register_prepared", "search_candidates"
 SAMPLING = ["detect_features", *MASKING, "sample_map"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "stages"),
     [
@@ -199,6 +200,7 @@ def test_detection_compares_every_pair_once_the_earlier_as_database(
     assert result.seconds["total"] == pytest.approx(parts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("num", [0, 1])
 def test_a_dataset_of_one_or_none_has_no_pairs(query: Submap, num: int) -> None:
     assert detect_loop_closures(Dataset("few", (query,) * num), PARAMS).closures == ()

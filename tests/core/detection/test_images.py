@@ -189,6 +189,7 @@ def with_image(k: int, picture: NDArray[np.uint8] | None, folder: Path) -> Subma
     return replace(submap(1, 50), id=f"{k:03d}", images=files, pose_odometry=odometry)
 
 
+@pytest.mark.slow
 def test_what_images_may_do_is_chosen(scenery: Scenery, detect: Made) -> None:
     x, y, yaw = PLACES[0]
     same = scenery.seen(x, y, yaw)

@@ -134,6 +134,7 @@ def assert_same(first: DetectionResult, second: DetectionResult) -> None:
         np.testing.assert_array_equal(one.registration.inliers, other.registration.inliers)
 
 
+@pytest.mark.slow
 def test_a_second_run_is_the_same_and_makes_nothing(tmp_path: Path) -> None:
     without = run(None)
     assert ran() == 4 * ["map"] + 6 * ["pair"]
@@ -145,6 +146,7 @@ def test_a_second_run_is_the_same_and_makes_nothing(tmp_path: Path) -> None:
     assert any(closure.accepted for closure in without.closures)
 
 
+@pytest.mark.slow
 def test_verdicts_are_handed_over_and_submaps_loaded_only_if_needed(tmp_path: Path) -> None:
     folder, taken, loaded = tmp_path / "data", list[LoopClosure](), list[str]()
     write_dataset(DATASET, folder)
@@ -167,6 +169,7 @@ def test_verdicts_are_handed_over_and_submaps_loaded_only_if_needed(tmp_path: Pa
     assert_same(plain, detect_loop_closures(load_dataset(folder), PARAMS))
 
 
+@pytest.mark.slow
 def test_another_threshold_compares_nothing_and_another_radius_makes_no_map(tmp_path: Path) -> None:
     run(Store(tmp_path))
     ran()
@@ -181,6 +184,7 @@ def test_another_threshold_compares_nothing_and_another_radius_makes_no_map(tmp_
     assert ran() == 4 * ["map"] + 6 * ["pair"]
 
 
+@pytest.mark.slow
 def test_candidates_are_found_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
     find = Shortlist.candidates
@@ -212,6 +216,7 @@ def test_candidates_are_found_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     ran()
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_goes_on_where_it_was(tmp_path: Path) -> None:
     without = run(None)
     ran()
@@ -249,6 +254,7 @@ def test_a_store_that_is_too_small_changes_nothing(tmp_path: Path) -> None:
     assert_same(run(Store(tmp_path, max_bytes=1_500_000)), run(None))
 
 
+@pytest.mark.slow
 def test_a_store_that_cannot_be_written_changes_nothing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     assert_same(run(Store(tmp_path / "file" / "kept")), run(None))

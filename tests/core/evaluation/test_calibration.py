@@ -35,6 +35,7 @@ def judged() -> dict[str, Calibration]:
     return {one.name: one for one in found}
 
 
+@pytest.mark.slow
 def test_measured_noise_is_honest_where_one_constant_cannot_be(
     judged: dict[str, Calibration],
 ) -> None:

@@ -115,6 +115,7 @@ def test_datasets_of_one_name_get_files_of_their_own(dataset: Dataset) -> None:
     assert "not in Fig. 8" in notes[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "height"), [(3.0, 4.0), (8.0, 0.6), (0.6, 8.0)])
 @pytest.mark.parametrize("inliers", [0, 2])
 def test_maps_of_any_shape_are_drawn(
@@ -134,6 +135,7 @@ def test_maps_of_any_shape_are_drawn(
             assert 1.0 < figure.get_figheight() < 9.5  # a page of a paper has no more
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_any_number_of_datasets_is_drawn(
     dataset: Dataset, evaluation: Evaluation, count: int

@@ -37,10 +37,12 @@ def run(folder: Path, *arguments: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_the_command_line_offers_it(copy: Path) -> None:
     assert "brisk" in re.sub(r"\s+", " ", run(copy, "-m", "app", "detect", "--help"))
 
 
+@pytest.mark.slow
 def test_it_passes_the_tests_of_all_detectors(copy: Path) -> None:
     tests = "tests/core/features/test_extraction.py"
     said = run(

@@ -42,6 +42,7 @@ def test_it_is_the_oracle_on_usual_ground(length_scale: float, noise: float) -> 
         assert errors.num_trusted > 50
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @settings(max_examples=15)
 @given(
@@ -73,6 +74,7 @@ def test_it_is_the_oracle_at_any_parameters(
     assert errors.std <= 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @settings(max_examples=6)
 @given(seed=seeds, length_scale=st.floats(0.15, 0.8), spread=st.floats(1.0, 5.0))
@@ -121,6 +123,7 @@ def test_two_clusters_far_apart_are_the_oracle_and_the_prior_lies_between(solver
 # --- laws ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @settings(max_examples=10)
 @given(seed=seeds, length_scale=st.floats(0.15, 1.0), noise=st.floats(0.02, 0.1))
@@ -156,6 +159,7 @@ def test_permuting_the_points_changes_nothing_beyond_rounding(solver: Solver, se
     np.testing.assert_allclose(a[2], b[2], atol=rounding / kernel.length_scale)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @settings(max_examples=10)
 @given(seed=seeds, offset=st.tuples(*[st.floats(-1000, 1000)] * 3))
@@ -221,6 +225,7 @@ def test_progress_rises_to_one(solver: Solver) -> None:
     assert heard[-1] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("after", [0, 4])
 def test_cancelling_stops_the_work_and_leaves_blas_as_it_was(solver: Solver, after: int) -> None:
@@ -245,6 +250,7 @@ def test_cancelling_stops_the_work_and_leaves_blas_as_it_was(solver: Solver, aft
     fit_gp(points, kernel, 0.05, solver=solver)  # and the next fit is none the worse
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @settings(max_examples=40)
 @given(

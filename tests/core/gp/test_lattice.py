@@ -18,6 +18,7 @@ seeds = st.integers(0, 2**32 - 1)
 WIDE = (24.0, 2.0)
 
 
+@pytest.mark.slow
 def test_a_wide_cloud_is_the_oracle_too_in_every_strip() -> None:
     points = cloud(5, 1600, WIDE, noise=0.03, holes=8)
     kernel = SquaredExponential(0.2, 0.3)
@@ -57,6 +58,7 @@ def test_strips_answer_for_all_x_and_do_not_overlap() -> None:
 # --- bins ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length_scale", [0.3, 0.5, 1.0])
 def test_bins_of_an_eighth_of_a_length_scale_cost_little(length_scale: float) -> None:
     points = cloud(9, 2500, (2.0, 1.5), noise=0.03)

@@ -79,6 +79,7 @@ ODD = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(ODD))
 def test_what_once_failed_is_mapped_and_registered(name: str) -> None:
     xy, of_map = ODD[name]
@@ -87,6 +88,7 @@ def test_what_once_failed_is_mapped_and_registered(name: str) -> None:
     run_pipeline(cloud, cloud, PipelineParams(map=of_map, features=features))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "xy",
     [

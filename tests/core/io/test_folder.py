@@ -289,6 +289,7 @@ def test_far_away_points_are_written_in_double(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_dataset(tmp_path / "set").submaps[0].points, points)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REAL_COUNTS)
 def test_the_real_sets_load(name: str, real_data: Path) -> None:
     loaded = load_dataset(real_data / name)

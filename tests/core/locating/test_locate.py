@@ -138,6 +138,7 @@ def test_whatever_is_as_wide_lies_in_a_window(
     raise AssertionError
 
 
+@pytest.mark.slow
 def test_windows_near_a_place() -> None:
     every, some = (cut_windows(model(), 10.1, near) for near in (None, (*CORNER, 2.0)))
     assert [one.name for one in some] == ["0,0"]

@@ -50,6 +50,7 @@ def draw(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("side", "length_scale", "signal_std", "noise_std"),
     [
@@ -70,6 +71,7 @@ def test_hyperparameters_are_found_again(
     assert found.signal_std == pytest.approx(signal_std, rel=0.35)
 
 
+@pytest.mark.slow
 def test_length_scales_beyond_the_densest_patches_are_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -82,6 +82,7 @@ def test_its_standard_deviation_is_honest() -> None:
     assert 0.9 < rms(error) < 1.1
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(seed=seeds)
 def test_turned_ground_has_turned_slopes(seed: int) -> None:

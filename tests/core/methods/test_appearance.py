@@ -53,6 +53,7 @@ def seen(tmp_path: Path) -> list[Submap]:
     return places
 
 
+@pytest.mark.slow
 def test_a_place_seen_again_ranks_first(seen: list[Submap]) -> None:
     detector = AppearanceDetector(PipelineParams(), Memo())
     result = detect_loop_closures(Dataset("seen", tuple(seen)), detector=detector)

@@ -20,6 +20,7 @@ ELSEWHERE = {"chance", "appearance"}
 """What guesses, and what looks at images."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(METHODS.keys() - ELSEWHERE))
 def test_a_rocky_place_seen_again_is_found_and_ranks_above_another(name: str) -> None:
     if not METHODS[name].installed:

@@ -17,6 +17,7 @@ WITH = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("does", "said"),
     [
@@ -50,6 +51,7 @@ def test_what_is_printed_does_not_mix_with_the_reply(monkeypatch: pytest.MonkeyP
     assert decode_apart("laz", b"abc", 100) == b"abc"
 
 
+@pytest.mark.slow
 def test_images_come_back_in_order(tmp_path: Path) -> None:
     pictures = [np.full((4 + k, 9), 10 * k, np.uint8) for k in range(6)]
     files = [tmp_path / f"{k}.png" for k in range(6)]

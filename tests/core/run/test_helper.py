@@ -135,6 +135,7 @@ def test_what_is_cancelled_here_stops_there(helper: Helper, tmp_path: Path) -> N
     assert ask(helper, where, "free").wait()[0] == "free"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_when_it_dies_the_work_is_done_here_or_by_the_next() -> None:
     helper = started()
@@ -147,6 +148,7 @@ def test_when_it_dies_the_work_is_done_here_or_by_the_next() -> None:
     helper.close()
 
 
+@pytest.mark.slow
 def test_told_to_it_makes_room_for_a_fresh_process(helper: Helper, tmp_path: Path) -> None:
     first = ask(helper, where, "first").wait()[1]
     assert helper.process_id == first
@@ -161,6 +163,7 @@ def test_told_to_it_makes_room_for_a_fresh_process(helper: Helper, tmp_path: Pat
     assert ask(helper, where, "second").wait()[1] == helper.process_id != first
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_after_its_death_it_comes_back_as_another_process() -> None:
     helper = started()
@@ -177,6 +180,7 @@ def test_after_its_death_it_comes_back_as_another_process() -> None:
         os.kill(second, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_when_it_is_stopped_the_work_is_done_here_and_it_is_replaced(
     monkeypatch: pytest.MonkeyPatch,
@@ -230,6 +234,7 @@ def test_what_dies_before_it_is_ready_is_not_started_again(monkeypatch: pytest.M
     helper.close()
 
 
+@pytest.mark.slow
 def test_it_ends_when_it_is_closed() -> None:
     helper = started()
     _, process = ask(helper, where, "which").wait()

@@ -52,6 +52,7 @@ def test_arrays_come_back_as_they_were_and_cannot_be_written() -> None:
         assert not given.flags.writeable
 
 
+@pytest.mark.slow
 def test_memory_is_taken_when_they_are_looked_at_and_given_back() -> None:
     size = 60_000_000
     spool = Spool()

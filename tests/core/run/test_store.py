@@ -199,6 +199,7 @@ def _put_many(folder: Path, start: int) -> int:
     return store.take_damaged()
 
 
+@pytest.mark.slow
 def test_processes_share_a_folder(tmp_path: Path) -> None:
     with ProcessPoolExecutor(2, get_context("spawn")) as executor:
         damaged = list(executor.map(_put_many, [tmp_path] * 4, [0, 20, 0, 30]))

@@ -45,6 +45,7 @@ GROUND = EndlessGround(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=4)
 @given(
     st.tuples(*[st.floats(-20, 20)] * 2),

@@ -127,6 +127,7 @@ def test_odometry_drifts_and_exact_odometry_does_not(dataset: Dataset) -> None:
     assert max(errors(simulate_dataset(exact))) < 1e-5
 
 
+@pytest.mark.slow
 def test_more_submaps_keep_the_streams_of_the_others() -> None:
     """One more submap on the way back moves nothing that was there before it."""
     few = replace(SMALL, num_submaps=3, max_points=2000)
@@ -158,6 +159,7 @@ def test_params_out_of_bounds_are_refused() -> None:
     assert_refused(lambda: simulate_dataset(replace(SMALL, extent=15.0)), "extent must be")
 
 
+@pytest.mark.slow
 def test_a_lesser_machine_makes_the_same() -> None:
     """Without the wide instructions NumPy's sines differ in the last bit; the points must not."""
     params = replace(SMALL, num_submaps=2, spacing=1.0, extent=14.0)

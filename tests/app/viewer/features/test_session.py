@@ -136,6 +136,7 @@ def test_minimum_inliers_turns_the_verdict_and_reset_turns_it_back(
     assert pipeline.calls[-1] == START
 
 
+@pytest.mark.slow
 def test_many_events_end_on_the_last_and_do_not_echo(
     session: Session, gui: viser.ViserServer, pipeline: FakePipeline
 ) -> None:
@@ -362,6 +363,7 @@ def automatic_session(server: viser.ViserServer) -> Session:
     return Session(server, Opened(submaps, PipelineParams(), ""), Memo(), Capacity())
 
 
+@pytest.mark.slow
 def test_automatic_is_the_fitted_number_in_box_and_picture(
     server: viser.ViserServer, pipeline: FakePipeline
 ) -> None:

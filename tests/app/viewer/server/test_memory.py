@@ -125,6 +125,7 @@ def test_limits_of_control_groups_are_read(tmp_path: Path) -> None:
     assert group_limits(groups, mine) == []
 
 
+@pytest.mark.slow
 def test_beyond_the_budget_the_oldest_results_go_and_their_memory_too() -> None:
     memo = Memo()
     keeper = MemoryKeeper(10**12, memo, None)
@@ -171,6 +172,7 @@ def test_a_helper_that_hoards_is_replaced_and_the_memo_is_spared() -> None:
         helper.close()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_kept_is_told_once(
     start: Callable[..., MemoryKeeper], monkeypatch: pytest.MonkeyPatch
 ) -> None:

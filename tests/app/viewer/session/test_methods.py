@@ -127,6 +127,7 @@ def test_the_card_says_n_h_and_the_fit_of_each_submap() -> None:
     assert own["length-scale"] == "50 cm, as it is set"
 
 
+@pytest.mark.slow
 def test_the_panel_runs_the_chosen_method(session: Session, server: viser.ViserServer) -> None:
     assert session.wait_idle(120)
     by_gradient = session.state

@@ -81,6 +81,7 @@ def test_a_job_is_run_and_its_time_told() -> None:
     assert 0 <= told[0] < PATIENCE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("work_seconds", [0.0, 0.02, 0.3])
 def test_the_last_value_always_wins_and_nothing_overtakes(work_seconds: float) -> None:
     record = Record()

@@ -60,6 +60,7 @@ def run(copy: Path, *arguments: str) -> str:
     return finished.stdout
 
 
+@pytest.mark.slow
 def test_one_file_is_enough(tmp_path: Path) -> None:
     follow_the_guide(tmp_path)
     run(tmp_path, "-c", USED)

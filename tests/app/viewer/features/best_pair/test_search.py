@@ -114,6 +114,7 @@ def page_says(session: Session, name: str, **data: object) -> None:
 CLOSURES = {("004", "000"): 5.0, ("005", "001"): 7.0, ("006", "002"): 9.0}
 
 
+@pytest.mark.slow
 def test_it_switches_to_the_best_closure_and_says_so(
     begin: Callable[..., tuple[Session, Held]],
 ) -> None:
@@ -153,6 +154,7 @@ def test_it_says_that_nothing_was_found(begin: Callable[..., tuple[Session, Held
     assert note(session) == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("act", ["slider", "touch", "all pairs", "pair"])
 def test_it_never_switches_once_somebody_has_acted(
     begin: Callable[..., tuple[Session, Held]], act: str

@@ -116,6 +116,7 @@ def test_a_page_that_comes_sees_all_of_it_and_is_told_what(
     assert any('"camera"' in text and '"share"' in text for text in page.scripts)
 
 
+@pytest.mark.slow
 def test_the_camera_follows_layout_pair_and_size_until_it_is_moved_by_hand(
     server: viser.ViserServer, session: Session, arrive: Callable[..., FakePage]
 ) -> None:
@@ -231,6 +232,7 @@ def test_a_page_that_joins_what_its_link_shows_sees_it_from_there(
     assert view_of(first) == seen
 
 
+@pytest.mark.slow
 def test_a_page_goes_to_another_link_and_back(
     session: Session, arrive: Callable[..., FakePage]
 ) -> None:

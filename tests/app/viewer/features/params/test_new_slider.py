@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[5]
 USED = """
 from dataclasses import replace
@@ -80,6 +82,7 @@ def run(copy: Path, *arguments: str) -> str:
     return finished.stdout
 
 
+@pytest.mark.slow
 def test_one_field_is_a_slider_a_flag_and_a_part_of_links(tmp_path: Path) -> None:
     follow_the_guide(tmp_path)
     run(tmp_path, "-c", USED)

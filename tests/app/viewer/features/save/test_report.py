@@ -56,6 +56,7 @@ def test_the_page_has_all_of_it_and_asks_no_server(tmp_path: Path) -> None:
     assert page.count("http") == 2  # the link, and nothing that a browser would load
 
 
+@pytest.mark.slow
 def test_the_picture_is_opaque_and_twice_as_fine(tmp_path: Path) -> None:
     write_report(STATE, Memo(), LINK, "", tmp_path / "report.png", silent)
     picture = cv2.imread(str(tmp_path / "report.png"), cv2.IMREAD_UNCHANGED)
