@@ -8,56 +8,23 @@ from .detection import (
     register_pair,
     resolve_parameters,
 )
-from .detection.shortlist import (
-    Candidate,
-    Shortlist,
-)
-from .detection.verdict import (
-    ClosureParams,
-    classify,
-)
+from .detection.shortlist import Candidate, Shortlist
+from .detection.verdict import ClosureParams, classify
 from .errors import InputError
-from .evaluation import (
-    Evaluation,
-    EvaluationParams,
-    PrecisionRecall,
-    evaluate,
-    write_report,
-)
+from .evaluation import Evaluation, EvaluationParams, PrecisionRecall, evaluate, write_report
 from .features import DetectorParams, FeatureParams, extract_features
 from .io.clouds import load_cloud
-from .io.folder import (
-    load_dataset,
-    open_dataset,
-    write_dataset,
-)
+from .io.folder import load_dataset, open_dataset, write_dataset
 from .io.records.closure_writer import write_closures
-from .io.records.closures import (
-    read_closures,
-    report_closures,
-    restore_closures,
-)
+from .io.records.closures import read_closures, report_closures, restore_closures
 from .io.records.fitted import write_fitted
 from .io.records.maps import write_map
-from .io.records.shortlists import (
-    read_shortlist,
-    resume_shortlist,
-    write_shortlist,
-)
-from .mapping.fitting import (
-    FitResult,
-    fit_parameters,
-)
-from .mapping.gradient_map import (
-    MapParams,
-    TerrainParams,
-)
+from .io.records.shortlists import read_shortlist, resume_shortlist, write_shortlist
+from .mapping.fitting import FitResult, fit_parameters
+from .mapping.gradient_map import MapParams, TerrainParams
 from .matching import MatchParams, match_features
 from .params.files import preferred_parameters, read_parameters
-from .recordings.build import (
-    BuildReport,
-    build_dataset,
-)
+from .recordings.build import BuildReport, build_dataset
 from .recordings.params import BuildParams
 from .recordings.recording import RecordingSources
 from .registration import RegistrationParams, refine, register

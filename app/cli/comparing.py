@@ -23,16 +23,10 @@ from gpgrad_core.detection import (
     store_for_run,
     with_store,
 )
-from gpgrad_core.detection.shortlist import (
-    Candidates,
-    num_wanted,
-)
+from gpgrad_core.detection.shortlist import Candidates, num_wanted
 from gpgrad_core.io.folder import MOST_LOADED, Outline
 from gpgrad_core.io.records.closure_writer import ClosureWriter
-from gpgrad_core.io.records.closures import (
-    count_images,
-    report_closures,
-)
+from gpgrad_core.io.records.closures import count_images, report_closures
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.methods import Method
 from gpgrad_core.run.cluster import Cluster, connected

@@ -6,11 +6,7 @@ import tyro
 from typing_extensions import Doc
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.georeference import (
-    Georeference,
-    make_georeference,
-    read_origin,
-)
+from gpgrad_core.io.georeference import Georeference, make_georeference, read_origin
 from gpgrad_core.io.records.georeferenced import check_libraries
 
 UTM = "UTM"

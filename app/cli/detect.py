@@ -25,10 +25,7 @@ from app.recordings import built_first
 from gpgrad_core.detection.shortlist import read_candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import outline_dataset
-from gpgrad_core.io.records.files import (
-    check_apart,
-    check_output,
-)
+from gpgrad_core.io.records.files import check_apart, check_output
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.slam import build_pose_graph, odometry_poses, write_graph
 

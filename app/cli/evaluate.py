@@ -24,10 +24,7 @@ from app.cli.inputs import (
 )
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.detection.shortlist import (
-    num_wanted,
-    read_candidates,
-)
+from gpgrad_core.detection.shortlist import num_wanted, read_candidates
 from gpgrad_core.evaluation import (
     Evaluation,
     EvaluationParams,
@@ -48,10 +45,7 @@ from gpgrad_core.evaluation import (
     run_methods,
     write_report,
 )
-from gpgrad_core.io.records.closures import (
-    ClosureReport,
-    count_images,
-)
+from gpgrad_core.io.records.closures import ClosureReport, count_images
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.params.bounds import SEEDS

@@ -11,20 +11,9 @@ from app.cli.flags import Given
 from app.cli.inputs import ParamsFile, base_params, load
 from app.cli.terminal import count, progress_bar, say
 from gpgrad_core.detection import fit_submap
-from gpgrad_core.io.records.files import (
-    check_apart,
-    check_output,
-)
-from gpgrad_core.io.records.fitted import (
-    fitted_rows,
-    write_fitted,
-    write_fitted_table,
-)
-from gpgrad_core.mapping.fitting import (
-    FitResult,
-    fit_parameters,
-    fitted_names,
-)
+from gpgrad_core.io.records.files import check_apart, check_output
+from gpgrad_core.io.records.fitted import fitted_rows, write_fitted, write_fitted_table
+from gpgrad_core.mapping.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.methods.paper import paper_params, paper_start
 from gpgrad_core.params.bounds import SEEDS

@@ -10,27 +10,13 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Overwrite
-from app.cli.inputs import (
-    ALL_PARAMS,
-    AllParams,
-    DatasetPath,
-    ParamsFile,
-    asked_params,
-    load,
-)
+from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, asked_params, load
 from app.cli.terminal import count, progress_bar, say, warn
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.folder import (
-    check_vacant,
-    index_of,
-    write_dataset,
-)
+from gpgrad_core.io.folder import check_vacant, index_of, write_dataset
 from gpgrad_core.io.georeference import read_origin
 from gpgrad_core.io.poses import read_poses
-from gpgrad_core.io.records.files import (
-    check_apart,
-    check_output,
-)
+from gpgrad_core.io.records.files import check_apart, check_output
 from gpgrad_core.locating.locate import (
     Location,
     cut_windows,
@@ -40,10 +26,7 @@ from gpgrad_core.locating.locate import (
     spread,
     width_of,
 )
-from gpgrad_core.locating.record import (
-    shown_on_model,
-    write_located,
-)
+from gpgrad_core.locating.record import shown_on_model, write_located
 from gpgrad_core.mapping.gradient_map import NOISE_STD
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers

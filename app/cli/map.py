@@ -14,21 +14,10 @@ from app.cli.inputs import ParamsFile, base_params, load, settled
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.detection import infer_gradient_map
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.records.files import (
-    check_apart,
-    check_output,
-)
+from gpgrad_core.io.records.files import check_apart, check_output
 from gpgrad_core.io.records.georeferenced import write_cloud_optimised
-from gpgrad_core.io.records.maps import (
-    MAP_ENDINGS,
-    layers_of,
-    write_map,
-)
-from gpgrad_core.mapping.gradient_map import (
-    MapParams,
-    map_grid,
-    point_noise,
-)
+from gpgrad_core.io.records.maps import MAP_ENDINGS, layers_of, write_map
+from gpgrad_core.mapping.gradient_map import MapParams, map_grid, point_noise
 from gpgrad_core.run.memo import Memo
 
 RASTERS = (".tif", ".tiff")

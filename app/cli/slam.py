@@ -28,24 +28,14 @@ from app.cli.inputs import (
 )
 from app.cli.terminal import count, progress_bar, say, warn
 from app.recordings import built_first
-from gpgrad_core.detection import (
-    DetectionResult,
-    PipelineParams,
-)
-from gpgrad_core.detection.shortlist import (
-    Candidates,
-    read_candidates,
-)
+from gpgrad_core.detection import DetectionResult, PipelineParams
+from gpgrad_core.detection.shortlist import Candidates, read_candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import check_directory
 from gpgrad_core.io.folder import outline_dataset
 from gpgrad_core.io.georeference import Georeference
 from gpgrad_core.io.records.closure_writer import write_closures
-from gpgrad_core.io.records.closures import (
-    read_closures,
-    report_closures,
-    restore_closures,
-)
+from gpgrad_core.io.records.closures import read_closures, report_closures, restore_closures
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.methods import find_method

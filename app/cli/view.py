@@ -24,21 +24,10 @@ from app.cli.inputs import (
     settled,
 )
 from app.cli.terminal import say, warn
-from app.viewer.server.admission import (
-    Admission,
-    as_origin,
-    check_token,
-    is_loopback,
-)
-from app.viewer.server.memory import (
-    read_size,
-    shown,
-)
+from app.viewer.server.admission import Admission, as_origin, check_token, is_loopback
+from app.viewer.server.memory import read_size, shown
 from app.viewer.server.permissions import Permissions
-from app.viewer.viewer import (
-    Stage,
-    Viewer,
-)
+from app.viewer.viewer import Stage, Viewer
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import MOST_LOADED
@@ -47,10 +36,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.simulation.demo import demo_path
 
 if TYPE_CHECKING:  # loaded when they are needed: a page is served before
-    from app.viewer.session.session_file import (
-        Opened,
-        SavedSession,
-    )
+    from app.viewer.session.session_file import Opened, SavedSession
 
 
 @dataclass(frozen=True)

@@ -12,29 +12,13 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import viser
 
 from app.viewer.server.admission import Admission
-from app.viewer.server.guard import (
-    Told,
-    open_server,
-)
-from app.viewer.server.host import (
-    PANEL_WIDTH,
-    set_theme,
-)
+from app.viewer.server.guard import Told, open_server
+from app.viewer.server.host import PANEL_WIDTH, set_theme
 from app.viewer.server.limits import Limits
-from app.viewer.server.memory import (
-    MEMO_SHARE,
-    MemoryKeeper,
-    default_budget,
-)
-from app.viewer.server.permissions import (
-    READ_ALL,
-    Permissions,
-)
+from app.viewer.server.memory import MEMO_SHARE, MemoryKeeper, default_budget
+from app.viewer.server.permissions import READ_ALL, Permissions
 from app.viewer.session.runner import Capacity
-from gpgrad_core.detection import (
-    PipelineParams,
-    resolve_parameters,
-)
+from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.helper import start_helper
@@ -47,10 +31,7 @@ from gpgrad_core.types import Dataset
 # A page is served before these are loaded, which takes a second.
 if TYPE_CHECKING:
     from app.viewer.features.session import Session
-    from app.viewer.session.session_file import (
-        Opened,
-        SavedSession,
-    )
+    from app.viewer.session.session_file import Opened, SavedSession
 
 EVERYWHERE = ("0.0.0.0", "::")
 """Hosts that stand for all addresses of the machine."""

@@ -29,11 +29,7 @@ from gpgrad_core.detection.dataset import (
     register_pair,
 )
 from gpgrad_core.detection.params import PipelineParams
-from gpgrad_core.detection.stored import (
-    StoredDetector,
-    store_for_run,
-    with_store,
-)
+from gpgrad_core.detection.stored import StoredDetector, store_for_run, with_store
 
 __all__ = [
     "DetectionResult",

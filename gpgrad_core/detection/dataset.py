@@ -17,15 +17,8 @@ from gpgrad_core.detection.all_pairs import (
     TunedDetector,
     compare_all,
 )
-from gpgrad_core.detection.automatic import (
-    is_resolved,
-    resolve_parameters,
-)
-from gpgrad_core.detection.images import (
-    extract_images,
-    judge_by_images,
-    some_of,
-)
+from gpgrad_core.detection.automatic import is_resolved, resolve_parameters
+from gpgrad_core.detection.images import extract_images, judge_by_images, some_of
 from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.shortlist import (
     Candidate,
@@ -46,20 +39,12 @@ from gpgrad_core.detection.stages import (
     Stage,
     Stages,
 )
-from gpgrad_core.detection.verdict import (
-    classify,
-    with_images,
-)
+from gpgrad_core.detection.verdict import classify, with_images
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import check_detector
 from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.mapping.fitting import representative
-from gpgrad_core.mapping.gradient_map import (
-    MapParams,
-    fit_terrain,
-    map_grid,
-    sample_map,
-)
+from gpgrad_core.mapping.gradient_map import MapParams, fit_terrain, map_grid, sample_map
 from gpgrad_core.registration import Prepared
 from gpgrad_core.run.helper import Helper, beside
 from gpgrad_core.run.memo import Memo

@@ -11,10 +11,7 @@ from typing import Generic, Literal, TypeAlias, TypeVar
 
 from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.features import detect_features, select_trusted
-from gpgrad_core.mapping.gradient_map import (
-    fit_terrain,
-    sample_map,
-)
+from gpgrad_core.mapping.gradient_map import fit_terrain, sample_map
 from gpgrad_core.matching import match_features
 from gpgrad_core.registration import prepare, register_prepared, search_candidates
 from gpgrad_core.run.memo import Memo

@@ -7,17 +7,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from gpgrad_core.detection.all_pairs import SourceDetector
-from gpgrad_core.detection.dataset import (
-    ExtractedSubmap,
-    MapDetector,
-    infer_map,
-)
+from gpgrad_core.detection.dataset import ExtractedSubmap, MapDetector, infer_map
 from gpgrad_core.detection.shortlist import ALL_UP_TO
-from gpgrad_core.detection.stages import (
-    PREPARE,
-    SELECT,
-    key_of_stage,
-)
+from gpgrad_core.detection.stages import PREPARE, SELECT, key_of_stage
 from gpgrad_core.registration import Prepared
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.memo import Memo

@@ -1,14 +1,6 @@
 from .calibration import Calibration, calibrate, describe_calibration
 from .experiment import read_rivals, run_methods
-from .judge import (
-    Accepted,
-    Evaluation,
-    MethodVerdict,
-    Ranked,
-    RuleVerdict,
-    Summary,
-    evaluate,
-)
+from .judge import Accepted, Evaluation, MethodVerdict, Ranked, RuleVerdict, Summary, evaluate
 from .overlap import TruePairs, measure_pairs
 from .pose_error import PoseErrors, pose_errors
 from .precision_recall import (
@@ -20,18 +12,8 @@ from .precision_recall import (
     recall_at_full_precision,
 )
 from .ranking import Ranking, rank_pairs
-from .registration_benchmark import (
-    Problem,
-    check_problems,
-    describe_problems,
-    read_problems,
-)
-from .report import (
-    Section,
-    check_directory,
-    report_evaluation,
-    write_report,
-)
+from .registration_benchmark import Problem, check_problems, describe_problems, read_problems
+from .report import Section, check_directory, report_evaluation, write_report
 from .rules import EvaluationParams, Labels, Rule
 from .sections import Protocol, describe_images, describe_protocol
 

@@ -13,17 +13,11 @@ from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.detection import (
-    PipelineParams,
-    infer_gradient_map,
-)
+from gpgrad_core.detection import PipelineParams, infer_gradient_map
 from gpgrad_core.evaluation.pages import TEMPLATES, render
 from gpgrad_core.evaluation.report import Section
 from gpgrad_core.mapping.fitting import fit_parameters
-from gpgrad_core.mapping.gradient_map import (
-    MapParams,
-    ordinary_noise,
-)
+from gpgrad_core.mapping.gradient_map import MapParams, ordinary_noise
 from gpgrad_core.methods.smoothed import smooth
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.types import Dataset, GradientMap, Submap

@@ -5,19 +5,11 @@ from concurrent.futures import Executor
 from itertools import combinations
 from pathlib import Path
 
-from gpgrad_core.detection import (
-    DetectionResult,
-    PipelineParams,
-    detect_loop_closures,
-)
+from gpgrad_core.detection import DetectionResult, PipelineParams, detect_loop_closures
 from gpgrad_core.detection.all_pairs import OrderedDetector
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.records.closures import (
-    ClosureReport,
-    read_closures,
-    report_closures,
-)
+from gpgrad_core.io.records.closures import ClosureReport, read_closures, report_closures
 from gpgrad_core.methods import Method
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent

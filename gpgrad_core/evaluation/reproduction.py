@@ -8,10 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.detection import (
-    DetectionResult,
-    PipelineParams,
-)
+from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.all_pairs import SearchableDetector
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.experiment import detect_kept

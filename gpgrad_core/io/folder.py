@@ -11,28 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds import (
-    CLOUD_ENDINGS,
-    is_cloud,
-    load_cloud_with_notes,
-    wild_note,
-)
+from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, load_cloud_with_notes, wild_note
 from gpgrad_core.io.clouds.ply import write_ply
-from gpgrad_core.io.cpet import (
-    PosedScan,
-    find_posed_scans,
-)
-from gpgrad_core.io.dataset_toml import (
-    read_dataset_toml,
-    write_dataset_toml,
-)
-from gpgrad_core.io.poses import (
-    poses_at,
-    read_poses,
-    read_positions,
-    write_poses,
-    write_positions,
-)
+from gpgrad_core.io.cpet import PosedScan, find_posed_scans
+from gpgrad_core.io.dataset_toml import read_dataset_toml, write_dataset_toml
+from gpgrad_core.io.poses import poses_at, read_poses, read_positions, write_poses, write_positions
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes

@@ -8,11 +8,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.text import (
-    parse_numbers,
-    split_rows,
-    write_lines,
-)
+from gpgrad_core.reading.text import parse_numbers, split_rows, write_lines
 from gpgrad_core.se2 import SE2, Pose, fit_se2
 from gpgrad_core.types import MAX_COORDINATE
 

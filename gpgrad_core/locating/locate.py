@@ -14,12 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.detection import (
-    ExtractedSubmap,
-    MapDetector,
-    PipelineParams,
-    resolve_parameters,
-)
+from gpgrad_core.detection import ExtractedSubmap, MapDetector, PipelineParams, resolve_parameters
 from gpgrad_core.detection.all_pairs import side_by_side
 from gpgrad_core.detection.verdict import classify
 from gpgrad_core.errors import InputError

@@ -13,11 +13,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.io.records.closures import record_of
 from gpgrad_core.io.records.files import replacing
-from gpgrad_core.locating.locate import (
-    Location,
-    Window,
-    width_of,
-)
+from gpgrad_core.locating.locate import Location, Window, width_of
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.simulation.dem import Elevations
 from gpgrad_core.types import Dataset, Submap

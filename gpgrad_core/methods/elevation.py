@@ -4,10 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpgrad_core.detection import (
-    MapDetector,
-    PipelineParams,
-)
+from gpgrad_core.detection import MapDetector, PipelineParams
 from gpgrad_core.features import DetectorParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import GradientMap

@@ -26,10 +26,7 @@ from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.features import DetectorParams, FeatureParams
 from gpgrad_core.features.interpolation import interpolate
 from gpgrad_core.gp.likelihood import Hyperparameters
-from gpgrad_core.mapping.gradient_map import (
-    MapParams,
-    TerrainParams,
-)
+from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
 from gpgrad_core.matching import MatchParams, match_features
 from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo

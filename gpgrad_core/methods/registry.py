@@ -5,12 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from gpgrad_core.detection import (
-    MapDetector,
-    PipelineParams,
-    check_searchable,
-    resolve_parameters,
-)
+from gpgrad_core.detection import MapDetector, PipelineParams, check_searchable, resolve_parameters
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library

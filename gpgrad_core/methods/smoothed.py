@@ -8,10 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.detection import (
-    MapDetector,
-    PipelineParams,
-)
+from gpgrad_core.detection import MapDetector, PipelineParams
 from gpgrad_core.mapping.gradient_map import map_grid
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent

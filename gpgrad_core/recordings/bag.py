@@ -15,10 +15,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.io.poses import make_pose
 from gpgrad_core.libraries import load_library
-from gpgrad_core.recordings.conditions import (
-    Condition,
-    Tally,
-)
+from gpgrad_core.recordings.conditions import Condition, Tally
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.pose_files import (
     PoseFile,
@@ -45,11 +42,7 @@ from gpgrad_core.recordings.ros_messages import (
     points_of,
     seconds,
 )
-from gpgrad_core.recordings.trajectory import (
-    Located,
-    Poses,
-    Trajectory,
-)
+from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 from gpgrad_core.run.progress import Cancelled
 
 BagReader: TypeAlias = Any

@@ -13,56 +13,20 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.ply import write_ply
 from gpgrad_core.io.cpet import find_posed_scans
-from gpgrad_core.io.folder import (
-    check_vacant,
-    write_all_but_clouds,
-)
+from gpgrad_core.io.folder import check_vacant, write_all_but_clouds
 from gpgrad_core.io.poses import pose_row
 from gpgrad_core.reading.text import write_lines
-from gpgrad_core.recordings.bag import (
-    is_bag,
-    open_bag,
-)
-from gpgrad_core.recordings.cloud_folder import (
-    is_scan_folder,
-    open_folder,
-    open_posed_scans,
-)
+from gpgrad_core.recordings.bag import is_bag, open_bag
+from gpgrad_core.recordings.cloud_folder import is_scan_folder, open_folder, open_posed_scans
 from gpgrad_core.recordings.cutting import cut
-from gpgrad_core.recordings.gravity import (
-    estimate_up,
-    ground_normal,
-    turned_upright,
-    up_axis,
-)
-from gpgrad_core.recordings.journal import (
-    Entry,
-    Journal,
-    open_journal,
-)
-from gpgrad_core.recordings.katwijk import (
-    is_katwijk,
-    open_katwijk,
-)
+from gpgrad_core.recordings.gravity import estimate_up, ground_normal, turned_upright, up_axis
+from gpgrad_core.recordings.journal import Entry, Journal, open_journal
+from gpgrad_core.recordings.katwijk import is_katwijk, open_katwijk
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.pds import (
-    find_products,
-    open_products,
-)
-from gpgrad_core.recordings.recording import (
-    Reader,
-    Recording,
-    RecordingSources,
-)
-from gpgrad_core.recordings.trajectory import (
-    Located,
-    Poses,
-)
-from gpgrad_core.recordings.voxels import (
-    Voxels,
-    VoxelSums,
-    reach,
-)
+from gpgrad_core.recordings.pds import find_products, open_products
+from gpgrad_core.recordings.recording import Reader, Recording, RecordingSources
+from gpgrad_core.recordings.trajectory import Located, Poses
+from gpgrad_core.recordings.voxels import Voxels, VoxelSums, reach
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset, Submap

@@ -13,17 +13,9 @@ from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds import (
-    CLOUD_ENDINGS,
-    is_cloud,
-    read_cloud,
-)
+from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, read_cloud
 from gpgrad_core.io.cpet import PosedScan
-from gpgrad_core.recordings.conditions import (
-    Condition,
-    Tally,
-    kept_points,
-)
+from gpgrad_core.recordings.conditions import Condition, Tally, kept_points
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.pose_files import (
     Mount,
@@ -43,11 +35,7 @@ from gpgrad_core.recordings.recording import (
     spelled,
     truth_at,
 )
-from gpgrad_core.recordings.trajectory import (
-    Located,
-    Poses,
-    Trajectory,
-)
+from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 from gpgrad_core.run.folders import is_unfinished
 
 CLOUD_FOLDERS = ("", "scans", "velodyne", "velodyne_points", "clouds")

@@ -19,10 +19,7 @@ from typing import cast
 from msgspec import Struct, structs, to_builtins
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.folder import (
-    JOURNAL,
-    check_vacant,
-)
+from gpgrad_core.io.folder import JOURNAL, check_vacant
 from gpgrad_core.reading.json_files import parse_json
 from gpgrad_core.reading.records import as_record
 from gpgrad_core.reading.text import lines_of, read_text, write_lines

@@ -31,18 +31,9 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.reading.images import read_grey_png
 from gpgrad_core.reading.text import parse_numbers, split_rows
-from gpgrad_core.recordings.conditions import (
-    Condition,
-    Tally,
-    kept_points,
-)
+from gpgrad_core.recordings.conditions import Condition, Tally, kept_points
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.pose_files import (
-    PoseFile,
-    positions_of,
-    read_mount,
-    read_timed_poses,
-)
+from gpgrad_core.recordings.pose_files import PoseFile, positions_of, read_mount, read_timed_poses
 from gpgrad_core.recordings.recording import (
     Reader,
     Recording,
@@ -53,10 +44,7 @@ from gpgrad_core.recordings.recording import (
     spelled,
     truth_at,
 )
-from gpgrad_core.recordings.trajectory import (
-    Poses,
-    Trajectory,
-)
+from gpgrad_core.recordings.trajectory import Poses, Trajectory
 
 FOLDER, POSITIONS = "Velodyne", ("gps-latlong.txt", "gps-utm31.txt")
 LASERS, COLUMNS = 16, 1808

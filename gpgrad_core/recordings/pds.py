@@ -32,18 +32,10 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.poses import (
-    check_position,
-    make_pose,
-)
+from gpgrad_core.io.poses import check_position, make_pose
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
-from gpgrad_core.recordings.recording import (
-    Reader,
-    Recording,
-    RecordingSources,
-    identify,
-)
+from gpgrad_core.recordings.recording import Reader, Recording, RecordingSources, identify
 from gpgrad_core.recordings.trajectory import Poses
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import Pose

@@ -10,20 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.georeference import (
-    check_place,
-    east_north_up,
-)
-from gpgrad_core.io.poses import (
-    check_matrices,
-    check_position,
-    make_pose,
-)
+from gpgrad_core.io.georeference import check_place, east_north_up
+from gpgrad_core.io.poses import check_matrices, check_position, make_pose
 from gpgrad_core.reading.text import lines_of, parse_numbers, read_text, split_rows
-from gpgrad_core.recordings.trajectory import (
-    Poses,
-    Trajectory,
-)
+from gpgrad_core.recordings.trajectory import Poses, Trajectory
 from gpgrad_core.types import MAX_COORDINATE
 
 MAX_TIME = 1e19

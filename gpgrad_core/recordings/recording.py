@@ -11,16 +11,9 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.recordings.conditions import (
-    Condition,
-    Tally,
-)
+from gpgrad_core.recordings.conditions import Condition, Tally
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.trajectory import (
-    Located,
-    Poses,
-    Trajectory,
-)
+from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 
 Reader: TypeAlias = Callable[[int, int], Iterator[Float[NDArray[np.floating], "n 3"]]]
 

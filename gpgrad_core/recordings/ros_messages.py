@@ -12,17 +12,9 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.poses import make_pose
-from gpgrad_core.recordings.conditions import (
-    Condition,
-    Tally,
-    kept_points,
-)
+from gpgrad_core.recordings.conditions import Condition, Tally, kept_points
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.trajectory import (
-    Located,
-    Poses,
-    Trajectory,
-)
+from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 
 Message: TypeAlias = Any
 """A message, or a part of one; rosbags makes its types while it runs."""

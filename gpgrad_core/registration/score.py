@@ -17,13 +17,7 @@ from gpgrad_core.registration.align import (
     smooth_between,
     take_warp_out,
 )
-from gpgrad_core.registration.surface import (
-    NUM_BANDS,
-    Surface,
-    ThinMap,
-    band_edges,
-    smooth_surface,
-)
+from gpgrad_core.registration.surface import NUM_BANDS, Surface, ThinMap, band_edges, smooth_surface
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import MAX_STD_RATIO, Agreement, GradientMap, Grid
 

@@ -20,15 +20,8 @@ from scipy import ndimage
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
-from gpgrad_core.simulation.params import (
-    SimulationParams,
-    stream,
-)
-from gpgrad_core.simulation.terrain import (
-    RESOLUTION,
-    HeightField,
-    add_rocks,
-)
+from gpgrad_core.simulation.params import SimulationParams, stream
+from gpgrad_core.simulation.terrain import RESOLUTION, HeightField, add_rocks
 from gpgrad_core.types import MAX_COORDINATE
 
 MOST_CELLS = 100_000_000

@@ -7,11 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.simulation.params import (
-    SimulationParams,
-    stream,
-    stream_at,
-)
+from gpgrad_core.simulation.params import SimulationParams, stream, stream_at
 from gpgrad_core.simulation.terrain import (
     CRATER_DIAMETERS,
     CRATER_SLOPE,

@@ -7,32 +7,15 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.ply import write_ply
-from gpgrad_core.io.folder import (
-    SIMULATED,
-    check_vacant,
-    new_folder,
-)
+from gpgrad_core.io.folder import SIMULATED, check_vacant, new_folder
 from gpgrad_core.io.poses import pose_row
 from gpgrad_core.reading.text import write_lines
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose
-from gpgrad_core.simulation.dem import (
-    ElevationModel,
-    ground_of,
-)
-from gpgrad_core.simulation.params import (
-    SimulationParams,
-    stream,
-)
-from gpgrad_core.simulation.routes import (
-    STEP,
-    Track,
-    plan_track,
-)
-from gpgrad_core.simulation.rover import (
-    scan,
-    sensor_pose,
-)
+from gpgrad_core.simulation.dem import ElevationModel, ground_of
+from gpgrad_core.simulation.params import SimulationParams, stream
+from gpgrad_core.simulation.routes import STEP, Track, plan_track
+from gpgrad_core.simulation.rover import scan, sensor_pose
 from gpgrad_core.simulation.simulate import (
     ATTITUDE_STD,
     ODOMETRY_STREAM,
@@ -40,10 +23,7 @@ from gpgrad_core.simulation.simulate import (
     drift,
     true_pose,
 )
-from gpgrad_core.simulation.terrain import (
-    HeightField,
-    make_terrain,
-)
+from gpgrad_core.simulation.terrain import HeightField, make_terrain
 
 SCAN_STREAM = 3
 START, PERIOD = 1_700_000_000.0, 0.1

@@ -10,10 +10,7 @@ from scipy import ndimage
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.fields import bounds_of
-from gpgrad_core.simulation.params import (
-    SimulationParams,
-    stream,
-)
+from gpgrad_core.simulation.params import SimulationParams, stream
 
 STEP = 0.05
 """Distance between the points of a track [m]."""

@@ -13,36 +13,17 @@ from numpy.random import Generator
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.ply import write_ply
-from gpgrad_core.io.folder import (
-    CLOUD_FOLDER,
-    check_vacant,
-    new_folder,
-    write_all_but_clouds,
-)
+from gpgrad_core.io.folder import CLOUD_FOLDER, check_vacant, new_folder, write_all_but_clouds
 from gpgrad_core.io.voxel_means import voxel_means
 from gpgrad_core.run.parallel import run_jobs
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.simulation.dem import (
-    ElevationModel,
-    ground_of,
-)
+from gpgrad_core.simulation.dem import ElevationModel, ground_of
 from gpgrad_core.simulation.endless_terrain import EndlessGround
-from gpgrad_core.simulation.params import (
-    SimulationParams,
-    stream,
-)
-from gpgrad_core.simulation.routes import (
-    STEP,
-    Stop,
-    Track,
-    plan_track,
-)
+from gpgrad_core.simulation.params import SimulationParams, stream
+from gpgrad_core.simulation.routes import STEP, Stop, Track, plan_track
 from gpgrad_core.simulation.rover import scan
-from gpgrad_core.simulation.terrain import (
-    HeightField,
-    make_terrain,
-)
+from gpgrad_core.simulation.terrain import HeightField, make_terrain
 from gpgrad_core.types import Dataset, Submap
 
 STOP_SPACING = 1.0  # approximate distance between stops, at which the sensor scans [m]

@@ -20,17 +20,8 @@ from gpgrad_core.detection import (
     resolve_parameters,
     with_store,
 )
-from gpgrad_core.detection.all_pairs import (
-    SearchableDetector,
-    StagedDetector,
-    side_by_side,
-)
-from gpgrad_core.detection.shortlist import (
-    Candidate,
-    Candidates,
-    Shortlist,
-    num_wanted,
-)
+from gpgrad_core.detection.all_pairs import SearchableDetector, StagedDetector, side_by_side
+from gpgrad_core.detection.shortlist import Candidate, Candidates, Shortlist, num_wanted
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.memo import Memo, array_bytes

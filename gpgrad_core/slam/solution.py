@@ -21,10 +21,7 @@ from gpgrad_core.io.records.georeferenced import (
     write_kml,
     write_laz,
 )
-from gpgrad_core.io.records.maps import (
-    write_arrays,
-    write_raster,
-)
+from gpgrad_core.io.records.maps import write_arrays, write_raster
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.progress import Progress, part, silent
@@ -234,10 +231,7 @@ def write_solution(
     Raises:
         InputError: If the folder cannot be made or written to.
     """
-    from gpgrad_core.slam.plots import (  # noqa: PLC0415 - matplotlib takes half a second
-        draw_errors,
-        draw_trajectories,
-    )
+    from gpgrad_core.slam.plots import draw_errors, draw_trajectories  # noqa: PLC0415 - matplotlib takes half a second
 
     directory = check_directory(directory)
     directory.mkdir(exist_ok=True)

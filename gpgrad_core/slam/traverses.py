@@ -7,10 +7,7 @@ import numpy as np
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.names import different_names
-from gpgrad_core.io.folder import (
-    Outline,
-    index_of,
-)
+from gpgrad_core.io.folder import Outline, index_of
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, PoseGraph
 from gpgrad_core.types import Dataset

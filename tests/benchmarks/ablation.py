@@ -12,10 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gpgrad_core.detection import (
-    PipelineParams,
-    detect_loop_closures,
-)
+from gpgrad_core.detection import PipelineParams, detect_loop_closures
 from gpgrad_core.evaluation import EvaluationParams, TruePairs, evaluate, measure_pairs
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.methods import METHODS

@@ -14,11 +14,7 @@ from gpgrad_core.detection import (
 )
 from gpgrad_core.features import DetectorParams, FeatureParams, detect_features, extract_features
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.mapping.gradient_map import (
-    MapParams,
-    fit_terrain,
-    sample_map,
-)
+from gpgrad_core.mapping.gradient_map import MapParams, fit_terrain, sample_map
 from gpgrad_core.matching import match_features
 from gpgrad_core.registration import register
 from gpgrad_core.run.memo import Memo

@@ -22,11 +22,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gpgrad_core.detection import (
-    PipelineParams,
-    detect_loop_closures,
-    resolve_parameters,
-)
+from gpgrad_core.detection import PipelineParams, detect_loop_closures, resolve_parameters
 from gpgrad_core.evaluation import EvaluationParams, TruePairs, evaluate, measure_pairs
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.mapping.gradient_map import few_of

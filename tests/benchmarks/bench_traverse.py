@@ -34,11 +34,7 @@ from gpgrad_core.detection import (
     resolve_parameters,
     with_store,
 )
-from gpgrad_core.detection.shortlist import (
-    Candidates,
-    num_wanted,
-    read_candidates,
-)
+from gpgrad_core.detection.shortlist import Candidates, num_wanted, read_candidates
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
 from gpgrad_core.io.folder import open_dataset
 from gpgrad_core.io.records.closure_writer import ClosureWriter

@@ -13,15 +13,9 @@ from playwright.sync_api import Browser
 
 from app.viewer.features.pair.scene import PairScene
 from app.viewer.scene.animation import ease
-from app.viewer.session.state import (
-    ViewOptions,
-    open_dataset,
-)
+from app.viewer.session.state import ViewOptions, open_dataset
 from app.viewer.viewer import Viewer
-from gpgrad_core.detection import (
-    PipelineParams,
-    register_pair,
-)
+from gpgrad_core.detection import PipelineParams, register_pair
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.run.memo import Memo

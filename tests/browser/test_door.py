@@ -13,10 +13,7 @@ import pytest
 import viser
 
 from app.viewer.server.admission import Admission
-from app.viewer.server.guard import (
-    Told,
-    open_server,
-)
+from app.viewer.server.guard import Told, open_server
 from app.viewer.server.limits import Limits
 from tests.support.waiting import PATIENCE
 

@@ -14,10 +14,7 @@ from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.registration.surface import MOST_SIDE, thin_grid
 from gpgrad_core.types import Features, Grid
 from tests.core.gp.oracle import grid_beyond
-from tests.support.ground import (
-    cloud,
-    submap,
-)
+from tests.support.ground import cloud, submap
 
 PARAMS = MapParams(length_scale=0.3, noise_std=0.03, resolution=0.05, scale=0.3)
 

@@ -18,10 +18,7 @@ from gpgrad_core.scale import (
     std_at_scale,
 )
 from gpgrad_core.types import Submap
-from tests.support.ground import (
-    Ground,
-    scatter,
-)
+from tests.support.ground import Ground, scatter
 
 positive = st.floats(1e-3, 1e3)
 

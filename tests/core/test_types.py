@@ -12,10 +12,7 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Features, GradientMap, Grid, Matches, Registration, Submap
-from tests.support.ground import (
-    cloud,
-    submap,
-)
+from tests.support.ground import cloud, submap
 
 coordinates = st.floats(-1000, 1000)
 

@@ -13,10 +13,7 @@ from app.cli import run
 from tests.core.recordings.test_build import contents
 from tests.end_to_end.conftest import patch
 from tests.end_to_end.process import start
-from tests.support.drive import (
-    make_drive,
-    write_drive,
-)
+from tests.support.drive import make_drive, write_drive
 
 LONG = make_drive(num_scans=120, points_a_scan=1500)
 FLAGS = ("--max-length", "3", "--max-range", "4")

@@ -8,15 +8,8 @@ from pathlib import Path
 import pytest
 
 from app.viewer.features.save.command_line import detect_command
-from app.viewer.session.state import (
-    open_dataset,
-    with_pair,
-)
-from gpgrad_core.detection import (
-    PipelineParams,
-    register_pair,
-    resolve_parameters,
-)
+from app.viewer.session.state import open_dataset, with_pair
+from gpgrad_core.detection import PipelineParams, register_pair, resolve_parameters
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.params.fields import with_path
 from gpgrad_core.params.files import preferred_parameters

@@ -22,12 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from gpgrad_core.errors import InputError
-from tests.support.clouds import (
-    KINDS,
-    draw_params,
-    draw_submaps,
-    run_pipeline,
-)
+from tests.support.clouds import KINDS, draw_params, draw_submaps, run_pipeline
 
 MOST_SECONDS, MOST_BYTES = 30.0, 2 * 1024**3
 ENDED_AFTER, ENDED_BEYOND = 90, 6 * 1024**3

@@ -10,10 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpgrad_core.detection import (
-    DetectionResult,
-    detect_loop_closures,
-)
+from gpgrad_core.detection import DetectionResult, detect_loop_closures
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, TruePairs, evaluate, measure_pairs
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run.parallel import workers

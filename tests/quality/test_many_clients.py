@@ -14,10 +14,7 @@ from contextlib import suppress
 import pytest
 
 from app.viewer.features.params.tab import MAIN_PARAMETERS
-from app.viewer.viewer import (
-    Sharing,
-    Viewer,
-)
+from app.viewer.viewer import Sharing, Viewer
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.mapping.gradient_map import MapParams

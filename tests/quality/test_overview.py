@@ -13,10 +13,7 @@ import pytest
 
 from app.viewer.viewer import Viewer
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.io.folder import (
-    load_dataset,
-    write_dataset,
-)
+from gpgrad_core.io.folder import load_dataset, write_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset

@@ -16,15 +16,8 @@ import viser
 from app.viewer.features.pair.scene import PairScene
 from app.viewer.session import state as states
 from app.viewer.session.state import ViewState
-from gpgrad_core.detection import (
-    PairResult,
-    PipelineParams,
-)
-from tests.support.synthetic import (
-    make_dataset,
-    make_map,
-    make_result,
-)
+from gpgrad_core.detection import PairResult, PipelineParams
+from tests.support.synthetic import make_dataset, make_map, make_result
 
 RESOLUTION = 5.0 / 299
 TARGET_MS, TARGET_BYTES = 15.0, 1_400_000

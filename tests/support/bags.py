@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.recordings.trajectory import Poses
-from tests.support.drive import (
-    MOUNT,
-    Drive,
-)
+from tests.support.drive import MOUNT, Drive
 
 CLOUD, ODOMETRY, STAMPED = (
     "sensor_msgs/msg/PointCloud2",

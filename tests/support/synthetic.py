@@ -8,12 +8,7 @@ import numpy as np
 from app.viewer.features.all_pairs.judging import ComparedPairs
 from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import Array
-from gpgrad_core.detection import (
-    DetectionResult,
-    PairResult,
-    PipelineParams,
-    with_numbers_of,
-)
+from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams, with_numbers_of
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.run.progress import Progress, silent

@@ -9,10 +9,7 @@ from typing import Any
 
 import viser
 
-from app.viewer.server.host import (
-    Host,
-    inputs_of,
-)
+from app.viewer.server.host import Host, inputs_of
 from app.viewer.widgets.actions import act_on
 from app.viewer.widgets.bridge import Bridge
 from tests.support.page import FakePage

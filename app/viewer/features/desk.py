@@ -13,27 +13,11 @@ from typing import Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 import viser
 
 from app.viewer.server.host import Host
-from app.viewer.server.permissions import (
-    READ_ALL,
-    Permissions,
-)
-from app.viewer.session.decisions import (
-    Decisions,
-    Pair,
-    in_order,
-)
-from app.viewer.session.methods import (
-    METHODS,
-    MethodName,
-)
-from app.viewer.session.runner import (
-    Capacity,
-    Worker,
-)
-from app.viewer.session.session_file import (
-    Opened,
-    SavedSession,
-)
+from app.viewer.server.permissions import READ_ALL, Permissions
+from app.viewer.session.decisions import Decisions, Pair, in_order
+from app.viewer.session.methods import METHODS, MethodName
+from app.viewer.session.runner import Capacity, Worker
+from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import (
     Camera,
     Probe,
@@ -51,10 +35,7 @@ from app.viewer.session.state import (
 from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.canvas import Canvases
 from app.viewer.widgets.numbers import Numbers
-from gpgrad_core.detection import (
-    PairResult,
-    PipelineParams,
-)
+from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset, GradientMap, LoopClosure

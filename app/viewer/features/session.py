@@ -13,44 +13,22 @@ from app.viewer.features.canvas.cursor import Cursor
 from app.viewer.features.canvas.framing import Framing
 from app.viewer.features.data.tab import DataTab
 from app.viewer.features.demo.tab import DemoTab
-from app.viewer.features.desk import (
-    Desk,
-    Mode,
-)
+from app.viewer.features.desk import Desk, Mode
 from app.viewer.features.inspect.tab import InspectTab
-from app.viewer.features.links.links import (
-    Links,
-    add_script,
-)
+from app.viewer.features.links.links import Links, add_script
 from app.viewer.features.modes.tab import Modes
 from app.viewer.features.nudge.tab import NudgeTab
-from app.viewer.features.pair.tab import (
-    PairTab,
-    add_shortcuts,
-)
+from app.viewer.features.pair.tab import PairTab, add_shortcuts
 from app.viewer.features.params.tab import ParamsTab
 from app.viewer.features.pose_graph.tab import PoseGraphTab
-from app.viewer.features.save.tab import (
-    Exports,
-    ReportTool,
-    SaveTab,
-)
+from app.viewer.features.save.tab import Exports, ReportTool, SaveTab
 from app.viewer.features.triage.tab import TriageTab
 from app.viewer.features.world import WorldTab
-from app.viewer.server.host import (
-    PANEL_WIDTH,
-    Host,
-)
-from app.viewer.server.permissions import (
-    READ_ALL,
-    Permissions,
-)
+from app.viewer.server.host import PANEL_WIDTH, Host
+from app.viewer.server.permissions import READ_ALL, Permissions
 from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import (
-    ViewOptions,
-    ViewState,
-)
+from app.viewer.session.state import ViewOptions, ViewState
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import FAINT, paragraph
 from app.viewer.widgets.look import Look

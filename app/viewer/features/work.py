@@ -13,11 +13,7 @@ from typing import Generic, TypeAlias
 
 import viser
 
-from app.viewer.session.runner import (
-    Job,
-    Result,
-    Runner,
-)
+from app.viewer.session.runner import Job, Result, Runner
 from app.viewer.widgets.work_bar import WorkBar
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.folders import TemporaryFolder

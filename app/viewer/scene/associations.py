@@ -5,13 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from app.viewer.scene.colors import (
-    INLIER,
-    OUTLIER,
-    REFUSED_INLIER,
-    UNMATCHED,
-    Rgb,
-)
+from app.viewer.scene.colors import INLIER, OUTLIER, REFUSED_INLIER, UNMATCHED, Rgb
 from app.viewer.scene.placement import Placement
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PairResult

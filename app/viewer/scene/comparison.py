@@ -7,10 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from app.viewer.scene.placement import Placement
-from app.viewer.session.state import (
-    Layer,
-    Role,
-)
+from app.viewer.session.state import Layer, Role
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.registration import map_agreement
 from gpgrad_core.se2 import SE2

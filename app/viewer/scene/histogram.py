@@ -6,12 +6,7 @@ from html import escape
 import numpy as np
 from jaxtyping import Bool, Float
 
-from app.viewer.scene.colors import (
-    UNTRUSTED_GREY,
-    Rgb,
-    css,
-    lookup_table,
-)
+from app.viewer.scene.colors import UNTRUSTED_GREY, Rgb, css, lookup_table
 from app.viewer.scene.layers import Scale
 from gpgrad_core.arrays import NDArray
 

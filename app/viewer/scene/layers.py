@@ -5,10 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from app.viewer.session.state import (
-    ColorMap,
-    Layer,
-)
+from app.viewer.session.state import ColorMap, Layer
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.types import GradientMap
 

@@ -12,14 +12,8 @@ import viser
 from jaxtyping import Float
 
 from app.viewer.scene.associations import outline
-from app.viewer.scene.colors import (
-    Rgb,
-    for_lines,
-)
-from app.viewer.scene.placement import (
-    Extent,
-    Placement,
-)
+from app.viewer.scene.colors import Rgb, for_lines
+from app.viewer.scene.placement import Extent, Placement
 from app.viewer.server.host import Host
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import Submap

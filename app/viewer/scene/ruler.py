@@ -7,10 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.viewer.scene.picking import sample
-from app.viewer.session.state import (
-    Probe,
-    Role,
-)
+from app.viewer.session.state import Probe, Role
 from gpgrad_core.arrays import Array
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap

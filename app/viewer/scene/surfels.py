@@ -8,21 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from app.viewer.scene.colors import (
-    UNTRUSTED_GREY,
-    Rgb,
-    colorize,
-    hillshade,
-    shade,
-)
-from app.viewer.scene.layers import (
-    Scale,
-    layer_values,
-)
-from app.viewer.session.state import (
-    Layer,
-    Untrusted,
-)
+from app.viewer.scene.colors import UNTRUSTED_GREY, Rgb, colorize, hillshade, shade
+from app.viewer.scene.layers import Scale, layer_values
+from app.viewer.session.state import Layer, Untrusted
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import GradientMap
 

@@ -27,22 +27,9 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 
-from app.viewer.server.admission import (
-    Admission,
-    Gate,
-)
-from app.viewer.server.inputs import (
-    Malformed,
-    is_small_enough,
-    read_message,
-    why_not,
-)
-from app.viewer.server.limits import (
-    Limits,
-    Pace,
-    RefusedUpload,
-    Uploads,
-)
+from app.viewer.server.admission import Admission, Gate
+from app.viewer.server.inputs import Malformed, is_small_enough, read_message, why_not
+from app.viewer.server.limits import Limits, Pace, RefusedUpload, Uploads
 from app.viewer.web import fill_page_file
 
 _log = logging.getLogger(__name__)

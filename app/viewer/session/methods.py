@@ -4,11 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
 
-from gpgrad_core.detection import (
-    PairResult,
-    PipelineParams,
-    resolve_parameters,
-)
+from gpgrad_core.detection import PairResult, PipelineParams, resolve_parameters
 from gpgrad_core.detection import register_pair as register_gradient_pair
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.methods.paper import (

@@ -10,17 +10,8 @@ from typing import Annotated, TypeAlias
 import tomli_w
 from msgspec import Meta, Struct
 
-from app.viewer.session.decisions import (
-    MOST_DECISIONS,
-    Decisions,
-    read_decisions,
-    tables_of,
-)
-from app.viewer.session.methods import (
-    METHOD_NAMES,
-    METHODS,
-    MethodName,
-)
+from app.viewer.session.decisions import MOST_DECISIONS, Decisions, read_decisions, tables_of
+from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.session.state import (
     Camera,
     ViewOptions,

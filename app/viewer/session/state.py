@@ -7,16 +7,8 @@ from typing import Annotated, Literal, TypeAlias, get_args
 import numpy as np
 from typing_extensions import Doc
 
-from app.viewer.session.methods import (
-    METHODS,
-    MethodName,
-)
-from gpgrad_core.detection import (
-    PipelineParams,
-    is_resolved,
-    numbers_stay,
-    with_numbers_of,
-)
+from app.viewer.session.methods import METHODS, MethodName
+from gpgrad_core.detection import PipelineParams, is_resolved, numbers_stay, with_numbers_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds

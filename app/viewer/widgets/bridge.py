@@ -17,10 +17,7 @@ import msgspec
 import viser
 from viser._messages import RunJavascriptMessage
 
-from app.viewer.server.host import (
-    Host,
-    send_to,
-)
+from app.viewer.server.host import Host, send_to
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice_by
 

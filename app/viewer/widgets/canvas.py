@@ -12,10 +12,7 @@ import numpy as np
 import viser
 from msgspec import Meta, Struct, structs
 
-from app.viewer.scene.cameras import (
-    set_view,
-    view_of,
-)
+from app.viewer.scene.cameras import set_view, view_of
 from app.viewer.scene.layers import Scale
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
 from app.viewer.server.host import Host

@@ -9,10 +9,7 @@ from typing import Any
 
 import viser
 
-from app.viewer.server.host import (
-    Host,
-    inputs_of,
-)
+from app.viewer.server.host import Host, inputs_of
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import act_on, on_press
 from app.viewer.widgets.bridge import run_when_shown

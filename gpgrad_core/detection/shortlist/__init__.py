@@ -9,10 +9,7 @@ from gpgrad_core.detection.shortlist.candidates import (
     num_wanted,
     read_candidates,
 )
-from gpgrad_core.detection.shortlist.shortlist import (
-    Shortlist,
-    ShortlistState,
-)
+from gpgrad_core.detection.shortlist.shortlist import Shortlist, ShortlistState
 from gpgrad_core.detection.shortlist.vocabulary import Vocabulary
 
 __all__ = [

@@ -11,14 +11,8 @@ from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection.shortlist.candidates import Candidate
-from gpgrad_core.detection.shortlist.vocabulary import (
-    Vocabulary,
-    learn_vocabulary,
-)
-from gpgrad_core.detection.shortlist.votes import (
-    Voters,
-    count_votes,
-)
+from gpgrad_core.detection.shortlist.vocabulary import Vocabulary, learn_vocabulary
+from gpgrad_core.detection.shortlist.votes import Voters, count_votes
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 from gpgrad_core.types import Array, Features, as_vectors

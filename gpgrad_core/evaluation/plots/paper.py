@@ -19,13 +19,7 @@ from gpgrad_core.evaluation.plots.submaps import (
     draw_figure_6,
     draw_figure_10,
 )
-from gpgrad_core.evaluation.reproduction import (
-    TITLES,
-    ShownPair,
-    ShownSubmap,
-    Subject,
-    poses_of,
-)
+from gpgrad_core.evaluation.reproduction import TITLES, ShownPair, ShownSubmap, Subject, poses_of
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Dataset
 from gpgrad_core.version import VERSION

@@ -8,11 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds.format import (
-    CloudFormat,
-    PointCloud,
-    Points,
-)
+from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, Points
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.types import Submap
 

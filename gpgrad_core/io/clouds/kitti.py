@@ -6,10 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds.format import (
-    CloudFormat,
-    PointCloud,
-)
+from gpgrad_core.io.clouds.format import CloudFormat, PointCloud
 
 REFLECTANCE = ("intensity", "reflectance")
 """Names of the fourth number of a point."""

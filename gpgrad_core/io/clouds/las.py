@@ -15,12 +15,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds.format import (
-    CloudFormat,
-    PointCloud,
-    cut_short,
-    surplus,
-)
+from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, cut_short, surplus
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.child import DecodingError, decode_apart
 from gpgrad_core.reading.decoders import LAZ_HEAD

@@ -16,12 +16,7 @@ import numpy as np
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds.format import (
-    CloudFormat,
-    PointCloud,
-    Points,
-    as_floats,
-)
+from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, Points, as_floats
 from gpgrad_core.reading.archives import opened_archive, read_member
 from gpgrad_core.reading.text import parse_count
 

@@ -14,17 +14,8 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds.format import (
-    CloudFormat,
-    PointCloud,
-    as_floats,
-    cut_short,
-    surplus,
-)
-from gpgrad_core.io.clouds.tables import (
-    Layout,
-    read_body,
-)
+from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, as_floats, cut_short, surplus
+from gpgrad_core.io.clouds.tables import Layout, read_body
 from gpgrad_core.reading.text import parse_count
 
 KINDS = {"F": "f", "I": "i", "U": "u"}

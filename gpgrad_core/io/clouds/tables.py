@@ -11,19 +11,8 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds.format import (
-    CloudFormat,
-    PointCloud,
-    cut_short,
-    surplus,
-)
-from gpgrad_core.reading.text import (
-    COMMA_HINT,
-    DECIMAL_COMMA,
-    lines_of,
-    parse_number,
-    read_text,
-)
+from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, cut_short, surplus
+from gpgrad_core.reading.text import COMMA_HINT, DECIMAL_COMMA, lines_of, parse_number, read_text
 
 COMMENT_MARKS = ("#", "//")
 

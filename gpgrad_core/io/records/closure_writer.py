@@ -7,16 +7,8 @@ import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
-from gpgrad_core.io.records.closures import (
-    ClosureReport,
-    PairRecord,
-    record_of,
-    table_of,
-)
-from gpgrad_core.io.records.files import (
-    check_output,
-    replacing,
-)
+from gpgrad_core.io.records.closures import ClosureReport, PairRecord, record_of, table_of
+from gpgrad_core.io.records.files import check_output, replacing
 from gpgrad_core.types import LoopClosure
 
 COLUMNS = (

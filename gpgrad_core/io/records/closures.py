@@ -11,10 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from msgspec import Meta, Struct, structs
 
-from gpgrad_core.detection import (
-    DetectionResult,
-    PipelineParams,
-)
+from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.reading.json_files import read_json

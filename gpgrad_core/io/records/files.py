@@ -9,12 +9,7 @@ from pathlib import Path
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import is_cloud
-from gpgrad_core.io.folder import (
-    INFO_FILE,
-    ODOMETRY_FILES,
-    POSITIONS_FILE,
-    TRUTH_FILE,
-)
+from gpgrad_core.io.folder import INFO_FILE, ODOMETRY_FILES, POSITIONS_FILE, TRUTH_FILE
 from gpgrad_core.run.folders import ProcessLock
 
 OWN_FILES = (INFO_FILE, TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES)

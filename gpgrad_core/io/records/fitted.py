@@ -7,10 +7,7 @@ from pathlib import Path
 import tomli_w
 
 from gpgrad_core.io.records.files import replacing
-from gpgrad_core.mapping.fitting import (
-    FitResult,
-    fitted_names,
-)
+from gpgrad_core.mapping.fitting import FitResult, fitted_names
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.params.fields import bounds_of
 

@@ -10,15 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.io.georeference import (
-    EXTRA,
-    Georeference,
-)
+from gpgrad_core.io.georeference import EXTRA, Georeference
 from gpgrad_core.io.records.files import replacing
-from gpgrad_core.io.records.maps import (
-    Layer,
-    write_raster,
-)
+from gpgrad_core.io.records.maps import Layer, write_raster
 from gpgrad_core.libraries import load_library
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.types import Grid

@@ -12,10 +12,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.records.files import (
-    check_output,
-    replacing,
-)
+from gpgrad_core.io.records.files import check_output, replacing
 from gpgrad_core.types import Array, GradientMap, Grid
 
 BgrImage = UInt8[NDArray[np.uint8], "height width 3"]

@@ -7,16 +7,9 @@ from typing import Any
 import numpy as np
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.detection.shortlist import (
-    Shortlist,
-    ShortlistState,
-    Vocabulary,
-)
+from gpgrad_core.detection.shortlist import Shortlist, ShortlistState, Vocabulary
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds.npy import (
-    Load,
-    opened_npz,
-)
+from gpgrad_core.io.clouds.npy import Load, opened_npz
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.types import Features
 

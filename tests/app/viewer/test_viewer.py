@@ -10,19 +10,11 @@ from websockets.exceptions import InvalidStatus
 
 from app.viewer.features.pair import tab as pair_module
 from app.viewer.session.session_file import Opened
-from app.viewer.viewer import (
-    Sharing,
-    Stage,
-    Viewer,
-)
+from app.viewer.viewer import Sharing, Stage, Viewer
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
 from tests.support.page import ProtocolPage
-from tests.support.synthetic import (
-    FakePipeline,
-    make_dataset,
-    needing,
-)
+from tests.support.synthetic import FakePipeline, make_dataset, needing
 
 Serve = Callable[[Sharing], Viewer]
 DATASET = make_dataset(num_points=300)

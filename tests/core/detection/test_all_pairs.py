@@ -10,15 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpgrad_core.detection import (
-    DetectionResult,
-    PipelineParams,
-    detect_loop_closures,
-)
-from gpgrad_core.detection.all_pairs import (
-    StagedDetector,
-    compare_all,
-)
+from gpgrad_core.detection import DetectionResult, PipelineParams, detect_loop_closures
+from gpgrad_core.detection.all_pairs import StagedDetector, compare_all
 from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods import METHODS

@@ -5,19 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from gpgrad_core.detection import (
-    DetectionResult,
-    PipelineParams,
-    detect_loop_closures,
-)
+from gpgrad_core.detection import DetectionResult, PipelineParams, detect_loop_closures
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import EvaluationParams, evaluate, run_methods
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.io.records.closure_writer import write_closures
-from gpgrad_core.io.records.closures import (
-    read_closures,
-    report_closures,
-)
+from gpgrad_core.io.records.closures import read_closures, report_closures
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods import find_method
 from gpgrad_core.run.memo import Memo

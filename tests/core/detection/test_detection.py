@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.detection import (
-    PairResult,
-    PipelineParams,
-    detect_loop_closures,
-    register_pair,
-)
+from gpgrad_core.detection import PairResult, PipelineParams, detect_loop_closures, register_pair
 from gpgrad_core.features import DetectorParams
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.mapping.gradient_map import MapParams

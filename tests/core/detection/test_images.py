@@ -11,10 +11,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.detection import (
-    PipelineParams,
-    detect_loop_closures,
-)
+from gpgrad_core.detection import PipelineParams, detect_loop_closures
 from gpgrad_core.detection.all_pairs import StagedDetector
 from gpgrad_core.detection.images import (
     EPIPOLAR_DISTANCE,

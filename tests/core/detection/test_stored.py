@@ -17,16 +17,9 @@ from gpgrad_core.detection import (
     detect_loop_closures,
     with_store,
 )
-from gpgrad_core.detection.shortlist import (
-    Candidate,
-    Shortlist,
-)
+from gpgrad_core.detection.shortlist import Candidate, Shortlist
 from gpgrad_core.detection.stored import LOADED
-from gpgrad_core.io.folder import (
-    load_dataset,
-    open_dataset,
-    write_dataset,
-)
+from gpgrad_core.io.folder import load_dataset, open_dataset, write_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods import METHODS
 from gpgrad_core.registration import RegistrationParams

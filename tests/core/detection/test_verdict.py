@@ -7,10 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpgrad_core.detection.verdict import (
-    ClosureParams,
-    classify,
-)
+from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Registration

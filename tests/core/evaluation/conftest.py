@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.detection import DetectionResult
-from gpgrad_core.io.records.closures import (
-    ClosureReport,
-    PairRecord,
-)
+from gpgrad_core.io.records.closures import ClosureReport, PairRecord
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 

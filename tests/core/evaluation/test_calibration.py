@@ -12,10 +12,7 @@ from gpgrad_core.evaluation.calibration import (
 )
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.types import Dataset, Submap
-from tests.support.ground import (
-    Ground,
-    scatter,
-)
+from tests.support.ground import Ground, scatter
 
 NEAR, FAR = 0.01, 0.06
 

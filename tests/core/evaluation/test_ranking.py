@@ -3,16 +3,10 @@
 import numpy as np
 import pytest
 
-from gpgrad_core.detection import (
-    DetectionResult,
-    PipelineParams,
-)
+from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import measure_pairs, pose_errors, rank_pairs
-from gpgrad_core.io.records.closures import (
-    PairRecord,
-    report_closures,
-)
+from gpgrad_core.io.records.closures import PairRecord, report_closures
 from gpgrad_core.types import Dataset
 from tests.core.evaluation.conftest import RIGHT, record, report
 

@@ -10,10 +10,7 @@ import pytest
 from gpgrad_core.detection import detect_loop_closures
 from gpgrad_core.evaluation import evaluate, measure_pairs, read_problems
 from gpgrad_core.evaluation.registration_benchmark import check_problems, describe_problems
-from gpgrad_core.io.records.closures import (
-    ClosureReport,
-    PairRecord,
-)
+from gpgrad_core.io.records.closures import ClosureReport, PairRecord
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Registration, Submap
 from tests.support.refusal import assert_refused

@@ -6,10 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gpgrad_core.detection import (
-    PipelineParams,
-    infer_features,
-)
+from gpgrad_core.detection import PipelineParams, infer_features
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import (
     DETECTORS,
@@ -25,10 +22,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Grid
 from tests.core.features.maps import ground_turned_by, seen_from
-from tests.support.ground import (
-    Ground,
-    submap,
-)
+from tests.support.ground import Ground, submap
 
 IMAGE_BLOBS = [name for name, detector in DETECTORS.items() if detector.seeks == "blobs"]
 LEAST_RIGHT = {"blobs": 0.9, "corners": 0.8, "landforms": 0.95}

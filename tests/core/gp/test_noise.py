@@ -7,10 +7,7 @@ from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.gp.noise import find_outliers, measure_noise
-from tests.support.ground import (
-    Ground,
-    scatter,
-)
+from tests.support.ground import Ground, scatter
 
 seeds = st.integers(0, 2**32 - 1)
 SIZE = (6.0, 6.0)

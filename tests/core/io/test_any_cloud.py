@@ -21,18 +21,10 @@ from gpgrad_core.features import DetectorParams, FeatureParams, check_detector
 from gpgrad_core.gp import accuracy
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.mapping.gradient_map import (
-    MOST_CELLS,
-    MapParams,
-)
+from gpgrad_core.mapping.gradient_map import MOST_CELLS, MapParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Grid, Submap
-from tests.support.clouds import (
-    KINDS,
-    draw_params,
-    draw_submaps,
-    run_pipeline,
-)
+from tests.support.clouds import KINDS, draw_params, draw_submaps, run_pipeline
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -5,29 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.viewer.features.data.folders import (
-    check_inside,
-    list_folder,
-)
+from app.viewer.features.data.folders import check_inside, list_folder
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.cpet import read_matrix_pose
-from gpgrad_core.io.folder import (
-    load_dataset,
-    open_dataset,
-    outline_dataset,
-)
-from gpgrad_core.recordings.build import (
-    build_dataset,
-    open_recording,
-)
+from gpgrad_core.io.folder import load_dataset, open_dataset, outline_dataset
+from gpgrad_core.recordings.build import build_dataset, open_recording
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.trajectory import Poses
 from gpgrad_core.slam import join_datasets
-from tests.support.drive import (
-    Drive,
-    ground,
-    make_drive,
-)
+from tests.support.drive import Drive, ground, make_drive
 from tests.support.refusal import assert_refused
 
 PRINTED = """\

@@ -6,10 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.io.dataset_toml import (
-    read_dataset_toml,
-    write_dataset_toml,
-)
+from gpgrad_core.io.dataset_toml import read_dataset_toml, write_dataset_toml
 from gpgrad_core.types import Dataset
 from tests.support.refusal import assert_refused
 

@@ -13,26 +13,12 @@ from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import load_cloud
-from gpgrad_core.io.folder import (
-    SubmapFile,
-    index_of,
-    load_dataset,
-    open_dataset,
-    write_dataset,
-)
-from gpgrad_core.mapping.gradient_map import (
-    TerrainParams,
-    point_noise,
-)
+from gpgrad_core.io.folder import SubmapFile, index_of, load_dataset, open_dataset, write_dataset
+from gpgrad_core.mapping.gradient_map import TerrainParams, point_noise
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap
-from tests.core.io.test_formats import (
-    COLORS,
-    NOISE,
-    POINTS,
-    RANGES,
-)
+from tests.core.io.test_formats import COLORS, NOISE, POINTS, RANGES
 from tests.support.refusal import assert_refused
 
 REAL_COUNTS = {"marsyard2021": 29, "sthelens": 24, "apollo15": 25}

@@ -9,11 +9,7 @@ import open3d as o3d
 import pytest
 import trimesh
 
-from gpgrad_core.io.clouds import (
-    CLOUD_FORMATS,
-    load_cloud_with_notes,
-    read_cloud,
-)
+from gpgrad_core.io.clouds import CLOUD_FORMATS, load_cloud_with_notes, read_cloud
 from gpgrad_core.io.clouds.ply import write_ply
 
 RNG = np.random.default_rng(0)

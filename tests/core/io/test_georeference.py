@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.georeference import (
-    east_north_up,
-    make_georeference,
-    read_origin,
-)
+from gpgrad_core.io.georeference import east_north_up, make_georeference, read_origin
 
 pyproj = pytest.importorskip("pyproj")
 ETNA = (37.75, 14.99, 2900.0)

@@ -7,10 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.io.poses import (
-    read_poses,
-    write_poses,
-)
+from gpgrad_core.io.poses import read_poses, write_poses
 from gpgrad_core.se2 import Pose
 from tests.support.refusal import assert_refused
 

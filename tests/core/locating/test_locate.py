@@ -11,10 +11,7 @@ from scipy import ndimage
 
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.folder import (
-    load_dataset,
-    write_dataset,
-)
+from gpgrad_core.io.folder import load_dataset, write_dataset
 from gpgrad_core.locating.locate import (
     CELLS_A_SCALE,
     Window,

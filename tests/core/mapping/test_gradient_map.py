@@ -22,11 +22,7 @@ from gpgrad_core.mapping.gradient_map import (
     sample_map,
 )
 from gpgrad_core.types import GradientMap, Submap
-from tests.support.ground import (
-    Ground,
-    cloud,
-    submap,
-)
+from tests.support.ground import Ground, cloud, submap
 
 seeds = st.integers(0, 2**32 - 1)
 FIELDS = ("elevation", "variance", "slope")

@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.detection import (
-    PipelineParams,
-    detect_loop_closures,
-)
+from gpgrad_core.detection import PipelineParams, detect_loop_closures
 from gpgrad_core.detection.images import nearest_words
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods.appearance import AppearanceDetector, see

@@ -8,14 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.detection import (
-    PipelineParams,
-    fit_submap,
-)
-from gpgrad_core.detection.verdict import (
-    ClosureParams,
-    classify,
-)
+from gpgrad_core.detection import PipelineParams, fit_submap
+from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.paper import (
     paper_params,
@@ -31,10 +25,7 @@ from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import SE2, fit_se2
 from gpgrad_core.types import GradientMap, Grid, Matches
 from tests.core.features.maps import seen_from
-from tests.support.ground import (
-    Ground,
-    submap,
-)
+from tests.support.ground import Ground, submap
 
 GRID = Grid((-2.0, -2.0), 0.1, (41, 41))
 RADIUS = 0.15

@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.detection import (
-    PipelineParams,
-    detect_loop_closures,
-    fit_submap,
-)
+from gpgrad_core.detection import PipelineParams, detect_loop_closures, fit_submap
 from gpgrad_core.methods.paper import (
     PaperDetector,
     PaperPair,

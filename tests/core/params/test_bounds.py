@@ -12,10 +12,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import FeatureParams
-from gpgrad_core.mapping.gradient_map import (
-    MapParams,
-    TerrainParams,
-)
+from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
 from gpgrad_core.matching import MatchParams
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import (

@@ -8,20 +8,10 @@ import pytest
 
 from gpgrad_core.recordings.build import open_recording
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.recording import (
-    Recording,
-    RecordingSources,
-)
+from gpgrad_core.recordings.recording import Recording, RecordingSources
 from gpgrad_core.recordings.trajectory import Poses
-from tests.support.bags import (
-    BagWriter,
-    write_bag,
-)
-from tests.support.drive import (
-    Drive,
-    make_drive,
-    tum,
-)
+from tests.support.bags import BagWriter, write_bag
+from tests.support.drive import Drive, make_drive, tum
 from tests.support.refusal import assert_refused
 
 pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")

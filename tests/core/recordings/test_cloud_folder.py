@@ -12,12 +12,7 @@ from gpgrad_core.recordings.cloud_folder import number_in
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import RecordingSources
 from gpgrad_core.recordings.trajectory import Poses
-from tests.support.drive import (
-    MOUNT,
-    make_drive,
-    tum,
-    write_drive,
-)
+from tests.support.drive import MOUNT, make_drive, tum, write_drive
 from tests.support.refusal import assert_refused
 
 FEW = make_drive(num_scans=5, points_a_scan=60)

@@ -6,12 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from gpgrad_core.recordings.gravity import (
-    estimate_up,
-    ground_normal,
-    turned_upright,
-    up_axis,
-)
+from gpgrad_core.recordings.gravity import estimate_up, ground_normal, turned_upright, up_axis
 from gpgrad_core.se2 import Pose, level_pose
 from tests.support.refusal import assert_refused
 

@@ -8,10 +8,7 @@ import pytest
 from PIL import Image
 
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.recordings.build import (
-    build_dataset,
-    open_recording,
-)
+from gpgrad_core.recordings.build import build_dataset, open_recording
 from gpgrad_core.recordings.conditions import parse_condition
 from gpgrad_core.recordings.katwijk import points_of_images
 from gpgrad_core.recordings.params import BuildParams

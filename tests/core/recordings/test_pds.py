@@ -7,10 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.recordings.build import (
-    build_dataset,
-    open_recording,
-)
+from gpgrad_core.recordings.build import build_dataset, open_recording
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import RecordingSources
 from tests.support.refusal import assert_refused

@@ -9,17 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import measure_pairs
-from gpgrad_core.io.folder import (
-    load_dataset,
-    outline_dataset,
-    write_dataset,
-)
+from gpgrad_core.io.folder import load_dataset, outline_dataset, write_dataset
 from gpgrad_core.io.georeference import east_north_up
 from gpgrad_core.io.poses import poses_at
-from gpgrad_core.recordings.build import (
-    build_dataset,
-    open_recording,
-)
+from gpgrad_core.recordings.build import build_dataset, open_recording
 from gpgrad_core.recordings.conditions import Condition, parse_condition
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.pose_files import read_truth_file
@@ -27,11 +20,7 @@ from gpgrad_core.recordings.recording import RecordingSources
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import join_datasets, trajectory_error
 from tests.support.bags import BagWriter
-from tests.support.drive import (
-    make_drive,
-    tum,
-    write_drive,
-)
+from tests.support.drive import make_drive, tum, write_drive
 from tests.support.refusal import assert_refused
 
 DRIVE = make_drive(num_scans=24, points_a_scan=300)

@@ -7,10 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.trajectory import (
-    Poses,
-    Trajectory,
-)
+from gpgrad_core.recordings.trajectory import Poses, Trajectory
 
 
 def random_poses(seed: int, count: int) -> Poses:

@@ -4,11 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.recordings.voxels import (
-    Voxels,
-    VoxelSums,
-    reach,
-)
+from gpgrad_core.recordings.voxels import Voxels, VoxelSums, reach
 
 
 @settings(max_examples=10)

@@ -12,10 +12,7 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from gpgrad_core.detection import (
-    PipelineParams,
-    register_pair,
-)
+from gpgrad_core.detection import PipelineParams, register_pair
 from gpgrad_core.detection.coarse import infer_quick_maps
 from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.gradient_map import MapParams
@@ -23,10 +20,7 @@ from gpgrad_core.run.helper import Answer, Helper, HelperGone, beside
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 from tests.support.synthetic import make_dataset
-from tests.support.waiting import (
-    PATIENCE,
-    until,
-)
+from tests.support.waiting import PATIENCE, until
 
 R = TypeVar("R")
 PARAMS = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, resolution=0.1))

@@ -5,14 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpgrad_core.io.folder import (
-    load_dataset,
-    write_dataset,
-)
-from gpgrad_core.simulation.demo import (
-    demo_path,
-    simulate_demo,
-)
+from gpgrad_core.io.folder import load_dataset, write_dataset
+from gpgrad_core.simulation.demo import demo_path, simulate_demo
 from gpgrad_core.types import Dataset, Submap
 
 MAX_BYTES = 4_000_000

@@ -11,24 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.folder import (
-    load_dataset,
-    write_dataset,
-)
-from gpgrad_core.simulation.endless_terrain import (
-    EndlessGround,
-    Field,
-)
+from gpgrad_core.io.folder import load_dataset, write_dataset
+from gpgrad_core.simulation.endless_terrain import EndlessGround, Field
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.recording import simulate_recording
-from gpgrad_core.simulation.routes import (
-    drive_lanes,
-    plan_track,
-)
-from gpgrad_core.simulation.simulate import (
-    simulate_dataset,
-    simulate_into,
-)
+from gpgrad_core.simulation.routes import drive_lanes, plan_track
+from gpgrad_core.simulation.simulate import simulate_dataset, simulate_into
 from gpgrad_core.simulation.terrain import RESOLUTION
 
 PARAMS = SimulationParams(

@@ -6,21 +6,9 @@ import numpy as np
 import pytest
 
 from gpgrad_core.simulation.params import SimulationParams
-from gpgrad_core.simulation.routes import (
-    STEP,
-    Stop,
-    plan_track,
-)
-from gpgrad_core.simulation.rover import (
-    ANGULAR_STEP,
-    HIGHEST_RING,
-    LOWEST_RING,
-    scan,
-)
-from gpgrad_core.simulation.terrain import (
-    RESOLUTION,
-    HeightField,
-)
+from gpgrad_core.simulation.routes import STEP, Stop, plan_track
+from gpgrad_core.simulation.rover import ANGULAR_STEP, HIGHEST_RING, LOWEST_RING, scan
+from gpgrad_core.simulation.terrain import RESOLUTION, HeightField
 from tests.support.refusal import assert_refused
 
 PERFECT = SimulationParams(noise_constant=0.0, noise_quadratic=0.0, dropout_rate=0.0)

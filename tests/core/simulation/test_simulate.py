@@ -9,10 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpgrad_core.io.folder import (
-    load_dataset,
-    write_dataset,
-)
+from gpgrad_core.io.folder import load_dataset, write_dataset
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.simulate import simulate_dataset
 from gpgrad_core.types import Dataset, Submap

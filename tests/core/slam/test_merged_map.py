@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.mapping.gradient_map import (
-    TerrainParams,
-    fit_terrain,
-)
+from gpgrad_core.mapping.gradient_map import TerrainParams, fit_terrain
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.merged_map import (
     BLEND,

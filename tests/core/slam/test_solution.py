@@ -12,11 +12,7 @@ import rasterio
 from evo.tools import file_interface
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.folder import (
-    load_dataset,
-    outline_dataset,
-    write_dataset,
-)
+from gpgrad_core.io.folder import load_dataset, outline_dataset, write_dataset
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import (

@@ -8,18 +8,8 @@ from math import comb, radians
 import numpy as np
 from jaxtyping import Float
 
-from app.viewer.session.decisions import (
-    ACCEPTED,
-    MISSED,
-    NO_OVERLAP,
-    REFUSED,
-    RIGHT,
-    WRONG_MOTION,
-)
-from app.viewer.session.methods import (
-    METHODS,
-    MethodName,
-)
+from app.viewer.session.decisions import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
+from app.viewer.session.methods import METHODS, MethodName
 from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import (
@@ -32,18 +22,10 @@ from gpgrad_core.detection import (
     store_for_run,
     with_store,
 )
-from gpgrad_core.detection.shortlist import (
-    Candidates,
-    num_wanted,
-)
+from gpgrad_core.detection.shortlist import Candidates, num_wanted
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
-from gpgrad_core.evaluation.pose_error import (
-    MAX_TURN,
-    MotionClasses,
-    classify_motions,
-    pose_errors,
-)
+from gpgrad_core.evaluation.pose_error import MAX_TURN, MotionClasses, classify_motions, pose_errors
 from gpgrad_core.evaluation.precision_recall import (
     PrecisionRecall,
     average_precision,

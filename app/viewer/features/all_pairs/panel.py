@@ -12,12 +12,7 @@ from app.viewer.widgets.html import BUSY, FAINT, box, message_line, paragraph
 from app.viewer.widgets.look import make_solid
 from app.viewer.widgets.pair_list import PairList
 from app.viewer.widgets.work_bar import WorkBar
-from gpgrad_core.detection.shortlist import (
-    ALL_UP_TO,
-    DEFAULT_CANDIDATES,
-    Candidate,
-    Candidates,
-)
+from gpgrad_core.detection.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES, Candidate, Candidates
 
 INTRODUCTION = "Compare every submap with earlier ones, using the present parameters."
 NO_CHOICE: str = "choose a pair …"

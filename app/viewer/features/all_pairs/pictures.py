@@ -12,15 +12,7 @@ from html import escape
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from app.viewer.charts import (
-    Axis,
-    grid_line,
-    png_uri,
-    points_of,
-    round_step,
-    text,
-    upright_text,
-)
+from app.viewer.charts import Axis, grid_line, png_uri, points_of, round_step, text, upright_text
 from app.viewer.features.all_pairs.judging import (
     APART,
     TRUE,
@@ -31,13 +23,7 @@ from app.viewer.features.all_pairs.judging import (
     TruthCheck,
 )
 from app.viewer.scene.colors import colorize
-from app.viewer.session.decisions import (
-    ACCEPTED,
-    MISSED,
-    NO_OVERLAP,
-    RIGHT,
-    WRONG_MOTION,
-)
+from app.viewer.session.decisions import ACCEPTED, MISSED, NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.session.state import ColorMap
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import run_when_shown

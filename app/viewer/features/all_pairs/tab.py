@@ -34,29 +34,12 @@ from app.viewer.features.all_pairs.pictures import (
     scores_html,
     threshold_html,
 )
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-)
-from app.viewer.features.work import (
-    Work,
-    message_of,
-)
-from app.viewer.session.decisions import (
-    NO_OVERLAP,
-    RIGHT,
-    WRONG_MOTION,
-    in_order,
-)
-from app.viewer.session.methods import (
-    METHODS,
-    MethodName,
-)
+from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.work import Work, message_of
+from app.viewer.session.decisions import NO_OVERLAP, RIGHT, WRONG_MOTION, in_order
+from app.viewer.session.methods import METHODS, MethodName
 from app.viewer.session.runner import Runner
-from app.viewer.session.state import (
-    ViewState,
-    same_search,
-)
+from app.viewer.session.state import ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.bridge import SaidPair, Whole
 from app.viewer.widgets.html import FAINT, paragraph

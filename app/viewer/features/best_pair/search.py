@@ -9,40 +9,20 @@ from html import escape
 import msgspec
 import viser
 
-from app.viewer.features.best_pair.likely import (
-    Pair,
-    overlapping_pairs,
-    voted_pairs,
-)
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-    ModeSwitch,
-    Subject,
-)
+from app.viewer.features.best_pair.likely import Pair, overlapping_pairs, voted_pairs
+from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
 from app.viewer.features.work import message_of
 from app.viewer.server.host import Host
-from app.viewer.session.methods import (
-    map_params,
-    register_pair,
-)
+from app.viewer.session.methods import map_params, register_pair
 from app.viewer.session.runner import Runner
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import (
-    NEEDS_TWO,
-    ViewState,
-    same_search,
-    was_fitted,
-)
+from app.viewer.session.state import NEEDS_TWO, ViewState, same_search, was_fitted
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.bridge import SaidPair, Whole, run_when_shown, say
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import button
-from gpgrad_core.detection import (
-    PairResult,
-    infer_features,
-)
+from gpgrad_core.detection import PairResult, infer_features
 from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.run.threads import at_most_workers
 from gpgrad_core.types import Dataset, Features, LoopClosure, Submap

@@ -8,20 +8,11 @@ import numpy as np
 import viser
 from msgspec import Meta, Struct
 
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-)
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair import PairScene
 from app.viewer.scene.cameras import view_of
-from app.viewer.scene.colors import (
-    CHOSEN,
-    css,
-)
-from app.viewer.scene.overlay import (
-    line_of_sight,
-    place_on_screen,
-)
+from app.viewer.scene.colors import CHOSEN, css
+from app.viewer.scene.overlay import line_of_sight, place_on_screen
 from app.viewer.scene.picking import Ray
 from app.viewer.server.host import pages
 from app.viewer.session.runner import Pacer

@@ -7,36 +7,15 @@ import weakref
 import numpy as np
 import viser
 
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-    Subject,
-)
-from app.viewer.features.pair import (
-    BY_HAND,
-    PairScene,
-    headline_of,
-)
+from app.viewer.features.desk import Desk, Feature, Subject
+from app.viewer.features.pair import BY_HAND, PairScene, headline_of
 from app.viewer.features.world import WorldTab
-from app.viewer.scene.cameras import (
-    set_view,
-    view_of,
-)
-from app.viewer.scene.overlay import (
-    axes_on_screen,
-    length_text,
-    scale_bar,
-)
+from app.viewer.scene.cameras import set_view, view_of
+from app.viewer.scene.overlay import axes_on_screen, length_text, scale_bar
 from app.viewer.server.host import pages
 from app.viewer.session.runner import Pacer
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import (
-    FROM_ABOVE,
-    NEEDS_TWO,
-    Camera,
-    ViewState,
-    same_pair,
-)
+from app.viewer.session.state import FROM_ABOVE, NEEDS_TWO, Camera, ViewState, same_pair
 from gpgrad_core.detection import PairResult
 from gpgrad_core.types import GradientMap
 

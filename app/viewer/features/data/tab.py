@@ -15,25 +15,12 @@ from app.viewer.features.data.folders import (
     remember_dataset,
 )
 from app.viewer.features.data.panel import DatasetPanel
-from app.viewer.features.data.unpacking import (
-    MOST_GROWTH,
-    check_cloud,
-    unpack,
-)
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-)
+from app.viewer.features.data.unpacking import MOST_GROWTH, check_cloud, unpack
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.work import Work
-from app.viewer.session.session_file import (
-    Opened,
-    SavedSession,
-)
+from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.widgets.actions import on_press
-from gpgrad_core.detection import (
-    PipelineParams,
-    resolve_parameters,
-)
+from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import MOST_LOADED, load_dataset
 from gpgrad_core.params.files import preferred_parameters

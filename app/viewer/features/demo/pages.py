@@ -11,25 +11,12 @@ from pathlib import Path
 import viser
 
 from app.viewer.features.pair import PairScene
-from app.viewer.features.world import (
-    World,
-    WorldScene,
-    relaxation,
-)
-from app.viewer.scene.animation import (
-    Animation,
-    ease,
-    frames,
-)
+from app.viewer.features.world import World, WorldScene, relaxation
+from app.viewer.scene.animation import Animation, ease, frames
 from app.viewer.scene.cameras import set_start
 from app.viewer.server.guard import open_server
 from app.viewer.server.limits import Limits
-from app.viewer.session.state import (
-    Camera,
-    ViewState,
-    registered,
-    with_options,
-)
+from app.viewer.session.state import Camera, ViewState, registered, with_options
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.legend import legend_html
 from gpgrad_core.detection import PairResult

@@ -6,50 +6,16 @@ from functools import partial
 import numpy as np
 import viser
 
-from app.viewer.features.demo.pages import (
-    gliding,
-    write_closure,
-    write_world,
-)
-from app.viewer.features.demo.panel import (
-    DemoCalls,
-    DemoPanel,
-    Playable,
-)
-from app.viewer.features.desk import (
-    Cameras,
-    Desk,
-    Feature,
-    ModeSwitch,
-)
+from app.viewer.features.demo.pages import gliding, write_closure, write_world
+from app.viewer.features.demo.panel import DemoCalls, DemoPanel, Playable
+from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch
 from app.viewer.features.pair import PairScene
-from app.viewer.features.work import (
-    Downloads,
-    message_of,
-    safe_name,
-)
+from app.viewer.features.work import Downloads, message_of, safe_name
 from app.viewer.features.world import WorldTab
-from app.viewer.scene.animation import (
-    Animation,
-    ease,
-    play,
-)
-from app.viewer.scene.cameras import (
-    BOOKMARKS,
-    blend,
-    follow,
-    orbit,
-    set_view,
-    top,
-    view_of,
-)
+from app.viewer.scene.animation import Animation, ease, play
+from app.viewer.scene.cameras import BOOKMARKS, blend, follow, orbit, set_view, top, view_of
 from app.viewer.session.runner import Runner
-from app.viewer.session.state import (
-    NEEDS_TWO,
-    Camera,
-    ViewState,
-    registered,
-)
+from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, registered
 from gpgrad_core.detection import PairResult
 from gpgrad_core.types import GradientMap
 

@@ -12,33 +12,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from app.viewer.scene.associations import (
-    inlier_color,
-    keypoint_colors,
-    shown_matches,
-)
-from app.viewer.scene.colors import (
-    CHOSEN,
-    DATABASE,
-    OUTLIER,
-    QUERY,
-    Rgb,
-    colorize,
-)
-from app.viewer.scene.comparison import (
-    compare,
-    pixel_motion,
-    resample,
-)
-from app.viewer.scene.layers import (
-    Scale,
-    shared_scale,
-)
+from app.viewer.scene.associations import inlier_color, keypoint_colors, shown_matches
+from app.viewer.scene.colors import CHOSEN, DATABASE, OUTLIER, QUERY, Rgb, colorize
+from app.viewer.scene.comparison import compare, pixel_motion, resample
+from app.viewer.scene.layers import Scale, shared_scale
 from app.viewer.scene.placement import z_offset_of
-from app.viewer.session.state import (
-    COMPARED,
-    ViewState,
-)
+from app.viewer.session.state import COMPARED, ViewState
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PairResult
 from gpgrad_core.se2 import SE2

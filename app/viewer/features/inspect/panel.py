@@ -8,17 +8,9 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from app.viewer.charts import Axis, grid_line, points_of, round_marks, text, upright_text
-from app.viewer.scene.colors import (
-    DATABASE,
-    QUERY,
-    Rgb,
-    css,
-)
+from app.viewer.scene.colors import DATABASE, QUERY, Rgb, css
 from app.viewer.scene.readout import significant_digits
-from app.viewer.scene.ruler import (
-    Heights,
-    Ruler,
-)
+from app.viewer.scene.ruler import Heights, Ruler
 from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice, on_option

@@ -8,60 +8,19 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-)
-from app.viewer.features.inspect.flat_picture import (
-    MASKED,
-    Image,
-    draw_pane,
-)
-from app.viewer.features.inspect.panel import (
-    SEEN,
-    Key,
-    MatchesPanel,
-    ReadingPanel,
-    RulerPanel,
-)
+from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.inspect.flat_picture import MASKED, Image, draw_pane
+from app.viewer.features.inspect.panel import SEEN, Key, MatchesPanel, ReadingPanel, RulerPanel
 from app.viewer.features.work import message_of
-from app.viewer.scene.associations import (
-    MOST_LINES,
-    inlier_color,
-    residuals,
-    step_match,
-)
-from app.viewer.scene.colors import (
-    DATABASE,
-    OUTLIER,
-    QUERY,
-    UNMATCHED,
-    css,
-)
+from app.viewer.scene.associations import MOST_LINES, inlier_color, residuals, step_match
+from app.viewer.scene.colors import DATABASE, OUTLIER, QUERY, UNMATCHED, css
 from app.viewer.scene.picking import Ray
 from app.viewer.scene.placement import z_offset_of
-from app.viewer.scene.readout import (
-    Reading,
-    other_place,
-    read,
-    reading_of,
-    significant_digits,
-)
-from app.viewer.scene.ruler import (
-    Ruler,
-    measure,
-)
+from app.viewer.scene.readout import Reading, other_place, read, reading_of, significant_digits
+from app.viewer.scene.ruler import Ruler, measure
 from app.viewer.server.host import pages
 from app.viewer.session.runner import Runner
-from app.viewer.session.state import (
-    COMPARED,
-    NEEDS_TWO,
-    Layer,
-    Probe,
-    Role,
-    ViewState,
-    same_pair,
-)
+from app.viewer.session.state import COMPARED, NEEDS_TWO, Layer, Probe, Role, ViewState, same_pair
 from app.viewer.widgets.actions import on_choice, on_press
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult

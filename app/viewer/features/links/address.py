@@ -13,16 +13,8 @@ import msgspec
 
 from app.viewer.features.desk import Subject
 from app.viewer.session.methods import METHODS
-from app.viewer.session.session_file import (
-    Coordinate,
-    SavedSession,
-    as_saved,
-)
-from app.viewer.session.state import (
-    Camera,
-    ViewOptions,
-    ViewState,
-)
+from app.viewer.session.session_file import Coordinate, SavedSession, as_saved
+from app.viewer.session.state import Camera, ViewOptions, ViewState
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.fields import AUTOMATIC, Field, get_path, parameters_of

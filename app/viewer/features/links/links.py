@@ -7,25 +7,10 @@ from pathlib import Path
 import viser
 from msgspec import Struct
 
-from app.viewer.features.desk import (
-    Cameras,
-    Desk,
-    Feature,
-    ModeSwitch,
-    Restore,
-    Subject,
-)
-from app.viewer.features.links.address import (
-    LONGEST,
-    Link,
-    address_of,
-    read_address,
-)
+from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch, Restore, Subject
+from app.viewer.features.links.address import LONGEST, Link, address_of, read_address
 from app.viewer.scene.cameras import view_of
-from app.viewer.server.host import (
-    Host,
-    pages,
-)
+from app.viewer.server.host import Host, pages
 from app.viewer.session.runner import Pacer
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState

@@ -5,20 +5,11 @@ from collections.abc import Mapping
 
 import viser
 
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-    Mode,
-    Subject,
-)
+from app.viewer.features.desk import Desk, Feature, Mode, Subject
 from app.viewer.features.modes.panel import ModesPanel
 from app.viewer.features.pair import PairScene
 from app.viewer.features.world import WorldTab
-from app.viewer.scene.cameras import (
-    set_start,
-    set_view,
-    view_of,
-)
+from app.viewer.scene.cameras import set_start, set_view, view_of
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
 from app.viewer.server.host import pages
 from app.viewer.session.state import Camera, ViewState

@@ -7,30 +7,14 @@ from math import atan2, degrees
 import numpy as np
 import viser
 
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-)
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.nudge.panel import NudgePanel
-from app.viewer.features.pair import (
-    PAIR,
-    PairScene,
-)
+from app.viewer.features.pair import PAIR, PairScene
 from app.viewer.features.work import message_of
-from app.viewer.scene.placement import (
-    Extent,
-    Placement,
-    height_offset,
-    place,
-)
+from app.viewer.scene.placement import Extent, Placement, height_offset, place
 from app.viewer.session.decisions import with_motion
 from app.viewer.session.runner import Runner
-from app.viewer.session.state import (
-    NEEDS_TWO,
-    ViewState,
-    registered,
-    same_pair,
-)
+from app.viewer.session.state import NEEDS_TWO, ViewState, registered, same_pair
 from app.viewer.widgets.actions import on_choice, on_press
 from gpgrad_core.detection import PairResult
 from gpgrad_core.registration import refine

@@ -5,41 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from app.viewer.scene.colors import (
-    DATABASE,
-    QUERY,
-    Rgb,
-)
-from app.viewer.scene.comparison import (
-    Cells,
-    Values,
-    compare,
-    compared_cells,
-)
-from app.viewer.scene.histogram import (
-    Histogram,
-    count_values,
-    histogram_svg,
-    summary,
-)
-from app.viewer.scene.layers import (
-    Scale,
-    layer_values,
-    shared_scale,
-)
-from app.viewer.scene.picking import (
-    Hit,
-    Ray,
-    first_hit,
-)
+from app.viewer.scene.colors import DATABASE, QUERY, Rgb
+from app.viewer.scene.comparison import Cells, Values, compare, compared_cells
+from app.viewer.scene.histogram import Histogram, count_values, histogram_svg, summary
+from app.viewer.scene.layers import Scale, layer_values, shared_scale
+from app.viewer.scene.picking import Hit, Ray, first_hit
 from app.viewer.scene.placement import Placement
 from app.viewer.scene.readout import read
-from app.viewer.session.state import (
-    Layer,
-    Probe,
-    Role,
-    ViewState,
-)
+from app.viewer.session.state import Layer, Probe, Role, ViewState
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import GradientMap, Registration
 

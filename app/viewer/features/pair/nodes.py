@@ -22,35 +22,11 @@ from app.viewer.scene.associations import (
     outline,
     residuals,
 )
-from app.viewer.scene.colors import (
-    CHOSEN,
-    INLIER,
-    OUTLIER,
-    PROBE,
-    Rgb,
-    faint,
-)
-from app.viewer.scene.nodes import (
-    LinePoints,
-    LinesNode,
-    PointsNode,
-    SubmapNode,
-)
-from app.viewer.scene.placement import (
-    Extent,
-    Placement,
-)
-from app.viewer.scene.readout import (
-    Reading,
-    label_text,
-    other_place,
-    read,
-    reading_of,
-)
-from app.viewer.scene.ruler import (
-    Heights,
-    Ruler,
-)
+from app.viewer.scene.colors import CHOSEN, INLIER, OUTLIER, PROBE, Rgb, faint
+from app.viewer.scene.nodes import LinePoints, LinesNode, PointsNode, SubmapNode
+from app.viewer.scene.placement import Extent, Placement
+from app.viewer.scene.readout import Reading, label_text, other_place, read, reading_of
+from app.viewer.scene.ruler import Heights, Ruler
 from app.viewer.server.host import Host
 from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import NDArray

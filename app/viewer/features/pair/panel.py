@@ -7,12 +7,7 @@ import viser
 
 from app.viewer.scene.layers import Scale
 from app.viewer.server.host import Host
-from app.viewer.session.state import (
-    Role,
-    ViewOptions,
-    ViewState,
-    neighbour,
-)
+from app.viewer.session.state import Role, ViewOptions, ViewState, neighbour
 from app.viewer.widgets.actions import on_choice, on_press, on_step
 from app.viewer.widgets.html import BAD, paragraph
 from app.viewer.widgets.legend import legend_html

@@ -8,12 +8,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from app.viewer.features.pair.ground import (
-    ROLES,
-    Comparison,
-    Ground,
-    shown_roles,
-)
+from app.viewer.features.pair.ground import ROLES, Comparison, Ground, shown_roles
 from app.viewer.features.pair.nodes import (
     Annotations,
     AssociationNodes,
@@ -22,15 +17,8 @@ from app.viewer.features.pair.nodes import (
     RulerNodes,
     painted,
 )
-from app.viewer.scene.cameras import (
-    DOWN,
-    set_start,
-    set_view,
-)
-from app.viewer.scene.colors import (
-    DATABASE,
-    QUERY,
-)
+from app.viewer.scene.cameras import DOWN, set_start, set_view
+from app.viewer.scene.colors import DATABASE, QUERY
 from app.viewer.scene.layers import Scale
 from app.viewer.scene.nodes import SubmapNode
 from app.viewer.scene.picking import Ray
@@ -46,14 +34,8 @@ from app.viewer.scene.placement import (
 )
 from app.viewer.scene.readout import other_place
 from app.viewer.scene.ruler import Ruler
-from app.viewer.scene.surfels import (
-    make_surfels,
-    stride_for,
-)
-from app.viewer.server.host import (
-    Host,
-    pages,
-)
+from app.viewer.scene.surfels import make_surfels, stride_for
+from app.viewer.server.host import Host, pages
 from app.viewer.session.state import (
     COMPARED,
     FROM_ABOVE,

@@ -6,32 +6,17 @@ from functools import partial
 
 import viser
 
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-    Frame,
-)
+from app.viewer.features.desk import Desk, Feature, Frame
 from app.viewer.features.pair.ground import HistogramPainter
-from app.viewer.features.pair.panel import (
-    DatasetSummary,
-    PairPanel,
-    ViewPanel,
-)
-from app.viewer.features.pair.scene import (
-    PairScene,
-    Shown,
-)
+from app.viewer.features.pair.panel import DatasetSummary, PairPanel, ViewPanel
+from app.viewer.features.pair.scene import PairScene, Shown
 from app.viewer.features.pair.status import PictureStatus
 from app.viewer.features.pair.verdict import VerdictCard
 from app.viewer.features.work import message_of
 from app.viewer.scene.cameras import set_view
 from app.viewer.server.host import set_theme
 from app.viewer.session.decisions import Decisions
-from app.viewer.session.methods import (
-    METHODS,
-    map_params,
-    register_pair,
-)
+from app.viewer.session.methods import METHODS, map_params, register_pair
 from app.viewer.session.runner import Runner
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import (
@@ -47,14 +32,8 @@ from app.viewer.session.state import (
 )
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.look import PageTitle
-from gpgrad_core.detection import (
-    PairResult,
-    infer_map,
-)
-from gpgrad_core.detection.coarse import (
-    infer_quick_map,
-    infer_quick_maps,
-)
+from gpgrad_core.detection import PairResult, infer_map
+from gpgrad_core.detection.coarse import infer_quick_map, infer_quick_maps
 from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.types import GradientMap
 

@@ -5,10 +5,7 @@ from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
 from gpgrad_core.detection import fit_submap
-from gpgrad_core.detection.coarse import (
-    fit_roughly,
-    thin_evenly,
-)
+from gpgrad_core.detection.coarse import fit_roughly, thin_evenly
 from gpgrad_core.detection.stages import STAGES
 from gpgrad_core.methods.paper import register_as_printed
 from gpgrad_core.run.memo import Memo

@@ -7,14 +7,8 @@ from typing import Literal, TypeAlias
 
 from app.viewer.server.host import Host
 from app.viewer.session.decisions import BY_HAND as DECIDED
-from app.viewer.session.decisions import (
-    Decisions,
-    in_order,
-)
-from app.viewer.session.state import (
-    NEEDS_TWO,
-    ViewState,
-)
+from app.viewer.session.decisions import Decisions, in_order
+from app.viewer.session.state import NEEDS_TWO, ViewState
 from app.viewer.widgets.html import (
     BAD,
     BAD_GROUND,

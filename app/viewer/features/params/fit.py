@@ -4,10 +4,7 @@ import threading
 from dataclasses import replace
 from html import escape
 
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-)
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.work import Work
 from app.viewer.session.methods import METHODS
 from app.viewer.session.state import ViewState
@@ -15,15 +12,8 @@ from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.html import box, table
 from app.viewer.widgets.look import make_solid
 from app.viewer.widgets.work_bar import WorkBar
-from gpgrad_core.mapping.fitting import (
-    FitResult,
-    fit_parameters,
-    fitted_names,
-)
-from gpgrad_core.mapping.gradient_map import (
-    MapParams,
-    TerrainParams,
-)
+from gpgrad_core.mapping.fitting import FitResult, fit_parameters, fitted_names
+from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
 from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.run.progress import Progress
 

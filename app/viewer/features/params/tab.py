@@ -4,23 +4,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-)
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.params.fit import FitTool
 from app.viewer.features.params.panel import ParamsPanel
 from app.viewer.features.params.presets import PresetsTool
 from app.viewer.features.params.sensitivity import SensitivityTool
-from app.viewer.features.params.undo import (
-    SnapshotsTool,
-    UndoTool,
-)
-from app.viewer.session.methods import (
-    METHOD_NAMES,
-    METHODS,
-    MethodName,
-)
+from app.viewer.features.params.undo import SnapshotsTool, UndoTool
+from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_press

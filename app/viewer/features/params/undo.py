@@ -7,10 +7,7 @@ from functools import partial
 from html import escape
 from typing import Generic, Literal, TypeAlias, TypeVar
 
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-)
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.session.methods import MethodName
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_option, on_press

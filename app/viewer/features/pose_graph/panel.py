@@ -4,10 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Literal, TypeAlias, get_args
 
 from app.viewer.server.host import Host
-from app.viewer.session.decisions import (
-    DECIDES,
-    Pair,
-)
+from app.viewer.session.decisions import DECIDES, Pair
 from app.viewer.widgets.html import FAINT, paragraph, table
 from app.viewer.widgets.pair_list import PairList
 from app.viewer.widgets.work_bar import WorkBar

@@ -9,46 +9,17 @@ import numpy as np
 import viser
 
 from app.viewer.features.closure_files import write_closure_file
-from app.viewer.features.desk import (
-    Comparison,
-    Desk,
-    Feature,
-    ModeSwitch,
-)
-from app.viewer.features.pose_graph.panel import (
-    FORMATS,
-    Format,
-    PoseGraphPanel,
-)
-from app.viewer.features.work import (
-    Downloads,
-    Work,
-)
-from app.viewer.features.world import (
-    SCORE_MAP,
-    Correction,
-    Loop,
-    WorldTab,
-)
+from app.viewer.features.desk import Comparison, Desk, Feature, ModeSwitch
+from app.viewer.features.pose_graph.panel import FORMATS, Format, PoseGraphPanel
+from app.viewer.features.work import Downloads, Work
+from app.viewer.features.world import SCORE_MAP, Correction, Loop, WorldTab
 from app.viewer.scene.layers import Scale
-from app.viewer.session.decisions import (
-    DECIDES,
-    Decisions,
-    Pair,
-    decide,
-    with_verdict,
-)
+from app.viewer.session.decisions import DECIDES, Decisions, Pair, decide, with_verdict
 from app.viewer.session.methods import MethodName
-from app.viewer.session.state import (
-    ViewState,
-    same_search,
-)
+from app.viewer.session.state import ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_option, on_option_by, on_press, one_of
 from app.viewer.widgets.legend import legend_html
-from gpgrad_core.detection import (
-    DetectionResult,
-    PipelineParams,
-)
+from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.all_pairs import EVEN_FROM
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.slam import (

@@ -9,10 +9,7 @@ from matplotlib.figure import Figure
 
 from app.viewer.scene.colors import lookup_table
 from app.viewer.scene.layers import Scale
-from app.viewer.scene.overlay import (
-    ScaleBar,
-    length_text,
-)
+from app.viewer.scene.overlay import ScaleBar, length_text
 from gpgrad_core.arrays import NDArray
 
 DPI = 100.0

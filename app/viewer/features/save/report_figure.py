@@ -10,23 +10,11 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure, FigureBase
 
 from app.viewer.scene.associations import inlier_color
-from app.viewer.scene.colors import (
-    DATABASE,
-    QUERY,
-    Rgb,
-    lookup_table,
-)
+from app.viewer.scene.colors import DATABASE, QUERY, Rgb, lookup_table
 from app.viewer.scene.comparison import compare
-from app.viewer.scene.layers import (
-    STYLES,
-    Scale,
-    shared_scale,
-)
+from app.viewer.scene.layers import STYLES, Scale, shared_scale
 from app.viewer.scene.placement import z_offset_of
-from app.viewer.session.state import (
-    COMPARED,
-    ViewState,
-)
+from app.viewer.session.state import COMPARED, ViewState
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
 from gpgrad_core.evaluation.plots.style import new_figure

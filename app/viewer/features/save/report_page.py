@@ -4,18 +4,11 @@ import base64
 import textwrap
 from pathlib import Path
 
-from app.viewer.features.pair import (
-    headline_of,
-    in_words,
-    rows_of,
-)
+from app.viewer.features.pair import headline_of, in_words, rows_of
 from app.viewer.features.save.command_line import detect_command
 from app.viewer.session.methods import METHODS
 from app.viewer.session.state import ViewState
-from gpgrad_core.detection import (
-    PairResult,
-    PipelineParams,
-)
+from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.evaluation.pages import render
 from gpgrad_core.params.bounds import number_text
 from gpgrad_core.params.fields import get_path, parameters_of

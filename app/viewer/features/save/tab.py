@@ -12,40 +12,17 @@ import viser
 from msgspec import Struct
 
 from app.viewer.features.closure_files import write_closure_file
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-    Restore,
-    Subject,
-)
+from app.viewer.features.desk import Desk, Feature, Restore, Subject
 from app.viewer.features.pair import headline_of
 from app.viewer.features.save.command_line import detect_command
-from app.viewer.features.save.panel import (
-    ExportPanel,
-    ReportPanel,
-    SavingPanel,
-)
-from app.viewer.features.save.report_page import (
-    lines_below,
-    report_html,
-)
-from app.viewer.features.work import (
-    Downloads,
-    safe_name,
-    send_file,
-)
+from app.viewer.features.save.panel import ExportPanel, ReportPanel, SavingPanel
+from app.viewer.features.save.report_page import lines_below, report_html
+from app.viewer.features.work import Downloads, safe_name, send_file
 from app.viewer.scene.cameras import view_of
 from app.viewer.scene.overlay import scale_bar
 from app.viewer.scene.placement import Canvas
-from app.viewer.session.decisions import (
-    Decisions,
-    decide,
-)
-from app.viewer.session.methods import (
-    METHODS,
-    map_params,
-    register_pair,
-)
+from app.viewer.session.decisions import Decisions, decide
+from app.viewer.session.methods import METHODS, map_params, register_pair
 from app.viewer.session.session_file import (
     ENDING,
     Opened,
@@ -55,10 +32,7 @@ from app.viewer.session.session_file import (
 )
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.commands import Commands
-from gpgrad_core.detection import (
-    detect_loop_closures,
-    infer_map,
-)
+from gpgrad_core.detection import detect_loop_closures, infer_map
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.maps import write_map
 from gpgrad_core.run.memo import Memo
@@ -301,10 +275,7 @@ def _write_picture(
     desk: Desk, subject: Subject, page: viser.ClientHandle, path: Path, progress: Progress
 ) -> None:
     """Ask the page for its view of the scene; in a worker's thread, because that takes seconds."""
-    from app.viewer.features.save.picture import (  # noqa: PLC0415 - loads matplotlib
-        Written,
-        draw_picture,
-    )
+    from app.viewer.features.save.picture import Written, draw_picture  # noqa: PLC0415 - loads matplotlib
 
     progress(0.0)
     camera, canvases = page.camera, desk.canvases

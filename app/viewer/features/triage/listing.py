@@ -8,14 +8,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from app.viewer.scene.colors import colorize
-from app.viewer.session.decisions import (
-    MISSED,
-    NO_OVERLAP,
-    WRONG_MOTION,
-    Decisions,
-    Pair,
-    decide,
-)
+from app.viewer.session.decisions import MISSED, NO_OVERLAP, WRONG_MOTION, Decisions, Pair, decide
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, LoopClosure

@@ -6,16 +6,9 @@ from html import escape
 
 import viser
 
-from app.viewer.features.triage.listing import (
-    FILTERS,
-    Entry,
-    Filter,
-)
+from app.viewer.features.triage.listing import FILTERS, Entry, Filter
 from app.viewer.server.host import Host
-from app.viewer.session.decisions import (
-    DECIDES,
-    Pair,
-)
+from app.viewer.session.decisions import DECIDES, Pair
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import run_when_shown, say
 from app.viewer.widgets.html import BAD, FAINT, GOOD, message_line, paragraph

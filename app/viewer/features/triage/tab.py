@@ -10,10 +10,7 @@ import msgspec
 import viser
 
 from app.viewer.charts import png_uri
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-)
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.triage.listing import (
     PASSES,
     Entry,
@@ -22,31 +19,12 @@ from app.viewer.features.triage.listing import (
     next_undecided,
     thumbnail,
 )
-from app.viewer.features.triage.panel import (
-    NEXT_KEY,
-    ROWS,
-    Listing,
-    TriagePanel,
-)
+from app.viewer.features.triage.panel import NEXT_KEY, ROWS, Listing, TriagePanel
 from app.viewer.features.work import message_of
-from app.viewer.session.decisions import (
-    DECIDES,
-    Decisions,
-    Pair,
-    in_order,
-    with_note,
-    with_verdict,
-)
-from app.viewer.session.methods import (
-    METHODS,
-    map_params,
-)
+from app.viewer.session.decisions import DECIDES, Decisions, Pair, in_order, with_note, with_verdict
+from app.viewer.session.methods import METHODS, map_params
 from app.viewer.session.runner import Runner
-from app.viewer.session.state import (
-    NEEDS_TWO,
-    ViewState,
-    same_search,
-)
+from app.viewer.session.state import NEEDS_TWO, ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_option, on_press
 from app.viewer.widgets.bridge import SaidPair, Whole
 from app.viewer.widgets.commands import Commands

@@ -5,10 +5,7 @@ from html import escape
 
 import viser
 
-from app.viewer.features.world.submaps import (
-    PoseSource,
-    WorldOptions,
-)
+from app.viewer.features.world.submaps import PoseSource, WorldOptions
 from app.viewer.server.host import Host
 from app.viewer.widgets.html import FAINT, paragraph, table
 from app.viewer.widgets.options import OptionsPanel

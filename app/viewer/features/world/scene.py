@@ -21,20 +21,10 @@ from app.viewer.features.world.submaps import (
     submap_color,
     world_scale,
 )
-from app.viewer.scene.associations import (
-    arcs,
-    outline,
-)
-from app.viewer.scene.colors import (
-    Rgb,
-    colorize,
-    for_lines,
-)
+from app.viewer.scene.associations import arcs, outline
+from app.viewer.scene.colors import Rgb, colorize, for_lines
 from app.viewer.scene.layers import Scale
-from app.viewer.scene.nodes import (
-    LinesNode,
-    PointsNode,
-)
+from app.viewer.scene.nodes import LinesNode, PointsNode
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas, Extent, Placement, frame_camera
 from app.viewer.scene.surfels import Surfels
 from app.viewer.server.host import Host

@@ -16,19 +16,9 @@ from jaxtyping import Float
 from typing_extensions import Doc
 
 from app.viewer.scene.colors import Rgb
-from app.viewer.scene.layers import (
-    Scale,
-    shared_scale,
-)
-from app.viewer.scene.surfels import (
-    Surfels,
-    make_surfels,
-    stride_for,
-)
-from app.viewer.session.state import (
-    Layer,
-    Widget,
-)
+from app.viewer.scene.layers import Scale, shared_scale
+from app.viewer.scene.surfels import Surfels, make_surfels, stride_for
+from app.viewer.session.state import Layer, Widget
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.coarse import infer_quick_map

@@ -8,22 +8,10 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-    Frame,
-    ModeSwitch,
-)
+from app.viewer.features.desk import Desk, Feature, Frame, ModeSwitch
 from app.viewer.features.work import Work
-from app.viewer.features.world.panel import (
-    NOTHING,
-    WorldPanel,
-)
-from app.viewer.features.world.scene import (
-    Loop,
-    World,
-    WorldScene,
-)
+from app.viewer.features.world.panel import NOTHING, WorldPanel
+from app.viewer.features.world.scene import Loop, World, WorldScene
 from app.viewer.features.world.submaps import (
     NEEDS_INFERENCE,
     PoseSource,
@@ -35,24 +23,13 @@ from app.viewer.features.world.submaps import (
     poses_of,
     quick_surface,
 )
-from app.viewer.scene.animation import (
-    Animation,
-    ease,
-    play,
-)
-from app.viewer.scene.cameras import (
-    set_start,
-    set_view,
-)
+from app.viewer.scene.animation import Animation, ease, play
+from app.viewer.scene.cameras import set_start, set_view
 from app.viewer.scene.layers import Scale
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
 from app.viewer.server.host import pages
 from app.viewer.session.methods import map_params
-from app.viewer.session.state import (
-    Camera,
-    ViewState,
-    believed_pose,
-)
+from app.viewer.session.state import Camera, ViewState, believed_pose
 from app.viewer.widgets.actions import on_choice, on_option, on_press_by, on_step
 from app.viewer.widgets.legend import legend_html
 from gpgrad_core.arrays import Array

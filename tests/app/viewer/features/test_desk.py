@@ -5,21 +5,11 @@ import viser
 
 from app.viewer.features.desk import Feature
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import (
-    Probe,
-    open_dataset,
-    registered,
-)
+from app.viewer.session.state import Probe, open_dataset, registered
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from tests.support.desk import (
-    Recorder,
-    make_desk,
-)
-from tests.support.synthetic import (
-    make_dataset,
-    needing,
-)
+from tests.support.desk import Recorder, make_desk
+from tests.support.synthetic import make_dataset, needing
 
 STATE = open_dataset(make_dataset(num_points=100), PipelineParams())
 

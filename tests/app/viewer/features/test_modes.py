@@ -10,10 +10,7 @@ import viser
 
 from app.viewer.features.demo import pages as demo_module
 from app.viewer.features.pair import tab as pair_module
-from app.viewer.features.pose_graph.tab import (
-    PoseGraphTab,
-    result_rows,
-)
+from app.viewer.features.pose_graph.tab import PoseGraphTab, result_rows
 from app.viewer.features.session import Session
 from app.viewer.features.world import tab as explore_module
 from app.viewer.session.runner import Capacity
@@ -24,19 +21,9 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration
 from tests.support.page import ProtocolPage
-from tests.support.synthetic import (
-    NUMBERS,
-    FakePipeline,
-    make_dataset,
-    make_result,
-)
+from tests.support.synthetic import NUMBERS, FakePipeline, make_dataset, make_result
 from tests.support.waiting import until
-from tests.support.widgets import (
-    find,
-    said,
-    user_presses,
-    user_sets,
-)
+from tests.support.widgets import find, said, user_presses, user_sets
 
 DRIFT = SE2(0.15, -0.1, 0.025)
 """What odometry is off from each submap to the next."""

@@ -17,22 +17,9 @@ from app.viewer.features.work import message_of
 from app.viewer.scene.surfels import OVERLAP
 from app.viewer.session import methods
 from app.viewer.session.runner import Capacity
-from app.viewer.session.session_file import (
-    Opened,
-    session_text,
-)
-from app.viewer.session.state import (
-    NEEDS_TWO,
-    Probe,
-    ViewOptions,
-    ViewState,
-)
-from gpgrad_core.detection import (
-    PairResult,
-    PipelineParams,
-    is_resolved,
-    resolve_parameters,
-)
+from app.viewer.session.session_file import Opened, session_text
+from app.viewer.session.state import NEEDS_TWO, Probe, ViewOptions, ViewState
+from gpgrad_core.detection import PairResult, PipelineParams, is_resolved, resolve_parameters
 from gpgrad_core.detection.coarse import COARSER
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import write_dataset
@@ -40,23 +27,9 @@ from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
 from tests.support.server import started_server
-from tests.support.synthetic import (
-    FakePipeline,
-    make_dataset,
-    make_result,
-    needing,
-)
-from tests.support.waiting import (
-    PATIENCE,
-    until,
-)
-from tests.support.widgets import (
-    find,
-    node,
-    said,
-    user_presses,
-    user_sets,
-)
+from tests.support.synthetic import FakePipeline, make_dataset, make_result, needing
+from tests.support.waiting import PATIENCE, until
+from tests.support.widgets import find, node, said, user_presses, user_sets
 
 START = needing(8)
 OPENED = Opened(make_dataset(num_points=400), START, "", None, START)

@@ -5,19 +5,12 @@ from pathlib import Path
 import pytest
 import viser
 
-from app.viewer.features.work import (
-    Downloads,
-    Work,
-    safe_name,
-)
+from app.viewer.features.work import Downloads, Work, safe_name
 from app.viewer.widgets.work_bar import TimeLeft, WorkBar
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress
 from tests.support.page import FakePage
-from tests.support.widgets import (
-    find,
-    user_presses,
-)
+from tests.support.widgets import find, user_presses
 
 
 class Task:

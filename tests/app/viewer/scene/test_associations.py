@@ -11,24 +11,11 @@ from app.viewer.scene.associations import (
     spread,
     step_match,
 )
-from app.viewer.scene.colors import (
-    INLIER,
-    OUTLIER,
-    UNMATCHED,
-)
-from app.viewer.scene.placement import (
-    Extent,
-    Placement,
-    place,
-)
+from app.viewer.scene.colors import INLIER, OUTLIER, UNMATCHED
+from app.viewer.scene.placement import Extent, Placement, place
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
-from tests.support.synthetic import (
-    T_DATABASE_QUERY,
-    height,
-    make_dataset,
-    make_result,
-)
+from tests.support.synthetic import T_DATABASE_QUERY, height, make_dataset, make_result
 
 STATE = open_dataset(make_dataset(), PipelineParams())
 RESULT = make_result(STATE, num_inliers=12, num_outliers=5)

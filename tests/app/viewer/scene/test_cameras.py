@@ -6,18 +6,9 @@ import viser
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.viewer.features.demo.pages import (
-    Composed,
-    save_page,
-)
+from app.viewer.features.demo.pages import Composed, save_page
 from app.viewer.scene.animation import Animation
-from app.viewer.scene.cameras import (
-    blend,
-    follow,
-    orbit,
-    set_view,
-    top,
-)
+from app.viewer.scene.cameras import blend, follow, orbit, set_view, top
 from app.viewer.scene.placement import Extent, glide, place
 from app.viewer.session.state import Camera
 from gpgrad_core.se2 import SE2

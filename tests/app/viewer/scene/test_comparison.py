@@ -3,22 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.viewer.scene.comparison import (
-    compare,
-    compared_cells,
-    pixel_motion,
-    resample,
-)
+from app.viewer.scene.comparison import compare, compared_cells, pixel_motion, resample
 from app.viewer.scene.placement import Placement
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Grid
-from tests.support.synthetic import (
-    T_DATABASE_QUERY,
-    make_dataset,
-    make_map,
-)
+from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map
 
 STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
 QUERY, DATABASE = make_map(STATE.query, 0.05), make_map(STATE.database, 0.05)

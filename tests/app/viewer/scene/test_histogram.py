@@ -1,12 +1,7 @@
 import numpy as np
 
 from app.viewer.scene.colors import lookup_table
-from app.viewer.scene.histogram import (
-    NUM_BINS,
-    count_values,
-    histogram_svg,
-    summary,
-)
+from app.viewer.scene.histogram import NUM_BINS, count_values, histogram_svg, summary
 from app.viewer.scene.layers import Scale
 
 SCALE = Scale("Elevation", "m", "viridis", 0.0, 1.0)

@@ -1,16 +1,9 @@
 import numpy as np
 import pytest
 
-from app.viewer.scene.layers import (
-    STYLES,
-    layer_values,
-    shared_scale,
-)
+from app.viewer.scene.layers import STYLES, layer_values, shared_scale
 from app.viewer.session.state import LAYERS
-from tests.support.synthetic import (
-    make_dataset,
-    make_map,
-)
+from tests.support.synthetic import make_dataset, make_map
 
 MAPS = tuple(make_map(submap) for submap in make_dataset().submaps[:2])
 

@@ -3,18 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.viewer.scene.picking import (
-    Ray,
-    first_hit,
-    height_at,
-)
+from app.viewer.scene.picking import Ray, first_hit, height_at
 from app.viewer.scene.placement import Placement
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
-from tests.support.synthetic import (
-    make_dataset,
-    make_map,
-)
+from tests.support.synthetic import make_dataset, make_map
 
 STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
 MAP = make_map(STATE.query)

@@ -15,11 +15,7 @@ from app.viewer.scene.placement import (
 from app.viewer.session.state import Camera, Layout
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap
-from tests.support.synthetic import (
-    T_DATABASE_QUERY,
-    make_dataset,
-    make_map,
-)
+from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map
 
 SUBMAPS = make_dataset().submaps
 QUERY, DATABASE = SUBMAPS[3], SUBMAPS[0]

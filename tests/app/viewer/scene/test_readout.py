@@ -3,19 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.viewer.scene.readout import (
-    label_text,
-    other_place,
-    read,
-)
+from app.viewer.scene.readout import label_text, other_place, read
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.types import GradientMap, Grid
-from tests.support.synthetic import (
-    T_DATABASE_QUERY,
-    make_dataset,
-    make_map,
-)
+from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map
 
 STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
 

@@ -2,17 +2,9 @@ import numpy as np
 import pytest
 
 from app.viewer.scene.ruler import measure
-from app.viewer.session.state import (
-    Probe,
-    open_dataset,
-)
+from app.viewer.session.state import Probe, open_dataset
 from gpgrad_core.detection import PipelineParams
-from tests.support.synthetic import (
-    T_DATABASE_QUERY,
-    height,
-    make_dataset,
-    make_result,
-)
+from tests.support.synthetic import T_DATABASE_QUERY, height, make_dataset, make_result
 
 STATE = open_dataset(make_dataset(), PipelineParams())
 RESULT = make_result(STATE)

@@ -3,15 +3,8 @@ import pytest
 
 from app.viewer.scene.colors import UNTRUSTED_GREY
 from app.viewer.scene.layers import shared_scale
-from app.viewer.scene.surfels import (
-    Surfels,
-    make_surfels,
-    stride_for,
-)
-from tests.support.synthetic import (
-    make_dataset,
-    make_map,
-)
+from app.viewer.scene.surfels import Surfels, make_surfels, stride_for
+from tests.support.synthetic import make_dataset, make_map
 
 MAP = make_map(make_dataset().submaps[0])
 RATIO = 0.3

@@ -18,11 +18,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
 from app.viewer.server.admission import Admission
-from app.viewer.server.guard import (
-    Door,
-    Told,
-    open_server,
-)
+from app.viewer.server.guard import Door, Told, open_server
 from app.viewer.server.limits import Limits
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.look import uuid_of

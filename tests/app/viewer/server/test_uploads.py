@@ -4,12 +4,7 @@ from typing import Any
 
 import pytest
 
-from app.viewer.server.limits import (
-    Limits,
-    Pace,
-    RefusedUpload,
-    Uploads,
-)
+from app.viewer.server.limits import Limits, Pace, RefusedUpload, Uploads
 
 
 class Clock:

@@ -8,32 +8,15 @@ import pytest
 import viser
 
 from app.viewer.features.all_pairs.judging import compare_pairs
-from app.viewer.features.links.address import (
-    address_of,
-    read_address,
-)
-from app.viewer.features.pair.verdict import (
-    in_words,
-    rows_of,
-    verdict_html,
-)
+from app.viewer.features.links.address import address_of, read_address
+from app.viewer.features.pair.verdict import in_words, rows_of, verdict_html
 from app.viewer.features.save.command_line import detect_command
 from app.viewer.features.save.tab import write_report
 from app.viewer.features.session import Session
 from app.viewer.session.methods import METHODS
 from app.viewer.session.runner import Capacity
-from app.viewer.session.session_file import (
-    Opened,
-    parse_session,
-    session_text,
-)
-from app.viewer.session.state import (
-    ViewState,
-    open_dataset,
-    with_method,
-    with_pair,
-    with_params,
-)
+from app.viewer.session.session_file import Opened, parse_session, session_text
+from app.viewer.session.state import ViewState, open_dataset, with_method, with_pair, with_params
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods.paper import PaperPair, paper_params, register_paper_pair
@@ -41,12 +24,7 @@ from gpgrad_core.params.fields import with_path
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import silent
 from tests.support.synthetic import make_dataset
-from tests.support.widgets import (
-    find,
-    said,
-    user_presses,
-    user_sets,
-)
+from tests.support.widgets import find, said, user_presses, user_sets
 
 DATASET = make_dataset(num_points=250)
 GIVEN = with_path(PipelineParams(), "map.resolution", 0.1)

@@ -6,15 +6,9 @@ from typing import Any
 
 import pytest
 
-from app.viewer.session.runner import (
-    Pacer,
-    Runner,
-)
+from app.viewer.session.runner import Pacer, Runner
 from gpgrad_core.run.progress import Cancelled, Progress
-from tests.support.waiting import (
-    PATIENCE,
-    until,
-)
+from tests.support.waiting import PATIENCE, until
 
 
 class Record:

@@ -6,11 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.viewer.session.session_file import (
-    parse_session,
-    read_session,
-    session_text,
-)
+from app.viewer.session.session_file import parse_session, read_session, session_text
 from app.viewer.session.state import (
     COLOR_MAPS,
     LAYERS,

@@ -21,10 +21,7 @@ from gpgrad_core.features import FeatureParams
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.types import Dataset, Submap
-from tests.support.synthetic import (
-    make_dataset,
-    needing,
-)
+from tests.support.synthetic import make_dataset, needing
 
 
 def test_a_dataset_opens_at_a_revisit() -> None:

@@ -1,10 +1,7 @@
 import viser
 
 from app.viewer.widgets.pair_list import MOST_LISTED, PairList
-from tests.support.widgets import (
-    find,
-    user_sets,
-)
+from tests.support.widgets import find, user_sets
 
 PAIRS = {f"{number}": (f"q{number}", "d") for number in range(MOST_LISTED + 5)}
 

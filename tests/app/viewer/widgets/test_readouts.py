@@ -9,37 +9,20 @@ from app.viewer.features.data.folders import Listing
 from app.viewer.features.data.panel import DatasetPanel
 from app.viewer.features.pair.panel import DatasetSummary
 from app.viewer.features.pair.verdict import HEIGHT as CARD_HEIGHT
-from app.viewer.features.pair.verdict import (
-    VerdictCard,
-    verdict_html,
-)
+from app.viewer.features.pair.verdict import VerdictCard, verdict_html
 from app.viewer.features.save.panel import command_html
 from app.viewer.scene.colors import legend_uri
 from app.viewer.scene.layers import Scale
-from app.viewer.session.state import (
-    NEEDS_TWO,
-    open_dataset,
-    with_params,
-)
+from app.viewer.session.state import NEEDS_TWO, open_dataset, with_params
 from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.status import CANCEL, HEIGHT, StatusLine, status_html
-from gpgrad_core.detection import (
-    PairResult,
-    PipelineParams,
-)
+from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Dataset, Submap
-from tests.support.synthetic import (
-    make_dataset,
-    make_result,
-    needing,
-)
-from tests.support.widgets import (
-    html_says,
-    said,
-)
+from tests.support.synthetic import make_dataset, make_result, needing
+from tests.support.widgets import html_says, said
 
 STATE = open_dataset(make_dataset(), PipelineParams())
 LONE = open_dataset(replace(STATE.dataset, submaps=STATE.dataset.submaps[:1]), STATE.params)

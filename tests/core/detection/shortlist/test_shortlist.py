@@ -7,22 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.detection import (
-    PipelineParams,
-    infer_features,
-)
-from gpgrad_core.detection.shortlist import (
-    Candidate,
-    Shortlist,
-)
-from gpgrad_core.detection.shortlist.shortlist import (
-    MOST_VOTERS,
-    WORTH_VOTES,
-)
-from gpgrad_core.detection.shortlist.vocabulary import (
-    NUM_AXES,
-    NUM_WORDS,
-)
+from gpgrad_core.detection import PipelineParams, infer_features
+from gpgrad_core.detection.shortlist import Candidate, Shortlist
+from gpgrad_core.detection.shortlist.shortlist import MOST_VOTERS, WORTH_VOTES
+from gpgrad_core.detection.shortlist.vocabulary import NUM_AXES, NUM_WORDS
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import DetectorParams, FeatureParams
 from gpgrad_core.mapping.gradient_map import MapParams

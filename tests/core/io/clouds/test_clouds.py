@@ -11,10 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from gpgrad_core.io.clouds import load_cloud, load_cloud_with_notes
 from gpgrad_core.io.clouds.ply import write_ply
-from tests.core.io.test_formats import (
-    WORLD,
-    by_laspy,
-)
+from tests.core.io.test_formats import WORLD, by_laspy
 from tests.support.refusal import assert_refused
 
 

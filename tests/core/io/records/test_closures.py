@@ -10,16 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpgrad_core.detection import (
-    DetectionResult,
-    PipelineParams,
-)
+from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.gp.likelihood import Hyperparameters
-from gpgrad_core.io.records.closure_writer import (
-    ClosureWriter,
-    write_closure_table,
-    write_closures,
-)
+from gpgrad_core.io.records.closure_writer import ClosureWriter, write_closure_table, write_closures
 from gpgrad_core.io.records.closures import (
     ClosureReport,
     Decision,

@@ -5,10 +5,7 @@ from pathlib import Path
 import pytest
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.records.files import (
-    check_output,
-    replacing,
-)
+from gpgrad_core.io.records.files import check_output, replacing
 
 
 def test_a_file_appears_when_the_block_has_succeeded(tmp_path: Path) -> None:

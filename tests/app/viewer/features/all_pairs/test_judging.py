@@ -5,21 +5,8 @@ import numpy as np
 import pytest
 
 from app.viewer.features.all_pairs import judging
-from app.viewer.features.all_pairs.judging import (
-    RULES,
-    UNKNOWN,
-    compare_pairs,
-    gather_all,
-    judge,
-)
-from app.viewer.session.decisions import (
-    ACCEPTED,
-    MISSED,
-    NO_OVERLAP,
-    REFUSED,
-    RIGHT,
-    WRONG_MOTION,
-)
+from app.viewer.features.all_pairs.judging import RULES, UNKNOWN, compare_pairs, gather_all, judge
+from app.viewer.session.decisions import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
@@ -31,12 +18,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.run.store import Store
 from gpgrad_core.types import Dataset
-from tests.support.synthetic import (
-    MISPLACED,
-    PAIR_SCORES,
-    make_compared,
-    make_dataset,
-)
+from tests.support.synthetic import MISPLACED, PAIR_SCORES, make_compared, make_dataset
 
 BOX = next(iter(RULES.values()))
 COMPARED = make_compared()

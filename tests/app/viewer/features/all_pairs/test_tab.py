@@ -11,34 +11,17 @@ from app.viewer.features.all_pairs.panel import NO_CHOICE
 from app.viewer.features.all_pairs.tab import AllPairsTab
 from app.viewer.features.desk import Desk
 from app.viewer.session.methods import MethodName
-from app.viewer.session.state import (
-    ViewState,
-    open_dataset,
-    with_pair,
-    with_params,
-)
+from app.viewer.session.state import ViewState, open_dataset, with_pair, with_params
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.detection.shortlist import (
-    Candidate,
-    Candidates,
-)
+from gpgrad_core.detection.shortlist import Candidate, Candidates
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Dataset
 from tests.support.desk import make_desk
-from tests.support.synthetic import (
-    make_compared,
-    make_dataset,
-)
-from tests.support.widgets import (
-    find,
-    html_says,
-    said,
-    user_presses,
-    user_sets,
-)
+from tests.support.synthetic import make_compared, make_dataset
+from tests.support.widgets import find, html_says, said, user_presses, user_sets
 
 COMPARED = make_compared()
 STATE = open_dataset(COMPARED.dataset, PipelineParams(closure=ClosureParams(0, 4.5)))

@@ -2,17 +2,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.viewer.features.best_pair.likely import (
-    overlapping_pairs,
-    voted_pairs,
-)
+from app.viewer.features.best_pair.likely import overlapping_pairs, voted_pairs
 from gpgrad_core.arrays import Array
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, Features, Submap
-from tests.support.synthetic import (
-    make_dataset,
-    make_submap,
-)
+from tests.support.synthetic import make_dataset, make_submap
 
 
 def test_revisits_come_before_neighbours_and_the_largest_overlap_first() -> None:

@@ -13,30 +13,15 @@ from app.viewer.features.best_pair import search as search_module
 from app.viewer.features.pair import tab as pair_module
 from app.viewer.features.session import Session
 from app.viewer.session.runner import Capacity
-from app.viewer.session.session_file import (
-    Opened,
-    SavedSession,
-)
+from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import ViewState
 from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
-from tests.support.synthetic import (
-    NUMBERS,
-    FakePipeline,
-    make_compared,
-    make_result,
-    make_submap,
-)
-from tests.support.widgets import (
-    find,
-    html_says,
-    said,
-    user_presses,
-    user_sets,
-)
+from tests.support.synthetic import NUMBERS, FakePipeline, make_compared, make_result, make_submap
+from tests.support.widgets import find, html_says, said, user_presses, user_sets
 
 PLACES = ((0.0, 0.0), (2.0, 0.0), (12.0, 0.0), (12.0, 9.0), (0.8, 0.8), (0.1, 0.0), (12.0, 1.0))
 DATASET = Dataset(

@@ -21,18 +21,8 @@ from app.viewer.session.state import Camera, ViewOptions
 from gpgrad_core.run.memo import Memo
 from tests.support.page import FakePage
 from tests.support.server import started_server
-from tests.support.synthetic import (
-    FakePipeline,
-    make_dataset,
-    needing,
-)
-from tests.support.widgets import (
-    find,
-    html_says,
-    said,
-    user_presses,
-    user_sets,
-)
+from tests.support.synthetic import FakePipeline, make_dataset, needing
+from tests.support.widgets import find, html_says, said, user_presses, user_sets
 
 WIDE, TALL = Canvas(1280.0, 1000.0), Canvas(640.0, 900.0)
 DATASET = make_dataset(300)

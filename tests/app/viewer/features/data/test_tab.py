@@ -13,28 +13,15 @@ from app.viewer.features.data import tab as opening_module
 from app.viewer.features.data.folders import recent_datasets
 from app.viewer.features.data.tab import DataTab
 from app.viewer.server.permissions import Permissions
-from app.viewer.session.session_file import (
-    Opened,
-    SavedSession,
-)
+from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.io.folder import (
-    load_dataset,
-    write_dataset,
-)
+from gpgrad_core.io.folder import load_dataset, write_dataset
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Dataset
-from tests.support.desk import (
-    Recorder,
-    make_desk,
-)
+from tests.support.desk import Recorder, make_desk
 from tests.support.synthetic import make_dataset
-from tests.support.widgets import (
-    find,
-    user_presses,
-    user_sets,
-)
+from tests.support.widgets import find, user_presses, user_sets
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.viewer.features.data.unpacking import (
-    MOST_FILES,
-    check_cloud,
-    unpack,
-)
+from app.viewer.features.data.unpacking import MOST_FILES, check_cloud, unpack
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run.progress import Cancelled

@@ -4,30 +4,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.viewer.features.inspect.flat_picture import (
-    NOTHING,
-    WIDTH,
-    draw_pane,
-)
-from app.viewer.scene.colors import (
-    CHOSEN,
-    DATABASE,
-    INLIER,
-    OUTLIER,
-    QUERY,
-)
-from app.viewer.session.state import (
-    ViewOptions,
-    ViewState,
-    open_dataset,
-    with_match,
-    with_options,
-)
+from app.viewer.features.inspect.flat_picture import NOTHING, WIDTH, draw_pane
+from app.viewer.scene.colors import CHOSEN, DATABASE, INLIER, OUTLIER, QUERY
+from app.viewer.session.state import ViewOptions, ViewState, open_dataset, with_match, with_options
 from gpgrad_core.detection import PipelineParams
-from tests.support.synthetic import (
-    make_dataset,
-    make_result,
-)
+from tests.support.synthetic import make_dataset, make_result
 
 STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
 RESULT = make_result(STATE)

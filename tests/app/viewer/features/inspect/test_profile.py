@@ -4,14 +4,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from app.viewer.features.inspect.panel import (
-    profile_svg,
-    ruler_rows,
-)
-from app.viewer.scene.ruler import (
-    Heights,
-    Ruler,
-)
+from app.viewer.features.inspect.panel import profile_svg, ruler_rows
+from app.viewer.scene.ruler import Heights, Ruler
 
 ALONG = np.linspace(0.0, 4.0, 200)
 XY = np.column_stack([ALONG, ALONG])

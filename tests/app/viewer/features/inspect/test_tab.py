@@ -28,21 +28,9 @@ from app.viewer.session.state import (
     with_probe,
 )
 from gpgrad_core.detection import PipelineParams
-from tests.support.desk import (
-    Recorder,
-    make_desk,
-)
-from tests.support.synthetic import (
-    make_dataset,
-    make_result,
-)
-from tests.support.widgets import (
-    find,
-    html_says,
-    said,
-    user_presses,
-    user_sets,
-)
+from tests.support.desk import Recorder, make_desk
+from tests.support.synthetic import make_dataset, make_result
+from tests.support.widgets import find, html_says, said, user_presses, user_sets
 
 STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
 RESULT = make_result(STATE)

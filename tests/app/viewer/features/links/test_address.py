@@ -2,18 +2,8 @@ from dataclasses import replace
 
 import pytest
 
-from app.viewer.features.links.address import (
-    LONGEST,
-    address_of,
-    read_address,
-)
-from app.viewer.session.state import (
-    Camera,
-    ViewOptions,
-    open_dataset,
-    with_options,
-    with_params,
-)
+from app.viewer.features.links.address import LONGEST, address_of, read_address
+from app.viewer.session.state import Camera, ViewOptions, open_dataset, with_options, with_params
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.fields import with_path

@@ -2,22 +2,11 @@ from dataclasses import replace
 
 import viser
 
-from app.viewer.features.pair.panel import (
-    DatasetSummary,
-    PairPanel,
-    ViewPanel,
-)
-from app.viewer.session.state import (
-    ViewOptions,
-    open_dataset,
-)
+from app.viewer.features.pair.panel import DatasetSummary, PairPanel, ViewPanel
+from app.viewer.session.state import ViewOptions, open_dataset
 from gpgrad_core.detection import PipelineParams
 from tests.support.synthetic import make_dataset
-from tests.support.widgets import (
-    find,
-    user_presses,
-    user_sets,
-)
+from tests.support.widgets import find, user_presses, user_sets
 
 STATE = open_dataset(make_dataset(), PipelineParams())
 LONE = open_dataset(replace(STATE.dataset, submaps=STATE.dataset.submaps[:1]), STATE.params)

@@ -23,13 +23,7 @@ from app.viewer.session.state import (
     with_probe,
 )
 from gpgrad_core.detection import PipelineParams
-from tests.support.synthetic import (
-    T_DATABASE_QUERY,
-    make_dataset,
-    make_map,
-    make_result,
-    needing,
-)
+from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map, make_result, needing
 from tests.support.waiting import until
 from tests.support.widgets import node
 

@@ -11,15 +11,8 @@ from app.viewer.session.session_file import Opened
 from app.viewer.session.state import LAYERS
 from gpgrad_core.run.memo import Memo
 from tests.support.page import FakePage
-from tests.support.synthetic import (
-    FakePipeline,
-    make_dataset,
-    needing,
-)
-from tests.support.widgets import (
-    find,
-    press_key,
-)
+from tests.support.synthetic import FakePipeline, make_dataset, needing
+from tests.support.widgets import find, press_key
 
 
 @pytest.fixture

@@ -2,15 +2,9 @@ import time
 
 import pytest
 
-from app.viewer.features.pair.timing import (
-    STAGE_OF,
-    TimedMemo,
-)
+from app.viewer.features.pair.timing import STAGE_OF, TimedMemo
 from app.viewer.session.state import open_dataset
-from gpgrad_core.detection import (
-    PipelineParams,
-    register_pair,
-)
+from gpgrad_core.detection import PipelineParams, register_pair
 from gpgrad_core.detection.coarse import infer_quick_map
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.memo import Memo

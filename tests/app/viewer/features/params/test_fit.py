@@ -7,27 +7,17 @@ import viser
 
 from app.viewer.features.desk import Desk
 from app.viewer.features.params import fit as fit_module
-from app.viewer.features.params.fit import (
-    FitTool,
-    with_fitted,
-)
+from app.viewer.features.params.fit import FitTool, with_fitted
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.fitting import FitResult
-from gpgrad_core.mapping.gradient_map import (
-    MapParams,
-    TerrainParams,
-)
+from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Submap
 from tests.support.desk import make_desk
 from tests.support.synthetic import make_dataset
-from tests.support.widgets import (
-    find,
-    said,
-    user_presses,
-)
+from tests.support.widgets import find, said, user_presses
 
 STATE = open_dataset(make_dataset(), PipelineParams())
 

@@ -13,12 +13,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds, parameters_of
-from tests.support.widgets import (
-    find,
-    html_says,
-    labels,
-    user_sets,
-)
+from tests.support.widgets import find, html_says, labels, user_sets
 
 MAIN = {"map.length_scale": "Length-scale", "closure.min_inliers": "Minimum inliers"}
 

@@ -24,16 +24,8 @@ from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.paper import paper_params
 from gpgrad_core.params.files import read_parameters
 from tests.support.desk import make_desk
-from tests.support.synthetic import (
-    make_dataset,
-    needing,
-)
-from tests.support.widgets import (
-    find,
-    said,
-    user_presses,
-    user_sets,
-)
+from tests.support.synthetic import make_dataset, needing
+from tests.support.widgets import find, said, user_presses, user_sets
 
 OTHERS = PipelineParams(map=MapParams(length_scale=0.42, signal_std=0.3, max_points=7000))
 

@@ -12,33 +12,15 @@ from app.viewer.features.params.sensitivity import (
     sweep_html,
     values_of,
 )
-from app.viewer.features.params.tab import (
-    MAIN_PARAMETERS,
-    SWEPT,
-)
-from app.viewer.session.state import (
-    ViewState,
-    open_dataset,
-)
+from app.viewer.features.params.tab import MAIN_PARAMETERS, SWEPT
+from app.viewer.session.state import ViewState, open_dataset
 from app.viewer.widgets.commands import Commands
-from gpgrad_core.detection import (
-    PairResult,
-    PipelineParams,
-)
+from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.fields import parameters_of, with_path
 from tests.support.desk import make_desk
-from tests.support.synthetic import (
-    FakePipeline,
-    make_dataset,
-    make_result,
-)
-from tests.support.widgets import (
-    find,
-    html_says,
-    user_presses,
-    user_sets,
-)
+from tests.support.synthetic import FakePipeline, make_dataset, make_result
+from tests.support.widgets import find, html_says, user_presses, user_sets
 
 FIELDS = {field.path: field for field in parameters_of(PipelineParams)}
 START = with_path(with_path(PipelineParams(), "map.length_scale", 0.3), "map.noise_std", 0.02)

@@ -6,30 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.viewer.features.desk import Desk
-from app.viewer.features.params.undo import (
-    LONGEST,
-    History,
-    SnapshotsTool,
-    UndoTool,
-    differences,
-)
+from app.viewer.features.params.undo import LONGEST, History, SnapshotsTool, UndoTool, differences
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import (
-    open_dataset,
-    with_params,
-)
+from app.viewer.session.state import open_dataset, with_params
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
 from tests.support.desk import make_desk
-from tests.support.synthetic import (
-    NUMBERS,
-    make_dataset,
-    needing,
-)
-from tests.support.widgets import (
-    find,
-    user_presses,
-)
+from tests.support.synthetic import NUMBERS, make_dataset, needing
+from tests.support.widgets import find, user_presses
 
 values = st.lists(st.integers(0, 3), max_size=30)
 

@@ -10,35 +10,18 @@ import viser
 
 from app.viewer.features.desk import Desk
 from app.viewer.features.save import tab as save_module
-from app.viewer.features.save.tab import (
-    CLOSURES,
-    MAPS,
-    PICTURE_PIXELS,
-    Exports,
-)
+from app.viewer.features.save.tab import CLOSURES, MAPS, PICTURE_PIXELS, Exports
 from app.viewer.scene.layers import Scale
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import open_dataset
-from gpgrad_core.detection import (
-    DetectionResult,
-    PipelineParams,
-)
+from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.verdict import classify
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Dataset
 from tests.support.desk import make_desk
 from tests.support.page import FakePage
-from tests.support.synthetic import (
-    make_compared,
-    make_dataset,
-    make_map,
-)
-from tests.support.widgets import (
-    find,
-    said,
-    user_presses,
-    user_sets,
-)
+from tests.support.synthetic import make_compared, make_dataset, make_map
+from tests.support.widgets import find, said, user_presses, user_sets
 
 Order: TypeAlias = Callable[..., FakePage]
 STATE = open_dataset(make_dataset(), PipelineParams())

@@ -7,15 +7,8 @@ import pytest
 import viser
 
 from app.viewer.features.save import tab as save_module
-from app.viewer.features.save.report_page import (
-    lines_below,
-    report_html,
-)
-from app.viewer.features.save.tab import (
-    ENDINGS,
-    ReportTool,
-    write_report,
-)
+from app.viewer.features.save.report_page import lines_below, report_html
+from app.viewer.features.save.tab import ENDINGS, ReportTool, write_report
 from app.viewer.session.state import open_dataset
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
@@ -23,10 +16,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import silent
 from tests.support.desk import make_desk
 from tests.support.page import FakePage
-from tests.support.synthetic import (
-    make_dataset,
-    make_result,
-)
+from tests.support.synthetic import make_dataset, make_result
 from tests.support.widgets import html_says
 
 STATE = open_dataset(make_dataset(), PipelineParams(), source="/maps/hills")

@@ -5,26 +5,13 @@ import viser
 
 from app.viewer.features.desk import Desk
 from app.viewer.features.save.tab import SaveTab
-from app.viewer.session.session_file import (
-    Opened,
-    SavedSession,
-    parse_session,
-)
+from app.viewer.session.session_file import Opened, SavedSession, parse_session
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from tests.support.desk import make_desk
 from tests.support.page import FakePage
-from tests.support.synthetic import (
-    make_dataset,
-    needing,
-)
-from tests.support.widgets import (
-    find,
-    html_says,
-    said,
-    user_presses,
-    user_sets,
-)
+from tests.support.synthetic import make_dataset, needing
+from tests.support.widgets import find, html_says, said, user_presses, user_sets
 
 STATE = open_dataset(make_dataset(), PipelineParams(), source="/data/hills & <b>co</b>")
 

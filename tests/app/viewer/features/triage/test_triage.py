@@ -31,21 +31,9 @@ from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.types import LoopClosure
-from tests.support.desk import (
-    Recorder,
-    make_desk,
-)
-from tests.support.synthetic import (
-    T_DATABASE_QUERY,
-    make_compared,
-    make_map,
-)
-from tests.support.widgets import (
-    find,
-    html_says,
-    user_presses,
-    user_sets,
-)
+from tests.support.desk import Recorder, make_desk
+from tests.support.synthetic import T_DATABASE_QUERY, make_compared, make_map
+from tests.support.widgets import find, html_says, user_presses, user_sets
 
 COMPARED = make_compared()
 STATE = open_dataset(COMPARED.dataset, PipelineParams(closure=ClosureParams(0, 4.5)))

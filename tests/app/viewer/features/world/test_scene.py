@@ -30,11 +30,7 @@ from app.viewer.features.world.submaps import (
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset
-from tests.support.synthetic import (
-    NUMBERS,
-    make_dataset,
-    make_map,
-)
+from tests.support.synthetic import NUMBERS, make_dataset, make_map
 from tests.support.widgets import node
 
 DATASET = make_dataset()

@@ -5,17 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.viewer.features.world.submaps import (
-    figures_of,
-    pose_sources,
-    poses_of,
-)
-from app.viewer.scene.animation import (
-    Animation,
-    ease,
-    frames,
-    play,
-)
+from app.viewer.features.world.submaps import figures_of, pose_sources, poses_of
+from app.viewer.scene.animation import Animation, ease, frames, play
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap
