@@ -11,7 +11,7 @@ import pytest
 
 import app.cli.comparing
 from app.cli import run
-from gpgrad_core.detection import with_store
+from gpgrad_core.detection import stored, with_store
 from gpgrad_core.io.records.closures import read_closures
 from gpgrad_core.run.parallel import WORTH_PROCESSES
 from gpgrad_core.run.store import Store
@@ -130,7 +130,7 @@ def test_an_interrupt_ends_all_workers_and_leaves_nothing(tmp_path: Path) -> Non
 def test_without_a_cache_the_results_of_many_lie_in_a_folder_that_goes_with_the_run(
     traverse: Path, detected: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kept, "ALL_UP_TO", 2)  # as if four submaps were many
+    monkeypatch.setattr(stored, "ALL_UP_TO", 2)  # as if four submaps were many
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
     folders: list[str] = []

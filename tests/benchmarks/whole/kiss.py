@@ -15,6 +15,7 @@ import numpy as np
 import tyro
 from scipy.spatial.transform import Rotation
 
+from gpgrad_core.io.clouds import read_cloud
 from gpgrad_core.io.poses import pose_row
 from gpgrad_core.se2 import Pose
 
