@@ -23,6 +23,8 @@ BETWEEN = 0.08
 """Pause between two updates of what is written over the canvas [s]."""
 SCREEN_CHANGES = 1.5
 """After the panels were put away, or back, the canvas takes its new size within this time [s]."""
+PAGE_SETTLES = 5.0
+"""Within this time after it came, a page's panels take their place over its canvas [s]."""
 OUTDATED = "Out of date: "
 
 
@@ -47,6 +49,7 @@ class Framing(Feature):
         self._refit_until = 0.0
         self._shown: tuple[ViewState, PairResult] | None = None
         self._outdated = self._moved = False
+        self._arriving_until = 0.0
         self._caption: dict[str, str] = {}
         self._watched: weakref.WeakSet[viser.ClientHandle] = weakref.WeakSet()
         self._lock = threading.RLock()  # the pair's worker and the server's loop both frame
@@ -104,6 +107,7 @@ class Framing(Feature):
         """Show a page what is shown from where a link has the camera."""
         with self._lock:
             self._framed, self._kept = self._present(self._desk.state), True
+            self._arriving_until = time.monotonic() + PAGE_SETTLES
             set_view(page, camera)
 
     def keep_cameras(self) -> None:
@@ -190,6 +194,9 @@ class Framing(Feature):
         tall = canvases.of(measured[min(measured)]).is_tall
         if tall != self._pair.tall:
             self._pair.tall = tall
+            # A page that comes by a link says its canvas before its panels cover a part of it. The
+            # link's camera is that of the canvas that they leave.
+            self._keep_next |= self._kept and time.monotonic() < self._arriving_until
             self._desk.change()
 
     # What is written over the canvas.
