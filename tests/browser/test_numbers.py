@@ -41,9 +41,9 @@ def test_what_a_person_types_is_taken_or_refused_in_words(open_viewer: Open) -> 
     ):
         type_and(page, text, end)
         page.wait(lambda value=value: length_scale(page) == value, f"{text} taken")
+        page.wait(lambda value=value: page.value(NAME) == value, "the thumb")
         page.wait(lambda value=value: box.input_value() == f"{value:g}", "the box")
         assert not page.say("not-taken")
-    page.wait(lambda: page.value(NAME) == 5.0, "the thumb")  # the box has shown it all along
     page.wait(
         lambda: "Up to date" in page.status(), "the picture, whose status is the next to come"
     )

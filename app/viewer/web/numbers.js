@@ -23,12 +23,13 @@
   let typing = null;
   const said = new Map();
   const commit = () => {
-    const {id, box, before} = typing;
+    const {id, box, before, text} = typing;
     typing = null;
-    if (box.value === before) return;
+    if (text === before) return;
     rest();
-    said.set(id, {box, before, text: box.value});
-    gpgrad.say('typed', {widget: id, text: box.value});
+    put(box, text);
+    said.set(id, {box, before, text});
+    gpgrad.say('typed', {widget: id, text});
   };
   const why = document.createElement('div');
   why.dataset.testid = 'not-taken';
@@ -56,8 +57,11 @@
     if (!found || event.target !== found.box) return;
     event.stopImmediatePropagation();
     if (event.type === 'beforeinput' && typing?.box !== found.box) {
-      typing = {...found, before: said.get(found.id)?.before ?? found.box.value};
+      const before = said.get(found.id)?.before ?? found.box.value;
+      typing = {...found, before, text: found.box.value};
     }
+    // Kept, because a busy page may show a value of before only now, over what is typed.
+    if (event.type === 'input' && typing?.box === found.box) typing.text = found.box.value;
   });
   hear(['focusout'], event => {
     if (typing?.box !== event.target) return;
