@@ -125,7 +125,6 @@ def test_limits_of_control_groups_are_read(tmp_path: Path) -> None:
     assert group_limits(groups, mine) == []
 
 
-@pytest.mark.slow
 def test_beyond_the_budget_the_oldest_results_go_and_their_memory_too() -> None:
     memo = Memo()
     keeper = MemoryKeeper(10**12, memo, None)
