@@ -118,9 +118,10 @@ class Bridge:
         if said is None:
             return
         send_to(page, RunJavascriptMessage(f"gpgrad.heard({said.number})"))
-        is_new = said.number > self._taken.get(page.client_id, 0)
+        if said.number <= self._taken.get(page.client_id, 0):
+            return  # said again before the answer came
         self._taken[page.client_id] = said.number
-        if is_new and said.name in self._acts:
+        if said.name in self._acts:
             self._acts[said.name](page, said.data)
 
     def _hidden_script(self) -> str:

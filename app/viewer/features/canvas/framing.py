@@ -46,10 +46,9 @@ class Framing(Feature):
         self._framed: tuple[object, ...] | None = None  # what the cameras were brought to
         self._kept = False  # a saved camera shows it instead
         self._keep_next = False
-        self._refit_until = 0.0
+        self._refit_until = self._arriving_until = 0.0
         self._shown: tuple[ViewState, PairResult] | None = None
         self._outdated = self._moved = False
-        self._arriving_until = 0.0
         self._caption: dict[str, str] = {}
         self._watched: weakref.WeakSet[viser.ClientHandle] = weakref.WeakSet()
         self._lock = threading.RLock()  # the pair's worker and the server's loop both frame
@@ -196,7 +195,8 @@ class Framing(Feature):
             self._pair.tall = tall
             # A page that comes by a link says its canvas before its panels cover a part of it. The
             # link's camera is that of the canvas that they leave.
-            self._keep_next |= self._kept and time.monotonic() < self._arriving_until
+            arriving = self._kept and time.monotonic() < self._arriving_until
+            self._keep_next |= arriving and self._subject == "pair"  # the world is not placed anew
             self._desk.change()
 
     # What is written over the canvas.

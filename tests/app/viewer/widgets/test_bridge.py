@@ -3,8 +3,10 @@
 import json
 
 import pytest
+import viser
 
-from app.viewer.widgets.bridge import Said, read_said
+from app.viewer.widgets.bridge import Bridge, Data, Said, read_said
+from tests.support.page import FakePage
 
 
 def test_a_message_is_read() -> None:
@@ -28,3 +30,13 @@ def test_a_message_is_read() -> None:
 )
 def test_what_no_script_of_ours_writes_is_nothing(text: str) -> None:
     assert read_said(text) is None
+
+
+def test_what_is_said_again_is_heard_once(server: viser.ViserServer) -> None:
+    bridge, page = Bridge(server), FakePage()
+    heard: list[Data] = []
+    bridge.hear("cell", lambda _, data: heard.append(data))
+    for number, times in ((1, 1), (2, 2), (2, 3), (1, 4), (2, 5)):
+        said = {"number": number, "times": times, "name": "cell", "data": {"row": number}}
+        bridge.take(page, json.dumps(said))  # type: ignore[arg-type]
+    assert heard == [{"row": 1}, {"row": 2}]
